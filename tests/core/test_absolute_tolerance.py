@@ -7,13 +7,10 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-import pytest
-import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, NonlinearProblem, Status, complements, march, solve, solve_batch
-from lcp_plugin.core.errors import InvalidOption
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 AT_REST = [[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0]  # no solution, by rounding
@@ -103,41 +100,6 @@ def test_cvxpy_takes_it() -> None:
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + q >= 0)])
     problem.solve(method="LCP", absolute_tolerance=1e-15)
     assert problem.status == cp.OPTIMAL
-
-
-def test_it_goes_with_the_residual() -> None:
-    """A negative number is refused."""
-    with pytest.raises(InvalidOption, match="absolute_tolerance must be finite and not negative"):
-        solve(LCP([[1.0]], [-1.0]), absolute_tolerance=-1.0)
-
-
-def test_large_sparse_problems_stop_at_it() -> None:
-    """A grid needs fewer sweeps for less."""
-    n = 300
-    M = sp.diags_array(
-        [-np.ones(n - 1), np.full(n, 2.0 + 1e-3), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
-    )
-    problem = LCP(M, -np.ones(n))
-    loose, sharp = solve(problem, "psor", absolute_tolerance=1e-2), solve(problem, "psor")
-    assert loose.is_solved
-    assert (
-        loose.certificate.scaled_residual
-        <= 1e-2
-        < 10.0 * loose.iterations
-        < 10.0 * sharp.iterations
-    )
-
-
-@pytest.mark.full
-def test_what_doubles_exclude_beside_the_data_may_be_small_enough() -> None:
-    """Without a search for proofs, too: no case has a small relative residual, and yet there is a z at rest."""
-    M, q = AT_REST
-    result = solve(LCP(M, q), absolute_tolerance=1e-15, prove_infeasibility=False)
-    assert result.is_solved
-    assert solve_batch(
-        [M] * 3, [q] * 3, absolute_tolerance=1e-15, prove_infeasibility=False
-    ).all_solved
-    assert not solve_batch([M] * 3, [q] * 3, prove_infeasibility=False).all_solved
 
 
 def test_a_part_at_rest_does_not_hide_another() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
@@ -24,20 +23,11 @@ from lcp_plugin import (
     gallery,
     solve,
 )
-from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
-from lcp_plugin.core.policy.stages import Stage
-from lcp_plugin.core.solving.advice import advice_of_run
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.tuning import PIVOTED_UP_TO
-from lcp_plugin.methods.direct import FallbackOrder
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
-LEFT_OUT = (
-    "the exhaustive search",
-    "a look for a proof that there is no solution",
-    "newton, where the diagonal is negative,",
-    "lemke",
-)
 CONTACT = falling_bodies(10)
 TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle
 FAR = LCP(
@@ -204,25 +194,6 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
-@pytest.mark.parametrize(
-    ("n", "named"), [(24, ()), (25, LEFT_OUT[:1]), (5001, LEFT_OUT[:3]), (6001, LEFT_OUT)]
-)
-def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...]) -> None:
-    """Each with the size up to which it goes; nothing where all are tried."""
-    M = sp.diags_array(
-        [np.full(n - 1, -2.0), np.full(n, -1.0), np.full(n - 1, 3.0)], offsets=(-1, 0, 1)
-    ).tocsr()
-    order = FallbackOrder(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0))
-    stage = Stage(create("newton", {}))
-    following = order.first()
-    while following is not None and following.algorithm.name != "psor":
-        following = order.after([replace(stage, algorithm=following.algorithm)], 1e-8, failed=True)
-    assert {told.partition(" (")[0] for told in order.left_out} == set(named)
-    said = advice_of_run(LCP([[1.0]], [1.0]), "auto", (), {}, order.left_out)[Status.STALLED]
-    assert all(told in said for told in order.left_out)
-    assert (", but not " in said) == bool(named)
-
-
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
 def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
     """The advice "Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""
@@ -258,12 +229,6 @@ STAGE_LINES = {
         ),
         "dense convex programs of up to some hundred rows",
     ),
-    "a program, its residuals": (
-        lambda: solve(
-            QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
-        ),
-        "constraints are violated by",
-    ),
     "a program by interior points": (
         lambda: solve(
             QuadraticProgram(
@@ -281,14 +246,6 @@ STAGE_LINES = {
         lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]),
         "replaces F by its tangent at x",
     ),
-    "its work": (
-        lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]),
-        "products of F′ with a vector",
-    ),
-    "work": (
-        lambda: solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])),
-        "products of M with a vector",
-    ),
 }
 
 
@@ -305,25 +262,6 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
     assert "npsor" not in result.explain()
-
-
-def test_lemke_uses_a_start_near_the_solution() -> None:
-    """From a z0 with a small residual lemke needs a fraction of its pivots, and says nothing."""
-    problem = gallery.obstacle_2d(size=20).problem
-    answer = solve(problem, "lemke").z
-    assert not solve(problem, "lemke", max_pivots=30, prove_infeasibility=False).is_solved
-    begun = solve(problem, "lemke", z0=answer * (1.0 + 1e-4), max_pivots=30)
-    assert begun.is_solved
-
-
-def test_interior_point_uses_a_start_where_m_is_dense_and_symmetric() -> None:
-    """There a good z0 saves work, and nothing is said."""
-    rng = np.random.default_rng(0)
-    A = rng.standard_normal((300, 300))
-    problem = LCP(A @ A.T + np.eye(300), rng.standard_normal(300))
-    plain = solve(problem, "interior_point")
-    begun = solve(problem, "interior_point", z0=plain.z * (1.0 + 1e-4))
-    assert begun.work < plain.work
 
 
 def test_the_remedy_of_a_guarantee_is_followed() -> None:
@@ -347,16 +285,6 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
     assert first.status is Status.MAX_ITERATIONS
     assert "go on from x0=result.x" in first.advice
     assert bounded_least_squares(A, b, x0=first.x).is_solved
-
-
-def test_every_named_algorithm_exists() -> None:
-    """Names in advice are names of the registry, or auto."""
-    for problem, failed, _ in FOLLOWED:
-        for call in calls_in(
-            advice_of(lambda problem=problem, failed=failed: solve(problem, **failed))
-        ):
-            name = call.get("algorithm", "auto")
-            assert name == "auto" or create(name, {}).name == name
 
 
 def test_words_lead_where_they_say() -> None:

@@ -15,7 +15,6 @@ from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_matrices,
 from exact_components import component_of_rows, references_of_rows, relative_residual
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
@@ -220,12 +219,6 @@ def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> N
         assert certificate.relative_residual == math.inf
 
 
-def test_residual_scale_of_subnormal_rows_is_not_zero() -> None:
-    """A zero diagonal is negligible however small the rest of its row is, so that no residual divides by zero."""
-    problem = LCP([[0.0, 1e-320], [1e-320, 0.0]], [1.0, 1.0])
-    assert problem.residual_scale.tolist() == [1e-320, 1e-320]
-
-
 def test_an_empty_problem_has_nothing_wrong() -> None:
     """With n = 0 every number is 0 and there is no worst row."""
     certificate = Certificate.of(LCP(np.zeros((0, 0)), []), [])
@@ -262,19 +255,6 @@ def test_residual_is_positive_elsewhere(
     assert certificate.relative_residual > 0.0
     assert certificate.natural_residual > 0.0
     assert certificate.euclidean_residual > 0.0
-
-
-@given(solved_lcps(bounds=True) | solved_lcps())
-def test_no_reference_residual_means_that_the_start_is_the_answer(
-    drawn: tuple[LCP, tuple[Fraction, ...]],
-) -> None:
-    """‖r(z°)‖ = 0 exactly where z° is the solution; then relative residuals are 0 there and infinite elsewhere."""
-    problem, z = drawn
-    is_answer = problem.nearest_to_zero.tolist() == list(z)
-    assert (reference_residual(problem) == 0.0) == is_answer
-    if is_answer:
-        assert Certificate.of(problem, problem.nearest_to_zero).relative_residual == 0.0
-        assert Certificate.of(problem, np.array(z, dtype=float) + 1.0).relative_residual == math.inf
 
 
 # --- Invariance --------------------------------------------------------------------------------------------
@@ -337,14 +317,6 @@ def test_nan_and_infinity_never_pass(
     assert not math.isfinite(certificate.euclidean_residual)
     assert not certificate.is_at_rounding_level
     assert str(certificate)
-
-
-@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
-def test_violations_of_infinite_points_are_measured_quietly(value: float) -> None:
-    """Violations and complementarity of an infinite z give some number and no warning."""
-    certificate = Certificate.of(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), [value, 0.0])
-    assert not certificate.bound_violation < 0.0
-    assert not certificate.complementarity < 0.0
 
 
 def test_an_overflowing_slack_is_no_rounding_level() -> None:
@@ -437,14 +409,6 @@ def test_solved_is_never_a_lie(name: str) -> None:
     assert statuses[Status.SOLVED] > statuses.total() / 4
 
 
-def test_solved_is_no_lie_where_the_slack_is_small_beside_z() -> None:
-    """A warm start far above its bound is not SOLVED as long as its slack is positive."""
-    problem = slack_small_beside_z()
-    result = solve(problem, "npgs", z0=[1e16, 0.0], max_iterations=100)
-    exact = exactly(problem, result.z)
-    assert (result.status is Status.SOLVED) == (exact.relative <= Fraction(1e-8))
-
-
 @given(rough_problems() | floating_problems())
 def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     """The relative, natural and euclidean residuals are no smaller than the exact ones."""
@@ -489,10 +453,3 @@ def test_a_reference_that_doubles_do_not_see_is_measured() -> None:
     assert Certificate.of(ONE_ULP, ONE_ULP.nearest_to_zero).relative_residual == pytest.approx(1.0)
     result = solve(ONE_ULP)
     assert (result.status, result.z[0]) == (Status.SOLVED, 8.0)
-
-
-def test_the_lie_test_sees_a_lie() -> None:
-    """The rational residual of the scaling trap's misleading iterate is far above what SOLVED would allow."""
-    scene = scaling_trap()
-    exact = exactly(scene.problem, scene.start)
-    assert exact.relative > Fraction(1e-8)

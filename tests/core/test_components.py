@@ -130,14 +130,6 @@ def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer(
         assert not is_lie(alone, result.z), name
 
 
-def test_where_rounding_keeps_all_components_open_no_step_is_taken() -> None:
-    """z° = (3, 3) misses by the rounding of .1 and .3 alone, in each of two components: PRECISION_LIMIT at once."""
-    result = solve(LCP(np.diag([0.1, 0.3]), [-(0.1 * 3.0), -0.9], lower=3.0))
-    assert result.status is Status.PRECISION_LIMIT
-    assert result.z.tolist() == [3.0, 3.0]
-    assert result.iterations == 0
-
-
 def test_a_residual_beyond_the_range_of_doubles_is_not_rounding() -> None:
     """w₁ = −1e200 measured in 1e-200, and w₂ = −1 contradicts: the misfit of 1e400 is no rounding of 1e400."""
     result = solve(LCP([[-1e-200, 0.0], [0.0, 0.0]], [-1e200, -1.0]))
@@ -206,17 +198,6 @@ def test_marches_take_each_step_in_units_of_its_own() -> None:
         before = step.z
 
 
-def test_callbacks_see_the_callers_units() -> None:
-    """The last point that is shown is the answer in the caller's units."""
-    seen: list[np.ndarray] = []
-    result = solve(
-        FAR_APART, "npsor", record=True, callback=lambda sample, z: seen.append(z.copy())
-    )
-    assert result.is_solved
-    assert not is_lie(FAR_APART, seen[-1])
-    assert result.history[-1].residual <= TOLERANCE
-
-
 def test_error_bounds_hold_in_every_component() -> None:
     """In each component, in the caller's units; the tolerance on the error is relative to ‖z‖∞."""
     problem, z = two_grids(2.0**-33, 2.0**33, side=6)  # nothing is rounded
@@ -236,9 +217,6 @@ def test_derivatives_stay_in_their_component() -> None:
     free = np.flatnonzero(z[36:] > 0.0) + 36
     expected = np.linalg.solve(problem.csr.toarray()[np.ix_(free, free)], -dq[free])
     assert dz[free] == pytest.approx(expected, rel=1e-9)
-
-
-# --- One component ---------------------------------------------------------------------------------------------------
 
 
 # --- The campaign ----------------------------------------------------------------------------------------------------

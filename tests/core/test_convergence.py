@@ -271,16 +271,6 @@ def test_the_scaling_trap_is_solved_otherwise(
     assert result.iterations <= math.ceil(SLACK * measured)
 
 
-def test_scaling_matters_as_much_as_reported() -> None:
-    """To 1e-10, scaled NPSOR(1.7) takes 20 to 40 sweeps where unscaled NPGS takes over a thousand."""
-    trap = scaling_trap()
-    scaled = solve(trap.problem, "npsor", scaling="diagonal", z0=trap.start, tolerance=1e-10)
-    assert 20 <= scaled.iterations <= 40
-    unscaled = solve(trap.problem, "npgs", scaling=None, z0=trap.start, tolerance=1e-10)
-    assert unscaled.status is Status.SOLVED
-    assert unscaled.iterations > 900
-
-
 # --- Automatic relaxation ----------------------------------------------------------------------------------
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import product
+from operator import mul
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from exact import exact_rows, solve_fractions
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve, solve_batch
 from lcp_plugin.core.errors import UnsuitableMatrix
@@ -97,36 +99,21 @@ def test_a_row_of_zeros_is_infeasible_in_any_unit(power: int) -> None:
 
 def solutions(M: Any, q: Any) -> list[list[Fraction]]:
     """Return the solutions of all nonsingular complementary bases, in fractions."""
-    n, found = len(q), []
-    exact = [[Fraction(float(value)) for value in row] for row in M]
+    n, found, rows, offset = len(q), [], exact_rows(np.array(M)), [Fraction(float(x)) for x in q]
     for is_free in product((False, True), repeat=n):
         free = [i for i in range(n) if is_free[i]]
-        rows = [[exact[i][j] for j in free] + [-Fraction(float(q[i]))] for i in free]
-        if not _eliminate(rows):
+        part = solve_fractions(
+            [[rows[i][j] for j in free] for i in free], [-offset[i] for i in free]
+        )
+        if part is None:
             continue
         z = [Fraction(0)] * n
-        for i, row in zip(free, rows, strict=True):
-            z[i] = row[-1]
-        w = [
-            sum(a * b for a, b in zip(exact[i], z, strict=True)) + Fraction(float(q[i]))
-            for i in range(n)
-        ]
+        for i, value in zip(free, part, strict=True):
+            z[i] = value
+        w = [sum(map(mul, row, z)) + constant for row, constant in zip(rows, offset, strict=True)]
         if min(z) >= 0 and min(w) >= 0:
             found.append(z)
     return found
-
-
-def _eliminate(rows: list[list[Fraction]]) -> bool:
-    for k in range(len(rows)):
-        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
-        if pivot is None:
-            return False
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [value / rows[k][k] for value in rows[k]]
-        for i in range(len(rows)):
-            if i != k and rows[i][k]:
-                rows[i] = [a - rows[i][k] * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return True
 
 
 def drawn(rng: np.random.Generator) -> tuple[Any, Any]:

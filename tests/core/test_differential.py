@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from campaigns import small_lcps, trust, trust_kinds
+from campaigns import small_lcps, trust
 from collection.truth import SOLVABLE, decide
 from exact import exact_solution
 from families import DIRECT
@@ -16,9 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
-from lcp_plugin.algorithms import REGISTRY, Step
+from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.residuals import Certificate
-from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
@@ -109,16 +106,6 @@ def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
         assert not found, (kind, k)
 
 
-def test_every_kind_has_its_share_of_a_round() -> None:
-    """A round of the schedule holds every kind, in the numbers that are written down."""
-    assert Counter(name for name, _ in trust.SCHEDULE) == {
-        name: share for name, (_, _, share) in trust.ROUND.items()
-    }
-    assert {*trust.SCHEDULE} == {
-        (name, kind) for name, (_, kinds, _) in trust.ROUND.items() for kind in kinds
-    }
-
-
 def finds(what: str, name: str) -> bool:
     """Whether the campaign says so about one of the first cases of a kind."""
     kinds = trust.ROUND[name][1]
@@ -149,63 +136,6 @@ def test_the_campaign_sees_a_wrong_verdict(monkeypatch: pytest.MonkeyPatch) -> N
     """A report that calls every matrix an H-matrix is found out."""
     monkeypatch.setattr("trust_kinds.matrix_verdicts.MatrixReport.is_h_matrix", True)
     assert finds("verdict", "matrix")
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize(
-    ("damage", "what"),
-    [
-        (lambda problem: problem.M.flags.writeable, trust.CRASH),
-        (lambda problem: np.random.seed(1), trust.MODIFIED),  # noqa: NPY002 - the global state is what is damaged
-        (lambda problem: np.set_printoptions(precision=3), trust.MODIFIED),
-        (lambda problem: overwrite(problem), trust.MODIFIED),
-    ],
-    ids=["a bug", "random state", "print options", "the matrix"],
-)
-def test_the_campaign_sees_crashes_and_changes(
-    damage, what: str, monkeypatch: pytest.MonkeyPatch
-) -> None:  # type: ignore[no-untyped-def]
-    """An exception that is no refusal, a change of global state and a matrix written to are found out."""
-    healthy, around = NPSOR.iterates, (np.random.get_state(), np.get_printoptions())  # noqa: NPY002 - put back below
-
-    def faulty(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        if problem.n > 1:
-            damage(problem)
-            if what == trust.CRASH:
-                raise IndexError("a bug")
-        yield from healthy(self, problem, z0)
-
-    monkeypatch.setattr(NPSOR, "iterates", faulty)
-    monkeypatch.setattr(
-        trust_kinds, "ALGORITHMS", ("npgs", "npsor", "psor", "lemke")
-    )  # the same draws for ever
-    try:
-        assert finds(what, "small")
-    finally:
-        np.random.set_state(around[0])  # noqa: NPY002
-        np.set_printoptions(**around[1])
-
-
-def test_the_campaign_sees_a_start_that_is_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A z0 that a run takes for its own is found out."""
-    from lcp_plugin.auto import checked_start
-
-    def careless(problem: LCP, z0: object) -> np.ndarray:
-        start = checked_start(problem, z0)
-        if isinstance(z0, np.ndarray):
-            z0 += 1.0
-        return start
-
-    monkeypatch.setattr("lcp_plugin.auto.checked_start", careless)
-    assert finds(trust.MODIFIED, "optional")
-
-
-def overwrite(problem: LCP) -> None:
-    """Write into the caller's matrix, past the flag that forbids it."""
-    base = problem.M if problem.is_dense else problem.M.data
-    while base.base is not None and isinstance(base.base, np.ndarray):
-        base = base.base
-    base.flat[0] += 1.0
 
 
 def test_a_case_can_be_repeated_from_its_name(capsys: pytest.CaptureFixture[str]) -> None:

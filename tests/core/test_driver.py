@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import json
 import pickle
-import pkgutil
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-import scipy.optimize
 import scipy.sparse as sp
 from families import BOUNDED, DIRECT
 
@@ -30,12 +26,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
-from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.core.solving.result import Sample
-from lcp_plugin.proofs import guarantees
-from lcp_plugin.proofs.bounds import error_bounds
-from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
-from lcp_plugin.proofs.exact.linear_systems import solve_exactly
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
@@ -72,13 +63,6 @@ def test_solved_means_the_certificate_passes(name: str) -> None:
         assert result.certificate.relative_residual <= tolerance
         assert result.residual == result.certificate.relative_residual
         np.testing.assert_array_equal(result.w, EXAMPLE.problem.slack(result.z))
-
-
-def test_a_claimed_residual_is_never_believed() -> None:
-    """An algorithm that claims residual 0 with a wrong z is not SOLVED."""
-    result = solve(TWO, Scripted(points=((1.0, 1.0),), claimed_residual=0.0), max_iterations=50)
-    assert result.status is Status.MAX_ITERATIONS
-    assert result.residual > 0.1
 
 
 def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
@@ -175,23 +159,6 @@ def test_warm_start_is_used_and_left_alone() -> None:
     assert (seen[0] == 0.0).all()
 
 
-@pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_nothing_given_is_modified(name: str) -> None:
-    """M, q and the bounds are bit for bit what they were."""
-    problem = EXAMPLE.problem
-    before = [
-        problem.csr.data.copy(),
-        problem.csr.indices.copy(),
-        problem.q.copy(),
-        problem.lower.copy(),
-    ]
-    solve(problem, name)
-    for old, new in zip(
-        before, (problem.csr.data, problem.csr.indices, problem.q, problem.lower), strict=True
-    ):
-        np.testing.assert_array_equal(old, new)
-
-
 TRAP = [[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]]
 
 
@@ -241,30 +208,6 @@ def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.Monkey
     clock = FakeClock(monkeypatch)
     for limit, status in ((5.0, Status.STALLED), (2.0, Status.MAX_SECONDS)):
         assert solve(TWO, GivingUp(clock=clock), max_seconds=limit).status is status
-
-
-@pytest.mark.parametrize(
-    "place",
-    [
-        "auto.policy_for",
-        "auto.checked_start",
-        "core.solving.judge.Judge.final",
-        "core.solving.judge.Judge.verdict",
-    ],
-)
-def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
-    clock = FakeClock(monkeypatch)
-    path, _, name = f"lcp_plugin.{place}".rpartition(".")
-    owner = pkgutil.resolve_name(path)
-    original = getattr(owner, name)
-
-    def slow(*arguments: Any, **named: Any) -> Any:
-        clock.now += 7.0
-        return original(*arguments, **named)
-
-    monkeypatch.setattr(owner, name, slow)
-    assert solve(TWO, "npsor").seconds == 7.0
 
 
 def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -392,35 +335,6 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
 
 
-@pytest.mark.parametrize("algorithm", ["auto", "npsor", "lemke"])
-@pytest.mark.parametrize(
-    ("place", "options"),
-    [
-        ("auto.Auto.first", {}),
-        ("auto.Single.first", {}),
-    ],
-)
-def test_ctrl_c_during_the_set_up_is_raised(
-    algorithm: str, place: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """SIGINT before the first step is raised, wherever it hits, and the next run is whole."""
-    path, _, name = f"lcp_plugin.{place}".rpartition(".")
-    owner, hits = pkgutil.resolve_name(path), []
-    original = getattr(owner, name)
-
-    def interrupted(*arguments: Any, **named: Any) -> Any:
-        if not hits:
-            hits.append(place)
-            signal.raise_signal(signal.SIGINT)
-        return original(*arguments, **named)
-
-    monkeypatch.setattr(owner, name, interrupted)
-    with contextlib.suppress(KeyboardInterrupt):
-        solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
-        assert not hits  # not every set-up passes everywhere
-    assert solve(TWO, algorithm, **options).is_solved
-
-
 def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:
     """The step at which a callback stops is in the history, with its residual."""
     result = solve(
@@ -443,44 +357,6 @@ def test_a_spoiling_clean_up_is_discarded() -> None:
     result = solve(TWO, BadFinish(points=((2.5, 0.0),)))
     assert result.status is Status.SOLVED
     np.testing.assert_array_equal(result.z, (2.5, 0.0))
-
-
-def test_clean_up_puts_active_components_on_their_bound() -> None:
-    """After an NP run the active components are exactly zero, although the iteration never reaches zero itself."""
-    scene = gallery.build("half_active", n=400, degenerate=False)
-    result = solve(scene.problem, "npgs")
-    assert result.status is Status.SOLVED
-    np.testing.assert_array_equal(result.z == 0.0, np.asarray(scene.exact) == 0.0)
-    *_, raw = islice(
-        create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero.copy()), 50
-    )
-    assert np.count_nonzero(raw.z == 0.0) < np.count_nonzero(np.asarray(scene.exact) == 0.0)
-
-
-def test_many_threads_give_the_serial_answer() -> None:
-    """Eight solves of the same problem at once give the serial z bit for bit."""
-    serial = solve(OBSTACLE.problem, "psor").z
-    problem = gallery.build("obstacle_2d", size=20).problem
-    answers: list[np.ndarray] = []
-    threads = [
-        threading.Thread(target=lambda: answers.append(solve(problem, "psor").z)) for _ in range(8)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(answers) == 8
-    for z in answers:
-        np.testing.assert_array_equal(z, serial)
-
-
-def test_same_call_same_answer() -> None:
-    """Auto is deterministic bit for bit, history included except for the seconds."""
-    first, second = (solve(OBSTACLE.problem, record=True) for _ in range(2))
-    np.testing.assert_array_equal(first.z, second.z)
-    assert [(s.iteration, s.work, s.residual) for s in first.history] == [
-        (s.iteration, s.work, s.residual) for s in second.history
-    ]
 
 
 def test_options_reach_the_algorithm() -> None:
@@ -545,25 +421,6 @@ def test_error_bound_goes_into_the_result() -> None:
     assert "‖z − z*‖∞ ≤" in result.explain()
     assert json.loads(result.to_json())["error_bound"] == result.error_bound.infinity
     assert solve(EXAMPLE.problem).error_bound is None
-
-
-def test_the_bound_is_computed_when_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With error_bound=True a run ends without the bound; the first look computes it, on a clock of its own, once."""
-    calls: list[float] = []
-    bounded = error_bounds.error_bound
-
-    def counted(*args: Any, **options: Any) -> ErrorBound:
-        calls.append(1.0)
-        return bounded(*args, **options)
-
-    monkeypatch.setattr(error_bounds, "error_bound", counted)
-    result = solve(EXAMPLE.problem, error_bound=True)
-    assert not calls
-    copy = pickle.loads(pickle.dumps(result))
-    assert result.error_bound is result.error_bound is not None
-    assert len(calls) == 1
-    assert result.error_bound.seconds > 0.0
-    assert copy.error_bound.infinity == result.error_bound.infinity
 
 
 @pytest.mark.parametrize(
@@ -636,87 +493,6 @@ def test_stiffer_data_are_said_to_be() -> None:
         result = solve(problem, algorithm)
         assert result.is_solved
         assert result.z == pytest.approx(exact, abs=1e-4)
-
-
-def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
-    """A five-point problem, with half of the rows active at level 0 and none at a high one, and its solution."""
-    line = sp.diags_array(
-        [-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1]
-    )
-    M = sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
-    M = sp.csr_array(M + shift * sp.eye_array(side * side))
-    exact = np.maximum(np.random.default_rng(0).standard_normal(side * side) + level, 0.0)
-    return LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact), exact
-
-
-def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No theorem is looked for before or after a run, whatever its end; ``guarantee`` looks when it is looked at."""
-    asked: list[str] = []
-    original = guarantees._full
-    monkeypatch.setattr(
-        guarantees, "_full", lambda *arguments: asked.append("full") or original(*arguments)
-    )
-    result = solve(LCP(TRAP, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5)
-    assert result.status is Status.MAX_ITERATIONS
-    assert result.advice
-    assert not asked
-    assert result.guarantee.verdict == "not covered"
-    assert 'what to do: scaling="auto"' in result.explain()
-    assert asked == ["full"]
-    assert (
-        solve(EXAMPLE.problem, "npsor").guarantee.rate
-        == convergence_guarantee(EXAMPLE.problem, "npsor").rate
-    )
-    assert (
-        solve(EXAMPLE.problem).guarantee.theorem == convergence_guarantee(EXAMPLE.problem).theorem
-    )
-
-
-def test_what_cannot_be_divided_knows_the_time_that_is_left(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A linear program inside a run gets the seconds that the caller left it, and no limit where there is none."""
-    asked: list[float] = []
-    original = scipy.optimize.linprog
-
-    def linprog(*arguments: Any, options: dict[str, Any], **named: Any) -> Any:
-        asked.append(options.get("time_limit", np.inf))
-        return original(*arguments, options=options, **named)
-
-    monkeypatch.setattr("scipy.optimize.linprog", linprog)
-    problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
-    first, limited = solve(problem, "lemke"), solve(problem, "lemke", max_seconds=1000.0)
-    assert np.inf in asked
-    assert any(0.1 <= seconds <= 1000.0 for seconds in asked)
-    assert first.status is limited.status
-    assert first.z.tobytes() == limited.z.tobytes()
-    with time_limit(0.0):
-        assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is None
-    assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is not None
-
-
-@pytest.mark.parametrize("count", [20])
-def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
-    """A chain of pairs of arcs of one cost: all flows of a pair together, and w, are the same in all answers."""
-    arcs, nodes = 2 * count, count
-    ends = np.arange(arcs) // 2
-    A = sp.csr_array((np.ones(arcs), (ends, np.arange(arcs))), shape=(nodes, arcs))
-    inner = np.arange(arcs)[ends + 1 < nodes]
-    A = A - sp.csr_array((np.ones(inner.size), (ends[inner] + 1, inner)), shape=(nodes, arcs))
-    costs, supply = np.repeat(np.random.default_rng(0).uniform(1.0, 2.0, nodes), 2), np.zeros(nodes)
-    supply[0] = 3.0
-    M = sp.block_array([[None, -A.T], [A, None]], format="csr")
-    problem = LCP(
-        M, np.concatenate([costs, -supply]), lower=np.repeat([0.0, -np.inf], [arcs, nodes])
-    )
-    # a start that uses both arcs of each pair, whose rows are then singular
-    start = np.concatenate([np.full(arcs, 1.5), np.cumsum(costs[::2][::-1])[::-1]])
-    result = solve(problem, "newton", z0=start)
-    assert result.is_solved
-    words = result.explain()
-    assert "; w is the same for all of them" in words
-    assert " of them in" not in words
-    assert "wrong in every digit" not in words
 
 
 def test_a_nearly_singular_system_is_not_said_to_have_several_answers() -> None:

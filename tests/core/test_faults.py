@@ -7,7 +7,6 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from shutil import copytree, ignore_patterns
@@ -18,9 +17,8 @@ import pytest
 from families import BOUNDED
 from relations import bits, data_of, surroundings
 
-from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, gallery, prepare, solve
+from lcp_plugin import LCP, Status, analyze, error_bound, gallery, prepare, solve
 from lcp_plugin.algorithms import REGISTRY, Step
-from lcp_plugin.core.errors import LCPError
 from lcp_plugin.core.splittings.projected_type import NPSOR
 
 ALL = ["auto", *REGISTRY]
@@ -73,20 +71,6 @@ def test_what_a_callback_raises_is_passed_on_and_corrupts_nothing(name: str) -> 
         assert data_of(problem) == before
         assert surroundings() == around
         assert bits(solve(problem, name).z) == expected
-
-
-@pytest.mark.sampled
-@EVERY_ALGORITHM
-@pytest.mark.parametrize("limit", [0.0, 1e-9, 1e-3])
-def test_a_time_limit_ends_in_an_honest_status(name: str, limit: float) -> None:
-    """With next to no time the result is MAX_SECONDS, or true; z is finite, within the bounds and measured."""
-    problem = LCP(TOTAL.csr.copy(), TOTAL.q, lower=TOTAL.lower)
-    result = solve(problem, name, max_seconds=limit)
-    assert result.status in (Status.MAX_SECONDS, Status.SOLVED)
-    assert result.is_solved == (result.residual <= result.tolerance)
-    assert np.isfinite(result.z).all()
-    assert (result.z >= problem.lower).all()
-    assert bits(solve(problem, name).z) == fresh_bits(name)
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------------
@@ -150,30 +134,6 @@ def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
     """In a process without kept code, numba is set up once: neither thread compiles by half of its tables."""
     done = in_a_process(COMPILED_IN_TWO_THREADS, NUMBA_CACHE_DIR=str(tmp_path))
     assert done.stdout.split() == ["6.0", "0.0"], done.stderr
-
-
-def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Settings that an interrupted np.errstate leaves in force do not reach the caller, during a run or before."""
-
-    def interrupted(*_: object, **__: object) -> Iterator[Step]:
-        yield Step(SWEPT.nearest_to_zero.copy())
-        np.seterr(over="raise", invalid="ignore")
-        raise KeyboardInterrupt
-
-    before = np.geterr()
-    with monkeypatch.context() as patch:
-        patch.setattr(NPSOR, "iterates", interrupted)
-        assert solve(SWEPT).status is Status.INTERRUPTED
-        assert np.geterr() == before
-
-    def at_once(*_: object, **__: object) -> None:
-        np.seterr(over="raise", invalid="ignore")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("lcp_plugin.core.solving.driver.Run", at_once)
-    with pytest.raises(KeyboardInterrupt):
-        solve(TOTAL)
-    assert np.geterr() == before
 
 
 # --- NaN in one method of a chain -----------------------------------------------------------------------------------
@@ -361,45 +321,3 @@ def everything(problem: LCP) -> tuple[bytes, ...]:
 
 def scene() -> LCP:
     return gallery.build("random_h_plus", n=40).problem
-
-
-@pytest.mark.full
-def test_threads_that_share_one_problem_get_the_serial_answers() -> None:
-    """Eight threads that ask everything about one problem, its cache empty, get the bits of one alone."""
-    alone, shared = everything(scene()), scene()
-    with ThreadPoolExecutor(8) as pool:
-        assert all(found == alone for found in pool.map(lambda _: everything(shared), range(8)))
-
-
-def test_threads_with_their_own_problems_do_not_disturb_each_other() -> None:
-    """Eight threads with problems of different sizes and algorithms get the bits that each has alone."""
-    tasks = [(name, 10 + 3 * k) for k, name in enumerate(BOUNDED)]
-
-    def run(task: tuple[str, int]) -> tuple[bytes, ...]:
-        return bits(
-            solve(gallery.build("random_h_plus", n=task[1]).problem, task[0], max_iterations=200).z
-        )
-
-    alone = [run(task) for task in tasks]
-    with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(run, tasks * 3)) == alone * 3
-
-
-def test_a_refusal_leaves_the_problem_whole() -> None:
-    """After every kind of refusal the same problem, with what it shares, gives the bits of a fresh one."""
-    problem = prepare(LCP(TOTAL.csr.copy(), TOTAL.q, lower=TOTAL.lower))
-    calls: list[Any] = [
-        lambda: problem.with_q(np.full(problem.n, np.nan)),
-        lambda: problem.with_q(problem.q, lower=1.0, upper=0.0),
-        lambda: solve(problem, "no such"),
-        lambda: solve(problem, "psor", relaxation=-1.0),
-        lambda: solve(problem, z0=[1.0]),
-        lambda: solve(problem, tolerance=np.nan),
-        lambda: solve(problem.with_q(problem.q, upper=10.0), "mgs"),
-        lambda: error_bound(problem, [1.0]),
-    ]
-    for call in calls:
-        with pytest.raises((LCPError, InvalidProblem)):
-            call()
-    for name in ("auto", "psor", "mgs"):
-        assert bits(solve(problem, name).z) == fresh_bits(name)

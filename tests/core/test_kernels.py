@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from fresh_process import printed_by
 from numpy.testing import assert_allclose
 
-from lcp_plugin import LCP, Certificate, gallery
+from lcp_plugin import Certificate, gallery
 from lcp_plugin.algorithms import REGISTRY, create
 from lcp_plugin.core.kernels import splitting_sweeps as kernels
 
@@ -230,32 +227,6 @@ def test_modulus_sweep_is_its_formula(shape: str, width: type, backward: bool) -
     assert np.array_equal(x, before)
 
 
-@DIRECTIONS
-def test_sweeps_are_triangular_solves(backward: bool) -> None:
-    """Without bounds a sweep with step 1 solves (P + coupling T)(new − z) = −2 w, T the triangle already updated."""
-    M = SHAPES["dense"]
-    n, matrix = len(M), compressed(M, np.int32)
-    values = vectors(n)
-    z, pivot = values["z"], 1.0 / values["inverse_pivot"]
-    free, ones = np.full(n, np.inf), np.ones(n)
-    rows = kernels.packed(values["q"], -free, free, ones, ones, values["inverse_pivot"])
-    new = np.empty(n)
-    kernels.splitting_sweep(*matrix.of(backward), rows, 0.7, True, backward, z, new)
-    triangle = np.triu(M, 1) if backward else np.tril(M, -1)
-    w = M @ z + values["q"]
-    close(new, z - np.linalg.solve(np.diag(pivot) + 0.7 * triangle, 2.0 * w))
-
-
-@pytest.mark.parametrize("count", [1, 4, 6])
-@pytest.mark.parametrize("n", [0, 1, 7])
-def test_packing_puts_vectors_side_by_side(count: int, n: int) -> None:
-    """Column k of the packed rows is vector k, from contiguous and strided vectors alike, in C order."""
-    columns = np.random.default_rng(1).normal(size=(n, 2 * count))[:, ::2]
-    packed_rows = kernels.packed(*columns.T)
-    assert packed_rows.flags.c_contiguous
-    assert np.array_equal(packed_rows, columns)
-
-
 # --- What the algorithms make of them ----------------------------------------------------------------------
 
 
@@ -273,165 +244,3 @@ def test_residuals_of_steps_are_the_certificate_s(name: str, text: str) -> None:
             assert step.residual is not None  # of the pass that they make anyway
         if step.residual is not None:
             assert step.residual == pytest.approx(certificate.scaled_residual, rel=1e-11)
-
-
-@pytest.mark.parametrize("name", REGISTRY)
-@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array], ids=["dense", "sparse"])
-def test_the_caller_s_arrays_are_never_written(name: str, kind: type) -> None:
-    """Matrix, q, bounds and start survive twenty steps and the clean-up bit for bit, and stay writable."""
-    scene = gallery.random_h_plus(n=30, row_scale=3, column_scale=3)
-    M, q, lower, upper = (
-        kind(scene.problem.csr.toarray()),
-        scene.problem.q.copy(),
-        np.zeros(30),
-        np.full(30, np.inf),
-    )
-    data = [M.data, M.indices, M.indptr] if sp.issparse(M) else [M]
-    given = [*data, q, lower, upper]
-    before = [array.copy() for array in given]
-    problem = LCP(M, q, lower=lower, upper=upper)
-    algorithm = create(name, {})
-    for step in islice(algorithm.iterates(problem, np.ones(30)), 20):
-        z = step.z.copy()
-    kept = z.copy()
-    algorithm.finish(problem, z)
-    assert np.array_equal(z, kept)
-    assert all(map(np.array_equal, given, before))
-    assert all(array.flags.writeable for array in given)
-
-
-# --- NaN ---------------------------------------------------------------------------------------------------
-
-
-@DIRECTIONS
-@pytest.mark.parametrize("place", range(5))
-def test_nan_survives_every_norm(backward: bool, place: int) -> None:
-    """A NaN in any component of the incoming vector makes every norm of every sweep NaN."""
-    generator = np.random.default_rng(2)
-    matrix = compressed(generator.uniform(1.0, 2.0, size=(5, 5)), np.int32)
-    z = generator.uniform(1.0, 2.0, size=5)
-    z[place] = np.nan
-    ones, zeros, none = np.ones(5), np.zeros(5), np.full(5, np.inf)
-    for projected in (True, False):
-        rows = kernels.packed(ones, zeros, none, ones, ones, ones)
-        assert np.isnan(
-            kernels.splitting_sweep(
-                *matrix.of(backward), rows, 0.5, projected, backward, z, np.empty(5)
-            )
-        )
-    rows = kernels.packed(ones, zeros, none, ones)
-    assert np.isnan(
-        kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z.copy())
-    ).all()
-
-
-@DIRECTIONS
-@pytest.mark.parametrize("dense", [np.eye(5), np.zeros((5, 5))], ids=["diagonal", "zero"])
-def test_nan_that_no_other_row_reads_survives(backward: bool, dense: np.ndarray) -> None:
-    """Also where only its own row meets the NaN, or where no row reads it at all."""
-    matrix = compressed(dense, np.int32)
-    ones, zeros, none = np.ones(5), np.zeros(5), np.full(5, np.inf)
-    for place in range(5):
-        z = np.linspace(1.0, 2.0, 5)
-        z[place] = np.nan
-        rows = kernels.packed(ones, zeros, none, ones, ones, ones)
-        assert np.isnan(
-            kernels.splitting_sweep(*matrix.of(backward), rows, 0.5, True, backward, z, np.empty(5))
-        )
-        rows = kernels.packed(ones, zeros, none, ones)
-        assert np.isnan(
-            kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z)
-        ).all()
-
-
-@DIRECTIONS
-@pytest.mark.parametrize("place", range(5))
-@pytest.mark.parametrize(
-    "dense", [np.eye(5), np.zeros((5, 5)), 1.0 + np.eye(5)], ids=["diagonal", "zero", "full"]
-)
-def test_nan_survives_the_norms_of_the_modulus_sweep(
-    backward: bool, place: int, dense: np.ndarray
-) -> None:
-    """A NaN in any component of the incoming vector makes the norm NaN, whoever reads it."""
-    from lcp_plugin.methods.modulus.kernels.modulus_sweep import modulus_sweep as kernel
-
-    ones, x = np.ones(5), np.linspace(1.0, 2.0, 5)
-    x[place] = np.nan
-    rows = kernels.packed(ones, np.zeros(5), ones, ones, ones)
-    operands = (
-        *compressed(dense, np.int32).of(backward),
-        rows,
-        1.0,
-        1.0,
-        backward,
-        x,
-        np.empty(5),
-        np.empty(5),
-    )
-    assert np.isnan(kernel(*operands))
-
-
-# --- The same again ----------------------------------------------------------------------------------------
-
-
-def run_of(name: str, problem: LCP, steps: int) -> np.ndarray:
-    iterates = create(name, {}).iterates(problem, np.ones(problem.n))
-    for _ in range(steps):
-        next(iterates)
-    return next(iterates).z.copy()
-
-
-@pytest.mark.parametrize("name", ["npsor", "psor", "maor", "gfp"])
-def test_repeated_runs_agree_bit_for_bit(name: str) -> None:
-    """Two runs on the same data, and one on data built anew, give the same bits."""
-    problem, again = (
-        gallery.random_h_plus(n=300, row_scale=2, column_scale=2).problem for _ in range(2)
-    )
-    first = run_of(name, problem, 30)
-    assert np.array_equal(first, run_of(name, problem, 30))
-    assert np.array_equal(first, run_of(name, again, 30))
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("name", ["npsor", "psor", "maor", "gfp"])
-def test_threads_share_a_problem(name: str) -> None:
-    """Eight runs at once on one problem, its cache still empty, give the bits of a run alone."""
-    alone = run_of(name, gallery.half_active(n=40_000).problem, 30)
-    problem = gallery.half_active(n=40_000).problem
-    with ThreadPoolExecutor(8) as pool:
-        together = list(pool.map(lambda _: run_of(name, problem, 30), range(8)))
-    assert all(np.array_equal(alone, z) for z in together)
-
-
-def test_threads_share_the_arrays_of_a_sweep() -> None:
-    """Sweeps started at once from Python threads on the same matrix, rows and z do not disturb each other."""
-    scene = gallery.half_active(n=90_000)
-    M, n = scene.problem.csr, scene.n
-    split = kernels.row_splits(M, backward=False)
-    zeros, none, ones, sixteenths = np.zeros(n), np.full(n, np.inf), np.ones(n), np.full(n, 1 / 16)
-    rows = kernels.packed(scene.problem.q, zeros, none, sixteenths, ones, sixteenths)
-    z = np.random.default_rng(3).uniform(0.0, 2.0, size=n)
-
-    def sweep(_: int) -> tuple[np.ndarray, float]:
-        new = np.empty(n)
-        return new, kernels.splitting_sweep(
-            M.indptr, split, M.indices, M.data, rows, 1.0, True, False, z, new
-        )
-
-    expected, expected_largest = sweep(0)
-    with ThreadPoolExecutor(8) as pool:
-        for new, largest in pool.map(sweep, range(32)):
-            assert np.array_equal(new, expected)
-            assert largest == expected_largest
-
-
-@pytest.mark.full
-def test_kernels_work_where_nothing_can_be_cached(tmp_path: Path) -> None:
-    """Without a writable folder for compiled code the kernels compile in memory and solve."""
-    code = (
-        "import numba.core.caching as caching\n"
-        "caching.CacheImpl._locator_classes = []\n"
-        "from lcp_plugin import LCP, solve\n"
-        "print(solve(LCP([[2, 1], [1, 2]], [-5, 1]), 'npsor').status.name)"
-    )
-    assert printed_by(code) == "SOLVED"

@@ -130,23 +130,3 @@ def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation: str)
             assert pair != {True, False}, (verdict, M)
 
     agrees()
-
-
-@pytest.mark.parametrize("relation", EXACT)
-def test_relations_keep_solutions(relation: str) -> None:
-    """The relations themselves: what solves the changed problem exactly leads back to an exact solution."""
-    from collection.truth import ExactData, decide
-
-    @settings.get_profile("few")
-    @given(solved_lcps(h_plus_matrices(SMALL), bounds=True), SEEDS)
-    def agrees(drawn: tuple[LCP, tuple[Fraction, ...]], seed: int) -> None:
-        problem, exact = drawn
-        changed, back = EXACT[relation](problem, np.random.default_rng(seed))
-        found = decide(changed).z
-        assert found is not None
-        z = np.array(found, dtype=float)
-        if all(Fraction(a) == b for a, b in zip(z.tolist(), found, strict=True)):
-            assert ExactData(problem).is_solution(back(z).tolist())
-            assert back(z).tolist() == [float(value) for value in exact]
-
-    agrees()

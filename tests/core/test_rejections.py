@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import re
 import subprocess
 import sys
@@ -17,7 +16,7 @@ import pytest
 import scipy.sparse as sp
 from families import MODULUS
 
-from lcp_plugin import LCP, Certificate, Result, error_bound, gallery, march, solve
+from lcp_plugin import LCP, Certificate, error_bound, gallery, march, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.errors import (
     InvalidOption,
@@ -33,7 +32,6 @@ from lcp_plugin.core.errors import (
 from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
-from lcp_plugin.engines import engine_class
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.stability import Atlas, stability_atlas
 from lcp_plugin.evidence.study import Study, error_against_time
@@ -55,7 +53,6 @@ OPTIONS = {name: [field.name for field in fields(kind)] for name, kind in KINDS.
 NEEDS_POSITIVE_DIAGONAL = [
     name for name, kind in KINDS.items() if kind.needs.startswith("positive diagonal")
 ]
-NEEDS_NO_DIAGONAL = [name for name in REGISTRY if name not in NEEDS_POSITIVE_DIAGONAL]
 
 
 class Given:
@@ -142,53 +139,22 @@ HUGE = np.array([[np.longdouble("1e4000")]])
 
 MATRICES = [
     matrix("2 × 3", np.ones((2, 3)), SQUARE + r"\(2, 3\)"),
-    matrix("sparse 3 × 4", sp.csr_array((3, 4)), SQUARE + r"\(3, 4\)"),
-    matrix("vector", [1.0, 2.0, 3.0], SQUARE + r"\(3,\)"),
-    matrix("cube", np.ones((2, 2, 2)), SQUARE + r"\(2, 2, 2\)"),
     matrix("number", 2.0, SQUARE + r"\(\)"),
-    matrix("empty list", [], SQUARE + r"\(0,\)"),
     matrix("NaN", with_entry(1, 2, NAN), r"M must be finite.*M\[1, 2\] = nan.*repair"),
     matrix("∞", with_entry(2, 0, INF), r"M must be finite.*M\[2, 0\] = inf.*repair"),
-    matrix("CSR NaN", sp.csr_array(with_entry(1, 2, NAN)), r"M must be finite.*M\[1, 2\] = nan"),
-    matrix("CSC −∞", sp.csc_array(with_entry(2, 0, -INF)), r"M must be finite.*M\[2, 0\] = -inf"),
-    matrix(
-        "COO NaN on the diagonal",
-        sp.coo_array(with_entry(1, 1, NAN)),
-        r"M must be finite.*M\[1, 1\] = nan",
-    ),
     matrix(
         "duplicates that overflow",
         damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]),
         r"M\[0, 0\] = inf",
     ),
-    matrix(
-        "duplicates ∞ − ∞",
-        damaged_csr([INF, -INF, 1.0], [0, 0, 2], [0, 2, 2, 3]),
-        r"M\[0, 0\] = nan",
-    ),
     matrix("wider than a double", HUGE, r"M must be finite.*M\[0, 0\] = "),
-    matrix("sparse, wider than a double", sp.csr_array(HUGE), r"M must be finite.*M\[0, 0\] = "),
     matrix("complex", with_entry(0, 1, 1j, complex), r"M must hold real numbers.*complex.*convert"),
-    matrix(
-        "complex without imaginary part",
-        np.eye(3, dtype=complex),
-        r"M must hold real numbers.*complex",
-    ),
-    matrix("sparse complex", sp.eye_array(3, dtype=complex), r"M must hold real numbers.*complex"),
     matrix("objects", np.eye(3).astype(object), r"M must hold real numbers.*object"),
-    matrix("an integer beyond 64 bits", [[10**30]], r"M must hold real numbers.*object"),
     matrix("None", None, r"M must hold real numbers"),
-    matrix("dictionary", {(0, 0): 1.0}, r"M must hold real numbers"),
     matrix("a text", "4 1; 1 4", r"M must hold real numbers.*text"),
-    matrix("texts", [["4", "1"], ["1", "4"]], r"M must hold real numbers.*text"),
-    matrix("bytes", [[b"4"]], r"M must hold real numbers.*bytes"),
     matrix("dates", np.array([["2024-01-01"]], dtype="M8[D]"), r"M must hold real numbers.*dates"),
-    matrix("durations", np.array([[1]], dtype="m8[s]"), r"M must hold real numbers.*durations"),
-    matrix("Python dates", [[datetime.date(2024, 1, 1)]], r"M must hold real numbers"),
-    matrix("records", np.zeros((3, 3), dtype=[("a", float)]), r"M must hold real numbers"),
     matrix("ragged", [[1.0, 2.0], [3.0]], r"M .*rectangular array.*check its rows"),
     matrix("masked", np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
-    matrix("masked, nothing hidden", np.ma.array(np.eye(3)), r"M .*masked array.*fill"),
     row("M is an LCP", InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
     matrix(
         "CSR column beyond n",
@@ -196,26 +162,11 @@ MATRICES = [
         r"damaged sparse.*< 3.*build it again",
     ),
     matrix(
-        "CSR column negative",
-        damaged_csr(indices=[0, -1, 2]),
-        r"damaged sparse.*>= 0.*build it again",
-    ),
-    matrix(
         "CSR indptr not monotone", damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"
     ),
-    matrix("CSR indptr negative", damaged_csr(indptr=[0, -1, -2, -3]), r"damaged sparse"),
     matrix("CSR indptr too short", damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
-    matrix("CSR indptr begins with 1", damaged_csr(indptr=[1, 1, 2, 3]), r"damaged sparse.*0"),
-    matrix("CSR indptr beyond the data", damaged_csr(indptr=[0, 1, 2, 9]), r"damaged sparse"),
     matrix("CSR data too short", damaged_csr(data=[1.0]), r"damaged sparse"),
-    matrix("CSR data in two dimensions", damaged_csr(data=[[1.0, 1.0, 1.0]]), r"damaged sparse"),
 ]
-
-
-def older_matrix(values: Any) -> np.matrix:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PendingDeprecationWarning)
-        return np.matrix(values)
 
 
 def offset(name: str, q: Any, pattern: str) -> Any:
@@ -226,19 +177,10 @@ VECTOR = r"q must be a finite vector of length 3.*"
 
 OFFSETS = [
     offset("too short", [1.0, 2.0], VECTOR + r"\(2,\)"),
-    offset("too long", [1.0, 2.0, 3.0, 4.0], VECTOR + r"\(4,\)"),
-    offset("a column", np.ones((3, 1)), VECTOR + r"\(3, 1\)"),
-    offset("a row", np.ones((1, 3)), VECTOR + r"\(1, 3\)"),
-    offset("np.matrix", older_matrix([1.0, 2.0, 3.0]), VECTOR + r"\(1, 3\)"),
-    offset("a number", 1.0, VECTOR + r"\(\)"),
-    offset("empty", [], VECTOR + r"\(0,\)"),
     offset("NaN", [1.0, NAN, 3.0], r"q must be finite, but q\[1\] = nan; repair"),
     offset("∞", [1.0, 2.0, -INF], r"q must be finite, but q\[2\] = -inf; repair"),
     offset("complex", [1.0, 2.0, 0j], r"q must .*got complex.*convert"),
-    offset("texts", ["1", "2", "3"], r"q must .*got text.*convert"),
     offset("None", None, r"q must .*got None"),
-    offset("with a None", [1.0, None, 3.0], r"q must .*got (object|complex)"),
-    offset("a generator", (k for k in range(3)), r"q must .*got (object|complex)"),
     offset("ragged", [[1.0], [2.0, 3.0]], r"q .*rectangular array.*check its rows"),
     offset("masked", np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0]), r"q .*masked array.*fill"),
     offset(
@@ -253,12 +195,6 @@ OFFSETS = [
         lambda g: g.problem.with_q([1.0, 2.0]),
     ),
     row("with_q NaN", InvalidProblem, r"q\[0\] = nan", lambda g: g.problem.with_q([NAN, 2.0, 3.0])),
-    row(
-        "with_q complex",
-        InvalidProblem,
-        r"q must .*got (object|complex)",
-        lambda g: g.problem.with_q([1j, 2.0, 3.0]),
-    ),
     row(
         "with_q lower",
         InvalidProblem,
@@ -277,12 +213,6 @@ OFFSETS = [
         r"z must be a.* vector of length 3.*\(2,\)",
         lambda g: g.problem.slack([1.0, 2.0]),
     ),
-    row(
-        "slack of a matrix",
-        InvalidProblem,
-        r"z must be a.* vector of length 3.*\(3, 3\)",
-        lambda g: g.problem.slack(np.eye(3)),
-    ),
 ]
 
 
@@ -295,14 +225,6 @@ BOUNDS = [
         "lower too short",
         r"lower must be a number or a vector of length 3.*\(2,\)",
         lower=[0.0, 0.0],
-    ),
-    bounds(
-        "upper of length 1", r"upper must be a number or a vector of length 3.*\(1,\)", upper=[1.0]
-    ),
-    bounds(
-        "upper a column",
-        r"upper must be a number or a vector of length 3.*\(3, 1\)",
-        upper=np.ones((3, 1)),
     ),
     bounds("lower NaN", r"lower must not hold NaN.*lower\[0\] = nan.*-inf", lower=NAN),
     bounds("upper NaN", r"upper must not hold NaN.*upper\[1\] = nan.*inf", upper=[1.0, NAN, 1.0]),
@@ -317,13 +239,9 @@ BOUNDS = [
         r"lower ≤ upper.*lower\[0\] = 0.0 and upper\[0\] = -1.0",
         upper=-1.0,
     ),
-    bounds("lower = ∞", r"lower ≤ upper.*lower\[2\] = inf", lower=[0.0, 0.0, INF]),
     bounds("upper = −∞", r"lower ≤ upper.*upper\[0\] = -inf", lower=-INF, upper=-INF),
     bounds("lower None", r"lower must .*got None", lower=None),
-    bounds("upper None", r"upper must .*got None", upper=None),
-    bounds("upper with a None", r"upper must .*got object", upper=[1.0, None, 1.0]),
     bounds("lower a text", r"lower must .*got text.*convert", lower="0"),
-    bounds("lower complex", r"lower must .*got complex.*convert", lower=0j),
     bounds(
         "lower sparse",
         r"lower must .*got (a sparse array|object)",
@@ -363,24 +281,9 @@ RUNS = [
         r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'",
         "piqp",
     ),
-    run(
-        "algorithm an engine object",
-        UnknownAlgorithm,
-        r"piqp is an engine for convex",
-        engine_class("piqp")(),
-    ),
     run("algorithm nearly an engine", UnknownAlgorithm, r"did you mean 'clarabel'\?", "clarable"),
-    run("algorithm empty", UnknownAlgorithm, r"unknown algorithm ''.*known", ""),
-    run("algorithm in capitals", UnknownAlgorithm, r"unknown algorithm 'PSOR'.*psor", "PSOR"),
     run(
         "algorithm None", UnknownAlgorithm, r"algorithm must be a name or an object.*got None", None
-    ),
-    run("algorithm a number", UnknownAlgorithm, r"algorithm must be a name or an object.*got 3", 3),
-    run(
-        "algorithm a list",
-        UnknownAlgorithm,
-        r"algorithm must be a name or an object.*got \['psor'\]",
-        ["psor"],
     ),
     run(
         "algorithm a class",
@@ -402,13 +305,6 @@ RUNS = [
         "npgs",
         relaxation=1.5,
     ),
-    run(
-        "option nothing like it",
-        InvalidOption,
-        r"pj has no option 'presolve'; known: sweep",
-        "pj",
-        presolve=True,
-    ),
     run("verbose a number", InvalidOption, r"verbose must be True or False, got 1", verbose=1),
     run(
         "setting misspelt",
@@ -418,24 +314,10 @@ RUNS = [
         max_iter=5,
     ),
     run(
-        "setting misspelt, no options",
-        InvalidOption,
-        r"did you mean 'max_seconds'\? \(solve itself takes absolute_tolerance, ",
-        "newton",
-        max_second=5,
-    ),
-    run(
         "setting misspelt with auto",
         InvalidOption,
         r"auto.*\['max_iter'\].*did you mean 'max_iterations'\?",
         max_iter=5,
-    ),
-    run(
-        "setting misspelt, an object",
-        InvalidOption,
-        r"NPSOR\(.*did you mean 'tolerance'\?",
-        NPSOR(),
-        tolerence=1e-5,
     ),
     run(
         "None as a word",
@@ -443,13 +325,6 @@ RUNS = [
         r"scaling='None' is not offered; did you mean None\? \(known: None, auto",
         "npsor",
         scaling="None",
-    ),
-    run(
-        "pgs with a relaxation",
-        InvalidOption,
-        r"pgs has no option 'relaxation'.*sweep",
-        "pgs",
-        relaxation=1.5,
     ),
     run(
         "option beside an object",
@@ -483,26 +358,12 @@ RUNS = [
         tolerance=NAN,
     ),
     run(
-        "tolerance ∞",
-        InvalidOption,
-        r"tolerance must be finite and not negative, got inf",
-        tolerance=INF,
-    ),
-    run(
         "tolerance a text",
         InvalidOption,
         r"tolerance must be .*number, got '1e-8'",
         tolerance="1e-8",
     ),
-    run("tolerance None", InvalidOption, r"tolerance must be .*number, got None", tolerance=None),
     run("tolerance True", InvalidOption, r"tolerance must be .*number, got True", tolerance=True),
-    run("tolerance complex", InvalidOption, r"tolerance must be .*number, got 1j", tolerance=1j),
-    run(
-        "tolerance a vector",
-        InvalidOption,
-        r"tolerance must be .*number, got array",
-        tolerance=np.full(3, 1e-8),
-    ),
     run(
         "tolerance beyond every double",
         InvalidOption,
@@ -511,8 +372,6 @@ RUNS = [
     ),
     run("max_iterations negative", InvalidOption, WHOLE + "-1", max_iterations=-1),
     run("max_iterations a float", InvalidOption, WHOLE + "5.0", max_iterations=5.0),
-    run("max_iterations True", InvalidOption, WHOLE + "True", max_iterations=True),
-    run("max_iterations a text", InvalidOption, WHOLE + "'5'", max_iterations="5"),
     run(
         "max_seconds negative",
         InvalidOption,
@@ -520,47 +379,29 @@ RUNS = [
         max_seconds=-1,
     ),
     run(
-        "max_seconds NaN",
-        InvalidOption,
-        r"max_seconds must be finite and not negative, got nan",
-        max_seconds=NAN,
-    ),
-    run(
         "max_seconds a text",
         InvalidOption,
         r"max_seconds must be .*number, got '1'",
         max_seconds="1",
     ),
-    run(
-        "max_seconds True",
-        InvalidOption,
-        r"max_seconds must be .*number, got True",
-        max_seconds=True,
-    ),
     run("callback no function", InvalidOption, r"callback must be .*got 3", callback=3),
     run("z0 too short", InvalidOption, LENGTH_3 + r".*\(2,\)", z0=[1.0, 2.0]),
-    run("z0 a number", InvalidOption, LENGTH_3 + r".*\(\)", z0=0.0),
-    run("z0 a column", InvalidOption, LENGTH_3 + r".*\(3, 1\)", z0=np.zeros((3, 1))),
     run(
         "z0 NaN", InvalidOption, r"z0 must be finite, but z0\[1\] = nan; repair", z0=[1.0, NAN, 1.0]
     ),
     run("z0 ∞", InvalidOption, r"z0 must be finite, but z0\[1\] = inf; repair", z0=[1.0, INF, 1.0]),
     run("z0 a text", InvalidOption, LENGTH_3, z0="warm"),
-    run("z0 texts", InvalidOption, r"z0 must ", z0=["1", "2", "3"]),
     run("z0 complex list", InvalidOption, r"z0 must ", z0=[1j, 0.0, 0.0]),
-    run("z0 complex array", InvalidOption, r"z0 must ", z0=np.array([1j, 0.0, 0.0])),
     run(
         "z0 masked", InvalidOption, r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])
     ),
     run("z0 sparse", InvalidOption, LENGTH_3, z0=sp.csr_array([[1.0, 2.0, 3.0]])),
-    run("z0 ragged", InvalidOption, LENGTH_3, z0=[[1.0], [2.0, 3.0]]),
     row(
         "solve of M and q",
         InvalidOption,
         r"solve needs an LCP.* got ndarray",
         lambda g: solve(g.M, g.q),
     ),
-    row("solve of M", InvalidOption, r"solve needs an LCP.* got csr_array", lambda g: solve(g.csr)),
     row(
         "solve of nothing",
         InvalidOption,
@@ -580,15 +421,9 @@ POINTS = [
     )
     for name, z, pattern in [
         ("too short", [1.0, 2.0], r".*\(2,\)"),
-        ("too long", np.ones(4), r".*\(4,\)"),
         ("of a column", np.ones((3, 1)), r".*\(3, 1\)"),
-        ("of a number", 1.0, r".*\(\)"),
         ("of None", None, ""),
-        ("of a text", "abc", ""),
-        ("of texts", ["1", "2", "3"], ""),
         ("of a complex list", [1j, 0.0, 0.0], ""),
-        ("of a complex array", np.array([1j, 0.0, 0.0]), ""),
-        ("of a ragged list", [[1.0], [2.0, 3.0]], ""),
         ("of a sparse array", sp.csr_array([[1.0, 2.0, 3.0]]), ""),
     ]
 ]
@@ -656,33 +491,15 @@ def test_option_out_of_range(name: str, option: str, value: Any) -> None:
         1j,
         [1.0, 2.0],
         [1.0, -1.0, 1.0],
-        [1.0, 0.0, 1.0],
         [1.0, NAN, 1.0],
-        [1.0, INF, 1.0],
-        [],
-        np.ones((3, 1)),
-        ["1", "1", "1"],
-        [1j, 1.0, 1.0],
-        np.ones(3, dtype=complex),
-        [[1.0], [2.0, 3.0]],
         sp.eye_array(3),
-        np.ma.array([1.0, 1.0, 1.0], mask=[1, 0, 0]),
     ],
     ids=[
         "complex",
         "short",
         "negative",
-        "zero",
         "NaN",
-        "∞",
-        "empty",
-        "column",
-        "texts",
-        "complex list",
-        "complex array",
-        "ragged",
         "sparse",
-        "masked",
     ],
 )
 def test_omega_must_be_positive_and_fit(omega: Any) -> None:
@@ -699,27 +516,10 @@ def test_omega_must_be_positive_and_fit(omega: Any) -> None:
     [
         (None, "None"),
         (3.0, r"\(3, 3\).*\(\)"),
-        (np.ones(3), r"\(3, 3\).*\(3,\)"),
-        (np.ones((3, 2)), r"\(3, 3\).*\(3, 2\)"),
-        (np.eye(2), r"\(3, 3\).*\(2, 2\)"),
-        (sp.eye_array(5), r"\(3, 3\).*\(5, 5\)"),
         (np.eye(3) * 1j, "complex"),
         (with_entry(1, 2, NAN), r"finite.*\[1, 2\] = nan"),
-        (np.eye(3, dtype=object), "object"),
-        ([[1.0, 2.0], [3.0]], "rectangular"),
     ],
-    ids=[
-        "None",
-        "number",
-        "vector",
-        "3 × 2",
-        "2 × 2",
-        "sparse 5 × 5",
-        "complex",
-        "NaN",
-        "objects",
-        "ragged",
-    ],
+    ids=["None", "number", "complex", "NaN"],
 )
 def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None:
     """A splitting that is no real, finite matrix of the shape of M is refused, and q is not made responsible."""
@@ -727,20 +527,6 @@ def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None
     assert_refused(
         InvalidOption, pattern, lambda g: solve(g.plain, "npsplitting", splitting=splitting)
     )
-
-
-@pytest.mark.parametrize("option", ["relaxation", "acceleration", "scaling_factor", "omega"])
-def test_integer_beyond_every_double_is_refused(option: str) -> None:
-    """An integer that no double can hold is out of range like infinity, for every algorithm with that option."""
-    if option == "omega":
-        algorithm_class("mgs")  # said to be missing where its module is
-    names = [name for name, options in OPTIONS.items() if option in options]
-    assert names
-    for name in names:
-        pattern = rf"^{name}\b.*{option}"
-        assert_refused(
-            InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, **{option: 10**309})
-        )
 
 
 def test_numpy_numbers_are_numbers() -> None:
@@ -782,30 +568,13 @@ def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
     assert_refused(UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name))
 
 
-@pytest.mark.parametrize("value", [0.0, None, -1e-300, 5e-324, 1e-310])
-@pytest.mark.parametrize("name", ["auto", *NEEDS_NO_DIAGONAL])
-def test_other_methods_try(name: str, value: float | None) -> None:
-    """A method that does not divide by the diagonal runs and tells the outcome, auto included."""
-    result = solve(with_diagonal(value), name, max_iterations=300)
-    assert isinstance(result, Result)
-    assert result.certificate.relative_residual == result.residual
-
-
 @pytest.mark.parametrize(
     ("name", "value", "options"),
     [
         ("npj", -1.0, {}),  # d/1 + d + 2 = 0 exactly
         ("npgs", -1.0, {}),
-        ("npj", -5.0, {}),
-        ("npj", -5.0, {"scaling": None}),
-        ("npgs", -1e300, {}),
-        ("npsor", -2.0, {"relaxation": 1.0}),
         ("npsor", -1.5, {"relaxation": 0.5}),
-        ("npsor", -3.0, {"scaling": None}),
-        ("npaor", -3.0, {"scaling": None}),
         ("npaor", -1.0, {"relaxation": 0.5, "acceleration": 0.0}),
-        ("npgs", -5.0, {"scaling": "diagonal"}),
-        ("npj", -5.0, {"scaling": "diagonal", "scaling_factor": 3.0}),
     ],
 )
 def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]) -> None:
@@ -814,12 +583,6 @@ def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]
     assert_refused(
         UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name, **options)
     )
-
-
-def test_pivot_just_above_zero_is_tried() -> None:
-    """A negative diagonal with d/α + d + 2 > 0 is no reason to refuse."""
-    assert isinstance(solve(with_diagonal(-0.99), "npj", max_iterations=50), Result)
-    assert isinstance(solve(with_diagonal(-1.25), "npsor", max_iterations=50), Result)
 
 
 def test_advice_is_not_what_was_already_done() -> None:
@@ -853,8 +616,6 @@ def test_diagonal_near_the_largest_double_is_no_obstacle(
     ("M", "options"),
     [
         ([[-1.0, 0.0], [0.0, 4.0]], {"splitting": "diagonal"}),
-        ([[-1.0, 0.0], [0.0, 4.0]], {}),
-        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": [[-6.0, 1.0], [0.0, 1.0]], "scaling": None}),
         (
             [[4.0, 1.0], [0.0, 4.0]],
             {"splitting": sp.csr_array([[-5.0, 1.0], [1.0, -5.0]]), "scaling": None},
@@ -875,11 +636,9 @@ def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
     ("lower", "upper", "interval"),
     [
         (0.0, [INF, 3.0, INF], r"row 1 has bounds \[0\.0, 3\.0\]"),
-        ([0.0, 0.0, -INF], INF, r"row 2 has bounds \[-inf, inf\]"),
         ([-INF, 0.0, 0.0], 1.0, r"row 0 has bounds \[-inf, 1\.0\]"),
-        (-1.0, 1e19, r"row 0 has bounds \[-1\.0, 1e\+19\]"),
     ],
-    ids=["box", "free", "upper only", "wide box"],
+    ids=["box", "upper only"],
 )
 def test_modulus_methods_need_lower_bounds_only(
     name: str, lower: Any, upper: Any, interval: str
@@ -922,14 +681,8 @@ def test_every_error_is_its_builtin_too() -> None:
 
 DAMAGES = {
     "CSC row beyond n": "M = sp.csc_array(E); M.indices = np.array([0, 2_000_000_000, 2], np.int32)",
-    "CSC row negative": "M = sp.csc_array(E); M.indices = np.array([0, -1, 2], np.int32)",
-    "CSC indptr not monotone": "M = sp.csc_array(E); M.indptr = np.array([0, 2, 1, 3], np.int32)",
-    "CSC indptr beyond the data": "M = sp.csc_array(E); M.indptr = np.array([0, 1, 2, 900_000_000], np.int32)",
-    "CSC data too short": "M = sp.csc_array(E); M.data = np.array([1.0])",
     "BSR indptr beyond the data": "M = sp.bsr_array(E, blocksize=(1, 1)); M.indptr[3] = 900_000_000",
     "COO row beyond n": "M = sp.coo_array(E); M.row[1] = 500_000_000",
-    "COO row negative": "M = sp.coo_array(E); M.row[1] = -1",
-    "COO data too short": "M = sp.coo_array(E); M.data = np.array([1.0])",
     "LIL row with more columns than values": "M = sp.lil_array(E); M.rows[1] = [1, 2]",
 }
 DAMAGE_SCRIPT = """
@@ -963,8 +716,8 @@ def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
 # --- Arguments of a wrong kind ------------------------------------------------------------------------------------
 
 WRONG: dict[str, Any] = {
-    "number": 3.5, "bytes": b"x", "object": object(), "array": np.zeros((3, 3)), "sparse": sp.eye_array(3),
-    "complex": 1j, "list": [[1]], "slice": slice(None), "dictionary": {1: 2}, "set": {1, 2},
+    "number": 3.5,  "object": object(), "array": np.zeros((3, 3)), "sparse": sp.eye_array(3),
+    "complex": 1j, "list": [[1]], "slice": slice(None),  "set": {1, 2},
 }  # fmt: skip
 TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "solve algorithm": lambda p, wrong: solve(p, wrong),

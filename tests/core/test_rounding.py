@@ -10,7 +10,6 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.kernels.floats import TINY, UNIT
 from lcp_plugin.core.rounding import (
     compensated_pair,
@@ -128,25 +127,6 @@ def test_overflow_is_an_infinite_radius() -> None:
         assert (radius[:2] == np.inf).all()
         assert lower_end(value, radius)[0] == -np.inf
         assert upper_end(value, radius)[0] == np.inf
-
-
-def test_index_widths_and_empty_rows() -> None:
-    """Both index widths and empty rows are taken, and read-only data too."""
-    M = sp.csr_array(np.array([[0.0, 0.0], [2.0, -1.0]]))
-    wide = sp.csr_array(
-        (M.data, M.indices.astype(np.int64), M.indptr.astype(np.int64)), shape=M.shape
-    )
-    M.data.flags.writeable = False
-    for matrix in (M, wide):
-        np.testing.assert_array_equal(
-            compensated_product(matrix, np.array([1.0, 3.0]))[0], [0.0, -1.0]
-        )
-
-
-def test_shapes_are_told() -> None:
-    """A vector of a wrong length is an error that names both shapes."""
-    with pytest.raises(InvalidProblem, match=r"2×2 matrix needs x of shape \(2,\).*got \(3,\)"):
-        compensated_product(sp.csr_array(np.eye(2)), np.ones(3))
 
 
 @pytest.mark.parametrize("terms", [0, 1, 7, 10**6, 2**52])

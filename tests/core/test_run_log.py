@@ -75,16 +75,6 @@ def test_small_problems_are_printed_too(capsys: pytest.CaptureFixture[str]) -> N
     np.testing.assert_allclose(told.z, silent.z, atol=1e-8)
 
 
-def test_lines_come_at_geometric_intervals(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of a hundred sweeps twelve have a line, and an unsolved run ends with its advice."""
-    result = solve(scene(), "pgs", tolerance=0.0, max_iterations=100, verbose=True)
-    _, stages, iterations, end = printed_by(result, capsys.readouterr().out)
-    assert stages == ["pgs"]
-    assert iterations == [0, 1, 2, 3, 5, 8, 12, 18, 27, 41, 62, 93]
-    assert end.startswith("MAX_ITERATIONS: relative residual")
-    assert end.endswith(result.advice)
-
-
 def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFixture[str]) -> None:
     """The linear problems inside print nothing."""
     problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]))

@@ -8,7 +8,6 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +17,6 @@ from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, s
 from lcp_plugin.algorithms import NPGS
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import checked_threads
-from lcp_plugin.problems.many.chunks import in_chunks
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
@@ -54,43 +52,6 @@ def pieces(count: int, smallest: int) -> list[tuple[int, int]]:
     return share(lambda first, end: (first, end), count, smallest)
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3, 7])
-@pytest.mark.parametrize("smallest", [1, 4, 1000])
-@pytest.mark.parametrize("count", [0, 1, 7, 8, 100, 1001])
-def test_pieces_cover_the_range_in_order(count: int, smallest: int, threads: int) -> None:
-    """Consecutive, none shorter than asked unless all is, no more than threads."""
-    with threads_for(threads):
-        found = pieces(count, smallest)
-    assert [first for first, _ in found] == [0, *(end for _, end in found[:-1])]
-    assert found[-1][1] == count
-    assert len(found) == min(threads, max(count // smallest, 1))
-    assert len(found) == 1 or all(end - first >= smallest for first, end in found)
-
-
-def test_nothing_is_shared_unasked() -> None:
-    """Outside of threads_for there is one piece, in the thread that calls, and after it, even after an error."""
-    assert threads_now() == 1
-    assert share(lambda first, end: threading.get_ident(), 10, 1) == [threading.get_ident()]
-    with threads_for(3):
-        with pytest.raises(ZeroDivisionError):
-            _divide_on_two_threads()
-        assert threads_now() == 3
-    assert threads_now() == 1
-
-
-def _divide_on_two_threads() -> None:
-    with threads_for(2):
-        assert threads_now() == 2
-        raise ZeroDivisionError
-
-
-def test_pieces_run_at_the_same_time() -> None:
-    """Three pieces that wait for each other converge."""
-    together = threading.Barrier(3, timeout=60.0)
-    with threads_for(3):
-        assert sorted(share(lambda first, end: together.wait(), 3, 1)) == [0, 1, 2]
-
-
 def test_an_error_waits_until_every_piece_has_ended() -> None:
     """Nobody is at work when the error of the first piece that failed comes out; what follows is shared again."""
     together, ended = threading.Barrier(3, timeout=60.0), []
@@ -107,47 +68,6 @@ def test_an_error_waits_until_every_piece_has_ended() -> None:
             share(work, 3, 1)
         assert ended == [2]
         assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]
-
-
-def test_work_inside_a_piece_stays_in_its_thread() -> None:
-    """A piece that shares in turn has one thread, whichever thread it is in; numpy's error state goes with it."""
-
-    def work(first: int, end: int) -> tuple[int, int, str]:
-        together.wait()
-        return threads_now(), len(pieces(100, 1)), np.geterr()["divide"]
-
-    together = threading.Barrier(2, timeout=60.0)
-    with threads_for(2), np.errstate(divide="raise"):
-        assert share(work, 2, 1) == [(1, 1, "raise")] * 2
-        assert threads_now() == 2
-
-
-def test_two_threads_at_once_share_each_with_its_helpers() -> None:
-    """Eight threads that share all the time get their own results, and their own numbers of threads."""
-
-    def one(k: int) -> bool:
-        with threads_for(1 + k % 4):
-            return all(
-                threads_now() == 1 + k % 4
-                and sum(share(lambda a, b: k * (b - a), 100 + j, 1)) == k * (100 + j)
-                for j in range(300)
-            )
-
-    with ThreadPoolExecutor(8) as pool:
-        assert all(pool.map(one, range(8)))
-
-
-def test_chunks_stop_at_an_error() -> None:
-    """After an error chunks that wait are not begun."""
-    begun = []
-
-    def work(first: int, end: int) -> None:
-        begun.append(first)
-        raise ValueError("no")
-
-    with pytest.raises(ValueError, match="no"):
-        in_chunks(work, 10_000, 2)
-    assert len(begun) <= 2
 
 
 @pytest.mark.skipif(
@@ -236,19 +156,6 @@ def test_threads_of_a_solve_are_what_was_asked_for(run: Callable[..., Any]) -> N
     assert counted(run, threads=3) == 3
     assert counted(run) == checked_threads(None)
     assert threads_now() == 1
-
-
-def test_threads_are_restored_after_errors() -> None:
-    """Whatever ends a solve, what was set around it is there again."""
-
-    def refuse(*_: object) -> bool:
-        assert threads_now() == 3
-        raise ZeroDivisionError
-
-    with threads_for(2):
-        with pytest.raises(ZeroDivisionError):
-            solve(TWO, "npgs", threads=3, callback=refuse)
-        assert threads_now() == 2
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "2", np.nan])

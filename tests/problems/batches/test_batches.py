@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,8 @@ import pytest
 import scipy.sparse as sp
 from small_families import FAMILIES, definite_stack, draw, told
 
-from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, Status, march, solve, solve_batch
+from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, Status, solve, solve_batch
 from lcp_plugin.core.errors import InvalidOption
-from lcp_plugin.problems.batches import batch_run
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
@@ -92,21 +90,6 @@ def test_shapes_that_do_not_fit_are_refused(arguments: Any, said: str) -> None:
         solve_batch(*arguments)
 
 
-def test_options_are_refused_as_by_solve() -> None:
-    """Threads, tolerance, starts and names."""
-    M, q = definite_stack(3, 4)
-    for wrong in (
-        {"threads": 0},
-        {"threads": True},
-        {"tolerance": -1.0},
-        {"z0": np.full(4, np.nan)},
-    ):
-        with pytest.raises(InvalidOption):
-            solve_batch(M, q, **wrong)
-    with pytest.raises(InvalidOption, match="list of 2 starts"):
-        solve_batch([LCP(M[0], q[0]), LCP(M[1], q[1])], z0=[np.zeros(4)])
-
-
 def test_batches_of_nothing_of_one_and_of_sparse_matrices() -> None:
     """No problem at all, no unknowns, one problem without an axis in front, a sparse M for all, boxes as numbers."""
     assert len(solve_batch([])) == 0
@@ -146,26 +129,6 @@ def test_a_batch_obeys_its_time_limit() -> None:
     assert np.isfinite(batch.z).all()
 
 
-def test_ctrl_c_ends_a_batch_and_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those left are INTERRUPTED at their starts."""
-    M, q = definite_stack(400, 30)
-    solve_stack, calls = batch_run.solve_stack, []
-
-    def interrupted(*given: Any) -> Any:
-        calls.append(given)
-        if len(calls) == 2:
-            signal.raise_signal(signal.SIGINT)
-        return solve_stack(*given)
-
-    monkeypatch.setattr(batch_run, "CHUNK", 30 * 30 * 100)
-    monkeypatch.setattr(batch_run, "solve_stack", interrupted)
-    batch = solve_batch(M, q)
-    assert set(batch.status[:100]) == {Status.SOLVED}
-    assert set(batch.status[100:]) == {Status.INTERRUPTED}
-    assert np.isfinite(batch.z).all()
-    assert batch[200].status is Status.INTERRUPTED
-
-
 def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
     """What would be ignored is refused, and so is a list of something else."""
     drawn = LCP([[2.0]], [-5.0])
@@ -180,38 +143,6 @@ def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
             solve_batch(wrong)
     with pytest.raises(InvalidProblem, match="give its transpose"):
         solve_batch(np.ones((4, 3, 3)), np.ones((3, 4)))
-
-
-@pytest.mark.parametrize("algorithm", ["auto", "psor"])
-def test_what_a_batch_did_not_begin_costs_nothing(algorithm: str) -> None:
-    """Beyond the limit nothing is solved; each stands at its start, with the settings that were asked for."""
-    M, q = definite_stack(5000, 8)
-    starts = np.full((5000, 8), 0.25)
-    batch = solve_batch(M, q, algorithm=algorithm, z0=starts, max_seconds=1e-9, tolerance=1e-6)
-    assert batch.seconds < 1.0
-    assert set(batch.status) == {Status.MAX_SECONDS}
-    assert (batch.z == 0.25).all()
-    assert np.isnan(batch.relative_residual).all()
-    late = batch[4999]
-    assert (late.status, late.tolerance) == (Status.MAX_SECONDS, 1e-6)
-    assert late._asked == solve(LCP(M[0], q[0]), algorithm)._asked
-    assert late.iterations == 0
-
-
-def test_narrow_bands_are_solved_as_bands_in_batches_too() -> None:
-    """A tridiagonal M-matrix kept sparse goes to banded, alone, in a stack, in a list and in a march."""
-    n = 30
-    chain = np.diag(np.full(n, 3.0)) - np.eye(n, k=1) - np.eye(n, k=-1)
-    q = np.random.default_rng(0).normal(size=(4, n))
-    alone = [solve(LCP(chain, one)) for one in q]
-    assert alone[0].algorithm == "auto: banded"
-    stacked = solve_batch(np.array([chain] * 4), q)
-    listed = solve_batch([LCP(chain, one) for one in q])
-    shared = solve_batch(chain, q)
-    for k, one in enumerate(alone):
-        assert told(one) == told(stacked[k]) == told(listed[k]) == told(shared[k])
-        assert stacked.w[k].tobytes() == one.w.tobytes()
-    assert {result.algorithm for result in march(LCP(chain, q[0]), q)} == {"auto: banded"}
 
 
 def test_a_batch_is_a_sequence() -> None:

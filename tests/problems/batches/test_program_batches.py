@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import given
 
 from lcp_plugin import (
     LCP,
@@ -28,7 +26,6 @@ from lcp_plugin import (
     strategies,
 )
 from lcp_plugin.problems.batches.program_batch import ProgramBatchResult, ProgramBatchRun
-from lcp_plugin.problems.programs import no_minimum
 from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
 from lcp_plugin.strategies.programs import QPAnswer
 
@@ -159,19 +156,6 @@ def test_exact_answers_are_found(drawn: tuple[QuadraticProgram, QPAnswer]) -> No
     assert abs(one.objective - answers.objective[0]) <= 1e-5 * size
 
 
-@settings.get_profile("few")
-@given(drawn=strategies.convex_qps(strategies.positive_definite_matrices(), inequalities=4))
-def test_programs_with_one_minimum_have_it(drawn: tuple[QuadraticProgram, QPAnswer]) -> None:
-    """Where P is positive definite x is what was drawn, other vectors beside it change nothing."""
-    program, answer = drawn
-    others = np.stack([program.c, -program.c, program.c + 1.0])
-    vectors = (program.h, program.A, program.b, program.lower, program.upper)
-    answers = solve_batch(
-        QuadraticProgramBatch(program.P, others, program.G, *vectors), prove_infeasibility=False
-    )
-    np.testing.assert_allclose(answers.x[0], np.array(answer.x, dtype=float), rtol=1e-5, atol=1e-5)
-
-
 def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.MonkeyPatch) -> None:
     """The matrices the same for all, sparse ones too: the answers are those of programs with matrices of their own."""
     by_themselves, rng = alone(monkeypatch), np.random.default_rng(0)
@@ -250,97 +234,6 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
     assert unproved.status.tolist() == [Status.STALLED, Status.STALLED, Status.SOLVED]
 
 
-@pytest.mark.full
-def test_contradictions_are_proved_by_what_the_loop_has_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Rows, equations and bounds that contradict each other by Farkas multipliers chosen first: no linear program."""
-
-    def never(*given: Any, **options: Any) -> Any:
-        raise AssertionError("the long way was taken")
-
-    monkeypatch.setattr(no_minimum, "linear_program", never)
-    rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
-    A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
-    signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum(
-        "kij,ki->kj", A, np.ones((40, 2))
-    )
-    G[:, 0] = -signed  # times 1 with the others times y it leaves nothing
-    h[:, 0] = -(h[:, 1:] * y[:, 1:]).sum(axis=1) - b.sum(axis=1) - 0.1
-    for semidefinite in (1.0, 0.0):
-        answers = solve_batch(
-            QuadraticProgramBatch(
-                semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]
-            )
-        )
-        assert set(answers.status) == {Status.INFEASIBLE}
-        assert all(
-            solution.proof.verify() and solution.status is Status.INFEASIBLE for solution in answers
-        )
-        assert all(solution.proof.is_exact for solution in answers)
-        assert np.isnan(answers.inequality).all()
-    twice = QuadraticProgramBatch(
-        np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]]
-    )
-    assert solve_batch(twice).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
-    boxed = QuadraticProgramBatch(
-        np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0
-    )
-    assert solve_batch(boxed).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
-
-
-def test_infeasible_programs_are_stalled_where_no_proof_is_wanted() -> None:
-    """Alone and in a batch, whatever lies beside them."""
-    P, c, G, h = dense(20)
-    G[::2, 1], h[::2, 0], h[::2, 1] = -G[::2, 0], -1.0, 0.5
-    programs = [QuadraticProgram(*one) for one in zip(P, c, G, h, strict=True)]
-    one_by_one = [solve(program, prove_infeasibility=False).status for program in programs]
-    for batch in (QuadraticProgramBatch(P, c, G, h), programs):
-        answers = solve_batch(batch, prove_infeasibility=False)
-        assert answers.status.tolist() == one_by_one == [Status.STALLED, Status.SOLVED] * 10
-        assert answers[0].proof is None
-        assert "looked for" in answers[0].advice
-        assert np.isfinite(answers[0].x).all()
-
-
-def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:
-    """As in QuadraticProgram, of some programs of a stack."""
-    P, c, G, h = dense(4)
-    P = P.copy()
-    P[2, 0, 1] *= 1.0 + 1e-15
-    own = P.copy()
-    answers = solve_batch(QuadraticProgramBatch(P, c, G, h))
-    assert answers.all_solved
-    assert not answers.errors
-    np.testing.assert_array_equal(answers[2].program.P, answers[2].program.P.T)
-    np.testing.assert_array_equal(P, own)
-
-
-def test_what_is_too_large_for_the_loop_is_solved_by_itself(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """More than 400 variables, and any number of them where the algorithm is not auto; a thousand rows are not."""
-    by_themselves = alone(monkeypatch)
-    P, c, G, h = dense(1, 410, 20)
-    assert solve_batch(QuadraticProgramBatch(P, c, G, h)).all_solved
-    P, c, G, h = dense(3)
-    assert solve_batch(QuadraticProgramBatch(P, c, G, h), algorithm="interior_point").all_solved
-    assert solve_batch(QuadraticProgramBatch(*dense(2, 5, 1000))).all_solved
-    assert by_themselves == [0, 0, 1, 2]
-
-
-def test_hard_programs_are_left_to_the_long_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a named method is asked for, one step, is what solve finds in as many."""
-    P, c, G, h = dense(5)
-    by_themselves, programs = alone(monkeypatch), QuadraticProgramBatch(P, c, G, h)
-    answers = solve_batch(programs, algorithm="lemke", max_iterations=1)
-    assert by_themselves == [0, 1, 2, 3, 4]
-    for k, program in enumerate(programs):
-        one = solve(program, "lemke", tolerance=1e-8, max_iterations=1)
-        assert one.x.tobytes() == answers.x[k].tobytes()
-        assert one.status == answers.status[k]
-
-
 @pytest.mark.parametrize("name", ["daqp", "piqp"])
 def test_a_batch_takes_an_engine_by_its_name(name: str) -> None:
     """As solve does, each program; the answers are those of auto."""
@@ -380,57 +273,6 @@ def test_arrays_for_all_programs_are_broadcast() -> None:
     alone = QuadraticProgramBatch(**one)
     assert len(alone) == 1
     assert solve_batch(alone).all_solved
-
-
-def test_the_number_of_threads_changes_no_bit() -> None:
-    """Nor do the other programs of the batch."""
-    programs, _ = planted("semidefinite", 100)
-    answers = bits(solve_batch(programs, threads=1))
-    for threads in (2, 3, 7):
-        assert bits(solve_batch(programs, threads=threads)) == answers
-    P, c, G, h = dense(9)
-    one = solve_batch(QuadraticProgramBatch(P[4], c[4], G[4], h[4]))
-    assert one.x.tobytes() == solve_batch(QuadraticProgramBatch(P, c, G, h)).x[4].tobytes()
-
-
-def test_nothing_that_is_handed_over_is_modified() -> None:
-    """Whatever its order in memory; results cannot be written to."""
-    data = [np.asfortranarray(array) for array in dense(8)]
-    before = [array.copy() for array in data]
-    answers = solve_batch(QuadraticProgramBatch(*data))
-    for array, copy in zip(data, before, strict=True):
-        np.testing.assert_array_equal(array, copy)
-    with pytest.raises(ValueError, match="read-only"):
-        answers.x[0] = 0.0
-
-
-def test_after_the_time_limit_nothing_is_begun() -> None:
-    """Those left end with MAX_SECONDS, x the point within the bounds nearest to 0, without multipliers."""
-    P, c, G, h = dense(6)
-    answers = solve_batch(
-        QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, prove_infeasibility=False
-    )
-    assert set(answers.status) == {Status.MAX_SECONDS}
-    np.testing.assert_array_equal(answers.x, np.ones((6, 6)))
-    assert np.isnan(answers.residual).all()
-    assert np.isnan(answers[3].solution.multipliers).all()
-
-
-def test_ctrl_c_keeps_what_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rest is INTERRUPTED, whether Ctrl-C comes between two programs or inside of one."""
-    P, c, G, h = dense(6)
-    programs = QuadraticProgramBatch(P, c, G, h)
-    whole = ProgramBatchRun._solve
-
-    def interrupted(self: ProgramBatchRun, k: int, wishes: dict[str, Any]) -> None:
-        if k == 2:
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        whole(self, k, wishes)
-
-    monkeypatch.setattr(ProgramBatchRun, "_solve", interrupted)
-    answers = solve_batch(programs, algorithm="interior_point")
-    assert answers.status[:2].tolist() == [Status.SOLVED, Status.SOLVED]
-    assert answers.status[3:].tolist() == [Status.INTERRUPTED] * 3
 
 
 def test_empty_batches_and_programs_without_rows_or_variables() -> None:
@@ -510,18 +352,6 @@ def test_what_concerns_all_programs_is_said_before_the_first() -> None:
         ask(algorithm="interior_pont")
     with pytest.raises(UnsupportedModel, match="the smallest eigenvalue of P is -1"):
         solve_batch(QuadraticProgramBatch([[1.0, 2.0], [2.0, 1.0]], np.zeros((5, 2))))
-
-
-def test_large_sparse_programs_stay_sparse() -> None:
-    """Matrices for all are not made dense where no loop wants them."""
-    n = 30_000
-    programs = QuadraticProgramBatch(
-        sp.eye_array(n), np.ones((2, n)), sp.eye_array(1, n), [1.0], lower=0.0
-    )
-    assert sp.issparse(programs[1].P)
-    answers = solve_batch(programs)
-    assert answers.all_solved
-    assert answers.objective.tolist() == [0.0, 0.0]
 
 
 def test_terms_that_cancel_excuse_an_error_beside_them_alone() -> None:

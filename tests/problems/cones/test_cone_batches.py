@@ -45,15 +45,6 @@ def test_a_batch_of_contacts_is_solved_in_the_loop_and_judged_as_by_solve(
     assert derivative(batch[0]).jvp(dq=np.ones(12)).shape == (12,)
 
 
-def test_the_bits_are_the_same_for_any_number_of_threads() -> None:
-    """And all but the last bits for any company in the batch."""
-    problems = contacts(64, seed=1)
-    found = [solve_batch(problems, threads=threads) for threads in (1, 2)]
-    for one, two, alone in zip(*found, solve_batch(problems[:8]), strict=False):
-        assert np.array_equal(one.z, two.z)
-        np.testing.assert_allclose(one.z, alone.z, rtol=1e-12, atol=1e-15)
-
-
 def test_cones_boxes_and_friction_share_a_batch_with_others() -> None:
     """Each kind in a loop of its own, what has no loop one by one, all in order."""
     rng = np.random.default_rng(2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import re
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,6 @@ from lcp_plugin import (
     Status,
     UnknownAlgorithm,
     UnreadableFile,
-    UnsuitableProblem,
     derivative,
     load_problem,
     solve,
@@ -46,41 +44,28 @@ from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
 from lcp_plugin.problems.cones.methods import METHODS, Newton
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
+FC, CP = FrictionalContact, ConeProblem
 BAD: dict[str, tuple[Any, str]] = {
     "W is not symmetric": (
-        lambda: FrictionalContact([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5),
+        lambda: FC([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5),
         "symmetric",
     ),
-    "μ < 0": (lambda: FrictionalContact(*ONE[:2], -0.1), r"friction = -0.1"),
-    "μ is NaN": (lambda: FrictionalContact(*ONE[:2], np.nan), "friction must .* but it is nan"),
-    "two coefficients": (
-        lambda: FrictionalContact(*ONE[:2], [0.1, 0.2]),
-        "no multiple|coefficients|shape",
-    ),
-    "four rows": (
-        lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1),
-        "no multiple of 3, nor, in the plane, of 2",
-    ),
-    "b is NaN": (lambda: FrictionalContact(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
-    "W is NaN": (lambda: FrictionalContact(np.diag([1, np.nan, 1]), [0, 0, 0], 0.1), "nan"),
-    "b does not fit": (lambda: FrictionalContact(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
-    "no tuples": (lambda: ConeProblem(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
-    "a name": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),
+    "μ < 0": (lambda: FC(*ONE[:2], -0.1), r"friction = -0.1"),
+    "two coefficients": (lambda: FC(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
+    "b is NaN": (lambda: FC(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
+    "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
+    "no tuples": (lambda: CP(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
+    "a name": (lambda: CP(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),
     "too few rows": (
-        lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_order", 2)]),
+        lambda: CP(np.eye(3), np.zeros(3), [("second_order", 2)]),
         "2 rows and M has 3: too few",
     ),
-    "too many rows": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("free", 4)]), "too many"),
-    "half a row": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("free", 2.5)]), "whole number"),
-    "no upper bound": (
-        lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 0.0)]),
-        "1 numbers behind its name",
-    ),
+    "half a row": (lambda: CP(np.eye(3), np.zeros(3), [("free", 2.5)]), "whole number"),
     "bounds in another order": (
-        lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]),
+        lambda: CP(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]),
         "lower ≤ upper",
     ),
-    "M is not square": (lambda: ConeProblem(np.ones((2, 3)), np.zeros(2), [("free", 2)]), "square"),
+    "M is not square": (lambda: CP(np.ones((2, 3)), np.zeros(2), [("free", 2)]), "square"),
 }
 
 
@@ -121,15 +106,6 @@ def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     assert exact_relative_residual(problem, result.z) <= tolerance
 
 
-@pytest.mark.parametrize("name", ["npgs", "newton"])
-def test_a_run_ends_with_the_linear_system_of_its_cases(name: str) -> None:
-    """Of a cone and a singular M: the tolerance is 1e-8, and the answer has all digits."""
-    rng = np.random.default_rng([0, 882])
-    rng.random()
-    problem, _ = planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))
-    assert solve(problem, name).residual <= 1e-13
-
-
 @pytest.mark.parametrize("edge", [2, 3])
 def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: int) -> None:
     """A wall of bricks, four contacts a face: SOLVED, every brick stands, and the floor carries the weight."""
@@ -140,22 +116,6 @@ def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: 
     assert np.abs(result.motion.body_velocities).max() <= 1e-8
     floor = result.motion.normal[: 4 * edge].sum()
     assert floor == pytest.approx(weight, rel=1e-6)
-
-
-@pytest.mark.parametrize(("contacts", "bodies", "case"), [(30, 5, 44), (60, 12, 34)])
-def test_the_central_path_spares_starts_at_random(contacts: int, bodies: int, case: int) -> None:
-    """Many contacts of few bodies, W alone, which Newton's method leaves open: the path solves them."""
-    rng = np.random.default_rng([1, case])
-    problem, _, _ = planted_contacts(contacts, bodies, 10.0 ** rng.uniform(0.0, 5.0), rng)
-    result = solve(problem).require_solved()
-    assert exact_relative_residual(problem, result.z) <= 1e-8
-    assert "from a point nearby" not in result.explain()
-
-
-def test_an_interior_point_takes_contacts_only() -> None:
-    """Other cones are refused with what to try."""
-    with pytest.raises(UnsuitableProblem, match="fixed_point"):
-        solve(ConeProblem(np.eye(3), np.ones(3), [("second_order", 3)]), "interior_point")
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -319,10 +279,6 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
             ("box", np.zeros((2, 2)), np.ones((2, 2))),
             r"shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)",
         ),
-        (
-            ("box", np.zeros((4, 1)), np.ones(4)),
-            r"shapes \(4, 1\) and \(4,\); write np.ravel\(lower\)",
-        ),
         (("box", np.zeros(2), np.ones(3)), r"shapes \(2,\) and \(3,\); give both one length"),
         (
             ("box", None, 1.0),
@@ -330,7 +286,6 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
         ),
         (("box", np.full(4, np.nan), 1.0), r"lower of cones\[0\] must not hold NaN"),
         (("second_order", np.inf), "must name a whole number of rows"),
-        (("free", np.nan), "must name a whole number of rows"),
     ],
 )
 def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) -> None:
@@ -343,15 +298,9 @@ def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) ->
     ("changed", "words"),
     [
         ({"shape": [np.inf, 4]}, "shape must hold whole numbers"),
-        ({"shape": [4.5, 4]}, "shape must hold whole numbers"),
-        ({"indices": [np.nan, 1, 2, 3]}, "indices must hold whole numbers"),
         ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
-        ({"indptr": [0, 1, 2, 3, np.inf]}, "indptr must hold whole numbers"),
         ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"),
-        ({"cone_kinds": [4, 1]}, "must be 0 to 3"),
         ({"cone_kinds": [3]}, "cone_kinds names 1 cones"),
-        ({"cone_kinds": 3}, "must be a vector of whole numbers"),
-        ({"cone_rows": [np.inf, 1]}, "cone_rows must be a vector of whole numbers"),
         ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
         ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"),
         ({"data": None}, "lacks the keys"),
@@ -385,14 +334,6 @@ def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
         problem.save(tmp_path / "p.npz")
         with pytest.raises(LCPError, match=rf"{words}.*load_problem\(path\) reads it"):
             LCP.load(tmp_path / "p.npz")
-
-
-@pytest.mark.parametrize("prove_infeasibility", [True, False])
-def test_cones_without_friction_are_not_told_of_contacts(prove_infeasibility: bool) -> None:
-    """Advice speaks of the kind that was asked for."""
-    problem = ConeProblem(-np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
-    advice = solve(problem, prove_infeasibility=prove_infeasibility).advice
-    assert not re.search("friction|contact|impulse", advice)
 
 
 SQUEEZED = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
@@ -435,13 +376,6 @@ def test_what_has_an_answer_is_not_proved_infeasible() -> None:
         assert infeasibility_proof(planted_cones(4, rng, rank=0.4)[0]) is None
 
 
-def test_batches_mix_kinds() -> None:
-    """A list of problems over cones and LCPs is answered one by one."""
-    contact, _, _ = planted_contacts(2, 2, 10.0, np.random.default_rng(0))
-    answers = solve_batch([contact, LCP([[1.0]], [-1.0]), contact])
-    assert answers.all_solved
-
-
 def test_a_result_tells_of_its_contacts() -> None:
     """How many are open, stick and slide, what they dissipate, how steep the impulses are."""
     told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
@@ -459,21 +393,6 @@ def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
     other = solve(problem.with_q([4.0, 0.0, 0.0]))
     assert other.motion.body_velocities is None
     assert other.motion.separation == pytest.approx([4.0])
-
-
-def test_a_warm_start_is_not_thrown_away_where_the_loop_fails() -> None:
-    """A limit leaves a point that is no worse than the start that was given."""
-    problem, _, _ = planted_contacts(6, 3, 100.0, np.random.default_rng(1))
-    known = solve(problem)
-    assert known.is_solved
-    again = solve(problem, z0=known.z, tolerance=1e-15, max_iterations=2)
-    assert again.residual <= 1e-11
-
-
-@pytest.mark.parametrize("name", ["auto", *METHODS])
-def test_no_contacts_at_all_are_solved(name: str) -> None:
-    """As a step in time has, before anything touches."""
-    assert solve(FrictionalContact(np.zeros((0, 0)), np.zeros((0, 3)), 0.5), name).is_solved
 
 
 @pytest.mark.parametrize("size", [1e-160, 1e160])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from cone_families import exact_relative_residual, planted_contacts
 
 from lcp_plugin import (
@@ -61,14 +59,6 @@ def test_worlds_are_answered_as_each_by_itself(
         np.testing.assert_allclose(batch.w[i], batch[i].w, atol=1e-12)
         assert batch.motion.sticks[i].tolist() == batch[i].motion.sticks.tolist()
     assert "100 worlds: 100 SOLVED" in batch.explain()
-
-
-def test_warm_starts_save_steps() -> None:
-    """Of a batch moved a little."""
-    W, b, friction = arrays(60, seed=1)
-    before = solve_batch(FrictionalContact(W, b, friction))
-    worlds = FrictionalContact(W, 1.0001 * b, friction)
-    assert solve_batch(worlds, z0=before.z).iterations.sum() < solve_batch(worlds).iterations.sum()
 
 
 def test_worlds_have_as_many_contacts_as_they_have() -> None:
@@ -181,19 +171,6 @@ def test_worlds_are_taken_one_by_one(index: Any) -> None:
     worlds: Any = FrictionalContact(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
     with pytest.raises(TypeError, match=r"worlds\[i\], i a whole number"):
         worlds[index]
-
-
-def test_unpickled_worlds_compile_nothing_again() -> None:
-    """One contact, many, sparse and unpickled ones are swept by one compiled signature."""
-    from lcp_plugin.problems.cones.sweeps import sweep
-
-    W = np.stack([np.eye(3)] * 2)
-    worlds = FrictionalContact(W, [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5)
-    for each in (worlds, pickle.loads(pickle.dumps(worlds))):
-        solve_batch(each)
-    solve(pickle.loads(pickle.dumps(worlds[0])))
-    solve(FrictionalContact(sp.csr_array(W[0]), worlds.b[0], 0.5))
-    assert len(sweep.signatures) == 1
 
 
 def test_a_default_that_is_stated_is_no_other_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from lcp_plugin import LCP, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
-from lcp_plugin.problems.contact import contact_data
 
 GRAVITY, STEP = 9.81, 0.01
 
@@ -87,23 +86,6 @@ def test_a_tower_of_ten_carries_its_weight() -> None:
     weight = STEP * GRAVITY * np.arange(k, 0, -1)
     np.testing.assert_allclose(motion.normal.reshape(k, 2).sum(axis=1), weight, rtol=1e-7)
     assert motion.sticks.all()
-
-
-def test_a_batch_of_contacts_is_the_problems_one_by_one() -> None:
-    """Arrays of a batch give the M and q of each problem, and its motion after solve_batch."""
-    parts = [contacts_of_bodies(3, 3, seed) for seed in range(6)]
-    W, velocities = (np.array(part) for part in zip(*parts, strict=True))
-    friction = np.linspace(0.0, 1.0, 18).reshape(6, 3)
-    data = contact_data(W, friction, velocities)
-    batch = solve_batch(*data.arrays)
-    assert batch.all_solved
-    motion = data.recover(batch)
-    for k in range(6):
-        problem = LCP.from_contacts(W[k], friction[k], velocities[k])
-        np.testing.assert_array_equal(problem.M, data.arrays[0][k])
-        alone = problem.origin.recover(batch.z[k])
-        np.testing.assert_allclose(alone.slip, motion.slip[k], atol=1e-14)
-        np.testing.assert_array_equal(alone.sticks, motion.sticks[k])
 
 
 def test_a_start_is_carried_over_to_contacts_that_stay() -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -96,64 +94,6 @@ def test_contacts_in_other_words_are_solved(tmp_path: Path) -> None:
         problem_of(contact_data(np.eye(4), 0.5, [[-1.0, 0.3], [-1.0, 0.9]])),
     ):
         solve(problem).require_solved()
-
-
-def test_what_has_no_friction_slips() -> None:
-    """One contact on ice keeps its tangential velocity."""
-    problem = LCP.from_contacts(np.eye(3), 0.0, [[-1.0, 0.3, 0.2]])
-    assert problem.origin.recover(solve(problem)).slip.round(9).tolist() == [[0.3, 0.2]]
-
-
-def _without_an_edge(M: Any, q: Any) -> LCP:
-    keep = np.arange(q.size) != 7
-    return LCP(M[np.ix_(keep, keep)], q[keep])
-
-
-def _in_another_order(M: Any, q: Any) -> LCP:
-    order = np.random.default_rng(0).permutation(q.size)
-    return LCP(M[np.ix_(order, order)], q[order])
-
-
-def _changed(row: int, column: int, value: float) -> Callable[[Any, Any], LCP]:
-    def problem(M: Any, q: Any) -> LCP:
-        M = M.copy()
-        M[row, column] = value
-        return LCP(M, q)
-
-    return problem
-
-
-NOT_QUITE = {
-    "another order": _in_another_order,
-    "islands one after the other": lambda M, q: LCP(
-        sp.block_diag([sp.csr_array(M)] * 3, format="csr"), np.tile(q, 3)
-    ),
-    "a radius with another contact's impulse": _changed(20, 1, 0.1),
-    "an edge in two contacts": _changed(20, 8, -1.0),
-    "a speed that lets a normal go": _changed(0, 20, 0.1),
-    "an edge in another unit than its opposite": _changed(20, 4, -2.0),
-    "an edge is missing": _without_an_edge,
-    "a radius has a part of its own": lambda M, q: LCP(
-        M, np.where(np.arange(q.size) == q.size - 1, 0.1, q)
-    ),
-    "a bound": lambda M, q: LCP(M, q, upper=np.where(np.arange(q.size) == 0, 50.0, np.inf)),
-    "an edge of its own": lambda M, q: LCP(M, np.where(np.arange(q.size) == 4, q + 0.1, q)),
-}
-
-
-@pytest.mark.parametrize("name", NOT_QUITE)
-def test_what_has_not_quite_the_form_is_solved(name: str) -> None:
-    """Problems near to those of contacts are solved, too."""
-    M, q = falling(4, 4, 10.0, np.random.default_rng(2)).arrays
-    solve(NOT_QUITE[name](M, q)).require_solved()
-
-
-def test_a_hundred_contacts_are_solved_from_scratch_and_from_their_answer() -> None:
-    """A problem of 600 rows, sparse; its answer is one."""
-    problem = problem_of(planted(100, 100, 10.0, np.random.default_rng(0)))
-    assert not problem.is_dense
-    result = solve(problem).require_solved()
-    assert solve(problem, z0=result.z).require_solved().work < result.work
 
 
 def test_starts_of_other_contacts_are_refused() -> None:

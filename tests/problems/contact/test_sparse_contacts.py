@@ -10,7 +10,6 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import LCP, FrictionalContact, InvalidProblem, solve
-from lcp_plugin.problems.contact import inverse_by_components
 
 
 def scene(bodies: int, contacts: int, seed: int = 0) -> tuple[Any, Any, Any, Any]:
@@ -105,18 +104,6 @@ def test_3_000_contacts_of_1_000_bodies_stay_sparse() -> None:
     result = solve(problem, tolerance=1e-6)
     assert result.is_solved
     assert result.motion.body_velocities.shape == (6000,)
-
-
-def test_the_inverse_goes_component_by_component() -> None:
-    """In any order of the rows, of components of several sizes."""
-    rng = np.random.default_rng(1)
-    halves = [rng.normal(size=(size, size)) for size in (1, 3, 2, 3, 1)]
-    A = sp.block_diag([sp.csr_array(half @ half.T + np.eye(len(half))) for half in halves])
-    order = rng.permutation(10)
-    A = sp.csr_array(A)[order][:, order]
-    inverse = inverse_by_components(A)
-    np.testing.assert_allclose((inverse @ A).toarray(), np.eye(10), atol=1e-12)
-    assert inverse.nnz == A.nnz
 
 
 MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)

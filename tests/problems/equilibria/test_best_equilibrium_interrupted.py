@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram
 from lcp_plugin.core.settings import Status
-from lcp_plugin.problems.equilibria import relaxations
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
@@ -86,18 +84,3 @@ def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
         assert result.verify() or result.bound_by == "SCIP", at
     first, _ = interrupted(1)
     assert (first.status, first.lower_bound, first.x) == (Status.INTERRUPTED, -math.inf, None)
-
-
-def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """It ends with status limit at once, and not after all other nodes."""
-    real, runs = relaxations.solve_program, []
-
-    def stopped(*arguments: Any, **options: Any) -> Any:
-        runs.append(1)
-        return replace(real(*arguments, **options), status=Status.INTERRUPTED)
-
-    monkeypatch.setattr(relaxations, "solve_program", stopped)
-    result = minimize_over_solutions(some_pairs())
-    assert (result.status, len(runs), result.verify()) == (Status.INTERRUPTED, 1, True)

@@ -110,17 +110,6 @@ def test_an_equality_opposite_bounds_is_a_pair_between_them(
     np.testing.assert_allclose([x.value, pair.dual_value], [[z, z], [w, w]], atol=1e-7)
 
 
-@pytest.mark.parametrize("beside", [False, True])
-def test_an_equality_that_says_nothing_is_taken_beside_no_objective(beside: bool) -> None:
-    """A free z with 0*z == 0 may have any value, alone and beside a pair that needs it."""
-    z, x = cp.Variable(2), cp.Variable(2)
-    more = [complements(x >= 0, x + z - 1 >= 0)] if beside else []
-    problem = cp.Problem(cp.Minimize(0), [complements(z, 0 * z == 0), *more])
-    problem.solve(method="LCP")
-    assert problem.status == cp.OPTIMAL
-    assert np.isfinite(z.value).all()
-
-
 def test_variables_that_pairs_alone_name_have_values() -> None:
     """On either side, and of an equation."""
     x, y, z = cp.Variable(), cp.Variable(), cp.Variable(2)
@@ -145,21 +134,6 @@ def test_a_free_variable_opposite_an_expression_means_an_equation(is_first: bool
     assert (x.value, y.value) == pytest.approx((2.0, 1.0), abs=1e-8)
 
 
-def test_a_pair_of_nothing_says_nothing() -> None:
-    """Variables of size 0 have values of that size."""
-    try:
-        x, v = cp.Variable(), cp.Variable(0)
-    except ValueError:
-        pytest.skip("this cvxpy has no variables of size 0")
-    problem = cp.Problem(
-        cp.Minimize(cp.square(x - 1)),
-        [complements(v >= 0, v >= 0), complements(x >= 0, 2 - x >= 0)],
-    )
-    problem.solve(method="LCP")
-    assert problem.value == pytest.approx(1.0)
-    assert v.value.shape == (0,)
-
-
 def test_a_pair_of_any_sides_has_a_violation() -> None:
     """Of boxes of expressions, and of variables with other bounds than the pair states, which have none otherwise."""
     x, y = cp.Variable(2, bounds=[-3, 3]), cp.Variable(2)
@@ -170,13 +144,3 @@ def test_a_pair_of_any_sides_has_a_violation() -> None:
     assert max(pair.violation() for pair in pairs) <= 1e-7
     x.value = x.value + np.array([0.0, 0.25])
     assert pairs[0].violation() >= 0.2
-
-
-def test_bounds_that_exclude_what_a_pair_says_are_infeasible() -> None:
-    """The pair states w ≥ 0, the rest says w = −4."""
-    x, y = cp.Variable(2), cp.Variable(2)
-    pair = complements(y >= 0, np.diag([3.0, 0.0]) @ x + [3.0, -4.0] >= 0)
-    problem = cp.Problem(cp.Minimize(cp.abs(y[0]) + x[0]), [pair, x <= 3, x >= -3])
-    problem.solve(method="LCP")
-    assert (problem.status, problem.value) == (cp.INFEASIBLE, np.inf)
-    assert problem.solver_stats.extra_stats.verify()

@@ -244,14 +244,6 @@ def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> No
     assert "cost" in solve(problem).explain()
 
 
-def test_a_transposed_matrix_is_told() -> None:
-    """A b that has a number a column of A, not a row: did you mean A.T?"""
-    with pytest.raises(
-        InvalidProblem, match=r"got shape \(2,\), and A has 3 rows .*; did you mean A.T\?"
-    ):
-        BoundedLeastSquares(np.ones((3, 2)), [1.0, 2.0])
-
-
 @pytest.mark.parametrize("l1", [-1.0, INF, np.nan, [1.0, 2.0, 3.0], [0.0, -2.0], "much"])
 def test_what_is_no_penalty_is_refused(l1: Any) -> None:
     """A negative or infinite one, NaN, another length, a word: in words that name l1."""

@@ -42,7 +42,6 @@ def heated(n: int, k: int, seed: int = 0, **options: Any) -> March:
 # --- Derivatives ----------------------------------------------------------------------------------------------
 
 INF = np.inf
-EPSILON = np.finfo(np.float64).eps
 
 
 def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, sp.csr_array]:
@@ -182,53 +181,6 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
         assert sum(terms) == pytest.approx(expected, rel=0, abs=1e-11 * sum(map(abs, terms)))
 
 
-def test_gradients_are_those_of_differences() -> None:
-    """Of M, forcing, propagator, z0 and the bounds, each by central differences of whole marches."""
-    done = marched(*drawn(15, 11), 6, 12)
-    problem, rng = done.problem, np.random.default_rng(1)
-    g = rng.normal(size=(6, 15))
-    gradient = derivative(done).vjp(g)
-
-    def loss(**moved: Any) -> float:
-        data = {
-            "M": problem.csr,
-            "lower": problem.lower,
-            "upper": problem.upper,
-            "forcing": done.forcing,
-            "propagator": done.propagator,
-            "z0": done.z0,
-            **moved,
-        }
-        again = LCP(data["M"], np.zeros(15), lower=data["lower"], upper=data["upper"])
-        return float(
-            (g * np.array(march(again, data["forcing"], data["propagator"], z0=data["z0"]).z)).sum()
-        )
-
-    for name, at in (
-        ("M", problem.csr),
-        ("propagator", done.propagator),
-        ("forcing", done.forcing),
-        ("z0", done.z0),
-    ):
-        step = (
-            at.copy()
-            if not sp.issparse(at)
-            else sp.csr_array((rng.normal(size=at.nnz), at.indices, at.indptr))
-        )
-        step = rng.normal(size=at.shape) if not sp.issparse(at) else step
-        slope = (loss(**{name: at + 1e-6 * step}) - loss(**{name: at - 1e-6 * step})) / 2e-6
-        by = getattr(gradient, name)
-        assert slope == pytest.approx(
-            (by.multiply(step) if sp.issparse(by) else by * step).sum(), rel=1e-6
-        )
-    shift = rng.normal(size=15)
-    slope = (
-        loss(lower=problem.lower + 1e-6 * shift, upper=problem.upper + 1e-6 * shift)
-        - loss(lower=problem.lower - 1e-6 * shift, upper=problem.upper - 1e-6 * shift)
-    ) / 2e-6
-    assert slope == pytest.approx((gradient.lower + gradient.upper) @ shift, rel=1e-6)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
     """Each step's change, in fractions from exact data to exact dz, is what jvp says to rounding."""
@@ -304,72 +256,6 @@ def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
     assert derivative(marched(*drawn(20, 1, z=True), 6, 1)).is_unique is True
 
 
-def test_tails_that_underflow_are_left_to_no_small_problem() -> None:
-    """Prices of 10⁻³²⁰ far from the money: the compiled loop takes every step, forwards and backwards, as elsewhere."""
-    n, k = 240, 6
-    M = sp.diags_array([-0.01, 1.03, -0.01], offsets=[-1, 0, 1], shape=(n, n))
-    payoff = np.maximum(20.0 - np.arange(n), 0.0)
-    done = march(LCP(M, np.zeros(n), lower=payoff), np.zeros((k, n)), z0=payoff)
-    assert 0.0 < done.z[-1][done.z[-1] > 0.0].min() < 1e-300
-    found, change = derivative(done), change_of(done, 1)
-    assert all(part.is_plain.all() for part in found._parts())
-    change["dM"], change["dpropagator"], change["dforcing"] = M, 0.5, np.zeros((k, n))
-    del change["dupper"]
-    change["dz0"] = change["dlower"] = np.where(payoff > 0.0, change["dlower"], 0.0)
-    dz, eps = found.jvp(**change), 1e-6
-
-    def moved(t: float) -> np.ndarray:
-        problem = LCP((1.0 + t) * M, np.zeros(n), lower=payoff + t * change["dlower"])
-        return np.array(
-            march(problem, np.zeros((k, n)), 0.5 * t - 1.0, z0=payoff + t * change["dz0"]).z
-        )
-
-    np.testing.assert_allclose(dz, (moved(eps) - moved(-eps)) / (2 * eps), rtol=0, atol=1e-7)
-    g = np.random.default_rng(0).normal(size=(k, n))
-    gradient = found.vjp(g)
-    total = gradient.M.multiply(M).sum() + 0.5 * gradient.propagator.diagonal().sum()
-    assert total + (gradient.lower + gradient.z0) @ change["dlower"] == pytest.approx(
-        (g * dz).sum(), rel=1e-10
-    )
-
-
-def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
-    """A row nearly at a kink is left by the compiled loop, in the middle of others, and all agree with one problem."""
-    problem, propagator = drawn(20, 1, z=True)
-    done = marched(problem, propagator, 6, 1)
-    forcing = np.array(done.forcing)
-    w = done[3].w
-    held = int(np.argmax((done.z[3] == problem.lower) & (problem.lower < problem.upper)))
-    forcing[3, held] -= w[held] - 2e-15  # z stays, and w is rounding
-    near = march(problem, forcing, propagator, z0=done.z0)
-    found = derivative(near)
-    plain = np.concatenate([part.is_plain for part in found._parts()])
-    assert plain.tolist() == [True, True, True, False, True, True]
-    g = np.random.default_rng(0).normal(size=(6, 20))
-    gradient, change = found.vjp(g), change_of(near, 3)
-    assert np.isfinite(found.jvp(**change)).all()
-    left, by_z = gradient.z0, np.zeros(20)
-    for k in range(5, -1, -1):
-        by_z = propagator.T @ found[k].vjp(g[k] + by_z).q
-    np.testing.assert_allclose(left, by_z, rtol=1e-11)
-
-
-def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
-    """One step: vjp and jvp are those of Derivative, by the same names, M and bounds included."""
-    done = marched(*drawn(30, 5), 1, 3)
-    found, alone, g = (
-        derivative(done),
-        derivative(done[0]),
-        np.random.default_rng(0).normal(size=30),
-    )
-    ours, theirs = found.vjp(g), alone.vjp(g)
-    for name in ("lower", "upper", "M"):
-        one, other = (getattr(gradient, name) for gradient in (ours, theirs))
-        assert abs(one - other).max() <= 1e-13 * abs(other).max()
-    np.testing.assert_allclose(ours.forcing[0], theirs.q, atol=1e-14)
-    np.testing.assert_array_equal(found[0].z, alone.z)
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -414,28 +300,6 @@ def test_a_march_without_steps_has_a_derivative() -> None:
     found = derivative(march(LCP(np.eye(3), np.zeros(3)), np.zeros((0, 3))))
     assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
     assert not found.vjp(np.zeros((0, 3))).z0.any()
-
-
-def test_all_ways_to_ask_give_the_same() -> None:
-    """Marches and directions of any layout, kept or not; the same bits where nothing is computed again."""
-    done = marched(*drawn(40, 1, z=True), 30, 1)
-    change, g = change_of(done, 1), np.random.default_rng(0).normal(size=(30, 40))
-    first, dz = derivative(done).vjp(g), derivative(done).jvp(**change)
-    steady = march(
-        done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.propagator, z0=done.z0
-    )
-    derivative(steady).vjp(g[0])
-    derivative(steady).jvp(dforcing=g[0], dpropagator=2.0, only_last=True)
-    change["dforcing"] = np.asfortranarray(change["dforcing"])
-    again = marched(*drawn(40, 1, z=True), 30, 1)
-    for found in (derivative(done), derivative(again)):
-        gradient = found.vjp(np.asfortranarray(g))
-        for name in ("z0", "lower", "upper", "forcing"):
-            np.testing.assert_allclose(
-                getattr(gradient, name), getattr(first, name), rtol=0, atol=1e-12
-            )
-        np.testing.assert_allclose(found.jvp(**change), dz, rtol=0, atol=1e-11)
-    assert derivative(done).vjp(g).forcing.tobytes() == first.forcing.tobytes()
 
 
 # --- Many at once ---------------------------------------------------------------------------------------------
@@ -540,36 +404,6 @@ def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, lis
     return problems, payoff, [sp.csr_array(A - sp.eye_array(n)) for A in halves]
 
 
-@pytest.mark.full
-def test_marches_whose_matrices_differ_are_those_one_by_one() -> None:
-    """Marches with different M, bounds and propagators give the bits of single marches."""
-    problems, payoff, propagators = volatilities(120, 100, 41)
-    forcing = np.zeros((100, 120))
-    alone = [
-        march([one], forcing, [C], z0=payoff)[0]
-        for one, C in zip(problems, propagators, strict=True)
-    ]
-    found = march(problems, forcing, propagators, z0=payoff)
-    for ours, theirs in zip(found, alone, strict=True):
-        assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
-        assert all(np.array_equal(ours.z[k], theirs.z[k]) for k in (0, 1, 50, 98, 99))
-        assert np.array_equal(ours[50].w, theirs[50].w)
-        assert (ours[50].status, ours[50].algorithm) == (
-            theirs[50].status,
-            theirs[50].algorithm,
-        )
-        assert (
-            ours[50].certificate.relative_residual
-            <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
-        )
-    for one, C, ours in zip(problems, propagators, found, strict=True):
-        np.testing.assert_allclose(
-            ours.z[-1], march(one, forcing, C, z0=payoff).z[-1], rtol=0, atol=1e-9
-        )
-    implicit = march(problems, forcing, z0=np.stack([payoff] * 41))
-    assert np.array_equal(implicit[7].z[-1], march(problems[7], forcing, z0=payoff).z[-1])
-
-
 def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
     """Patterns that differ, wide bands, dense ones, several propagators of one M: each march is that alone."""
     rng, n = np.random.default_rng(4), 25
@@ -613,29 +447,6 @@ def test_what_marches_of_several_matrices_refuse() -> None:
     ):
         march([one, np.eye(3)], forcing)
     assert march([], forcing) == []
-
-
-def test_the_vega_of_marches_of_several_matrices_is_a_difference() -> None:
-    """The derivative of each by its volatility is the central difference of two marches with others."""
-    n, k, sigma, step = 120, 40, np.array([0.2, 0.3, 0.4]), 1e-4
-    x, forcing = np.linspace(-1.5, 1.5, n), np.zeros((k, n))
-    payoff = np.maximum(1.0 - np.exp(x), 0.0)
-    A = sp.diags_array([-0.5, 1.0, -0.5], offsets=[-1, 0, 1], shape=(n, n)) / (x[1] - x[0]) ** 2 / k
-    still = (1.0 + 0.05 / k) * sp.eye_array(n)
-
-    def prices(sigma: np.ndarray) -> list[Any]:
-        problems = [LCP(sp.csr_array(still + s**2 * A), np.zeros(n), lower=payoff) for s in sigma]
-        return march(problems, forcing, z0=payoff)
-
-    above, below = prices(sigma + step), prices(sigma - step)
-    for s, one, up, down in zip(sigma, prices(sigma), above, below, strict=True):
-        vega, difference = (
-            derivative(one).jvp(dM=2 * s * A, only_last=True),
-            (up.z[-1] - down.z[-1]) / (2 * step),
-        )
-        assert vega.max() > 0.1
-        np.testing.assert_allclose(vega, difference, rtol=0, atol=2e-3)
-        assert abs(vega - difference).mean() < 1e-4
 
 
 def test_what_a_march_says_of_its_answers_and_bounds() -> None:
@@ -692,34 +503,6 @@ def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
         march(np.eye(3), np.zeros((1, 3)))
     with pytest.raises(InvalidOption, match="march has no option 'tol'"):
         march(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)
-
-
-def test_ctrl_c_ends_all_marches() -> None:
-    """What is interrupted within a step ends its march and those behind it; what was taken stays."""
-    rod, seen = (
-        LCP(
-            sp.eye_array(300) * 3.0 + sp.eye_array(300, k=40) + sp.eye_array(300, k=-40),
-            np.zeros(300),
-        ),
-        [0],
-    )
-
-    def callback(*_: Any) -> None:
-        seen[0] += 1
-        if seen[0] == 10:
-            raise KeyboardInterrupt
-
-    forcing = np.random.default_rng(0).normal(size=(3, 30, 300))
-    done = march(rod, forcing, algorithm="psor", callback=callback)
-    assert seen[0] == 10
-    assert not any(one.all_solved for one in done)
-
-
-def test_the_last_answer_of_no_step_is_the_start() -> None:
-    """A march without a step moves with z0, and has no rows."""
-    found = derivative(march(LCP(2.0 * np.eye(3), np.zeros(3)), np.zeros((0, 3))))
-    assert found.jvp(dz0=np.ones(3), only_last=True).tolist() == [1.0, 1.0, 1.0]
-    assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
 
 
 # --- Schemes in time ------------------------------------------------------------------------------------------

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import marches
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
-from lcp_plugin import LCP, Status, gallery, march, solve
-from lcp_plugin.core.splittings.projected_relaxation import PSOR
+from lcp_plugin import LCP, Status, march, solve
 from lcp_plugin.problems.march.marching import StepPolicy
 
 SMALL = {
@@ -52,55 +48,6 @@ def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
         np.testing.assert_array_equal(first, np.array(list(again.z)))
 
 
-def test_later_steps_begin_with_what_finished_the_second() -> None:
-    """The first two steps try sweeps; the others do what finished, and no more of it than the second did."""
-    done = marched(SMALL["parabolic"]())
-    finished = done[1].stages[-1]
-    assert len(done[1].stages) > 1
-    for step in done[2:]:
-        assert [stage.name for stage in step.stages] == [finished.name]
-        assert step.work <= 1.5 * finished.work + 5.0
-        assert step.stages[0].because == "it finished the step before"
-
-
-def test_what_has_become_slow_is_left() -> None:
-    """A step whose predecessor's method does not get there is solved by another, with which the next one begins."""
-    problem = gallery.build("obstacle_2d", size=40).problem
-    policy = StepPolicy(PSOR(relaxation=1e-3), prove_infeasibility=True)
-    found = solve(problem, policy)
-    assert found.status is Status.SOLVED
-    assert found.stages[0].name == "psor"
-    assert len(found.stages) > 1
-    after = policy.following(problem, 7)
-    assert after is None or after.name == found.stages[-1].name
-
-
-def without_diagonal(rng: np.random.Generator) -> LCP:
-    """A program's optimality conditions, whose multipliers have no diagonal entry."""
-    H, A = sp.diags_array(1.0 + rng.random(300)), sp.random_array((120, 300), density=0.02, rng=rng)
-    return LCP(sp.block_array([[H, -A.T], [A, None]], format="csr"), np.zeros(420))
-
-
-def with_jumps(rng: np.random.Generator) -> LCP:
-    """A large sparse matrix of positive diagonal."""
-    return gallery.build("random_h_plus", n=3000).problem
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("make", [without_diagonal, with_jumps])
-def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP]) -> None:
-    """Where the free set jumps at every step, all steps together take at most a tenth more work than solves do."""
-    rng = np.random.default_rng(3)
-    problem = make(rng)
-    forcing = rng.standard_normal((24, problem.n)) * 10.0 ** rng.integers(-2, 3, (24, 1))
-    done, state, work = march(problem, forcing, 0.1), problem.nearest_to_zero, 0.0
-    assert done.all_solved
-    for k in range(24):
-        work += solve(problem.with_q(forcing[k] + 0.1 * state), z0=state).work
-        state = done.z[k]
-    assert sum(step.work for step in done) <= 1.1 * work
-
-
 def test_time_that_runs_out_keeps_the_steps_before() -> None:
     """With max_seconds a march ends with a step that says so, and all before it are SOLVED."""
     steps = marches.basket(60, 400)
@@ -124,17 +71,6 @@ def test_ctrl_c_keeps_the_steps_before(monkeypatch: pytest.MonkeyPatch) -> None:
     done = marched(steps)
     assert not done.all_solved
     assert [step.is_solved for step in done] == [True] * 3 + [False] * (len(done) - 3)
-
-
-def test_a_solve_knows_nothing_of_marches_before_it() -> None:
-    """solve() on the same problem gives the same bits after a march as before it."""
-    steps = SMALL["basket"]()
-    problem = steps.problem.with_q(steps.forcing[0] + steps.propagator @ steps.z0)
-    before = solve(problem, z0=steps.z0)
-    marched(steps)
-    after = solve(problem, z0=steps.z0)
-    np.testing.assert_array_equal(before.z, after.z)
-    assert before.iterations == after.iterations
 
 
 def test_a_put_in_heston_s_model_has_its_published_value() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from typing import Any
 
@@ -26,9 +25,7 @@ from lcp_plugin.core.errors import (
     UnsuitableProblem,
 )
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
-from lcp_plugin.problems.nonlinear import josephy_newton
 from lcp_plugin.problems.nonlinear.certificate import shares_of_unknowns, term_residuals
-from lcp_plugin.problems.nonlinear.differences import Differences
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 INF = np.inf
@@ -189,15 +186,6 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
     assert first.residual == second.residual
 
 
-def test_equations() -> None:
-    """With free rows alone it is Newton's method for equations."""
-    problem = NonlinearProblem(
-        lambda x: np.array([x[0] ** 2 + x[1] ** 2 - 5, x[0] * x[1] - 2]), lower=[-INF, -INF]
-    )
-    x = solved(solve_nonlinear(problem, [3.0, 0.5], tolerance=1e-10))
-    np.testing.assert_allclose(x, [2.0, 1.0], atol=1e-6)
-
-
 def test_a_start_may_be_a_number_where_there_is_one_unknown() -> None:
     """As elsewhere for equations in one unknown; for several it is refused."""
     problem = NonlinearProblem(lambda x: x**2 - 4.0)
@@ -211,11 +199,6 @@ def test_a_start_may_be_a_number_where_there_is_one_unknown() -> None:
         InvalidOption, match=r"z0 must be a finite vector of length 2 \(M is 2×2\), got shape \(\)"
     ):
         solve(LCP(np.eye(2), [-4.0, 1.0]), z0=5.0)
-
-
-def test_no_unknowns() -> None:
-    """The empty problem is solved."""
-    assert solved(solve_nonlinear(NonlinearProblem(lambda x: x), [])).size == 0
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0, 4.0])
@@ -290,17 +273,6 @@ def test_differences_on_a_pattern() -> None:
     )
 
 
-@settings.get_profile("few")
-@given(SEEDS, st.integers(1, 30))
-def test_columns_of_a_group_share_no_row(seed: int, n: int) -> None:
-    """Each group of columns that are moved together has at most one entry a row."""
-    pattern = sp.random_array((n, n), density=0.2, rng=np.random.default_rng(seed), format="csc")
-    groups = Differences.on(pattern, n).groups
-    assert (groups >= 0).all()
-    for k in range(groups.max() + 1):
-        assert np.diff(pattern[:, groups == k].tocsr().indptr).max(initial=0) <= 1
-
-
 def test_differences_stay_within_the_bounds() -> None:
     """Where x is at its upper bound F is asked below it, and where it is not defined above x also without a bound."""
     problem = NonlinearProblem(lambda x: np.sqrt(2.0 - x), upper=[2.0, 3.0])
@@ -337,6 +309,7 @@ def test_no_solution_is_said_honestly() -> None:
         (lambda x: -np.exp(-x), 0.0),
         (lambda x: -1 / x, 1.0),
         (lambda x: -1 / (1 + x) ** 3, 0.0),
+        (lambda x: -1.0 - 1.0 / x, 1e-9),
         (lambda x: 1 / (1 + x**2), -INF),
         (np.exp, -INF),
         (lambda x: np.array([x[0] - 2, -np.exp(-x[-1])]), 0.0),
@@ -469,24 +442,6 @@ def test_ten_by_x_less_one_is_solved_at_its_root_or_not(
     assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("lower", [0.0, 1e-9])
-def test_what_is_negative_everywhere_is_not_solved(lower: float) -> None:
-    """−1 − 1/x has no solution in x ≥ 0."""
-    assert not solve_nonlinear(
-        NonlinearProblem(lambda x: -1.0 - 1.0 / x, lower=lower), [1.0]
-    ).is_solved
-
-
-@pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
-def test_billups_by_named_algorithms(algorithm: str) -> None:
-    """A linearisation without a solution is no end for a named algorithm: (x − 1)² − 1.01 from 0 is solved."""
-    problem = NonlinearProblem(lambda x: (x - 1.0) ** 2 - 1.01, lambda x: np.diag(2.0 * x - 2.0))
-    assert solved(solve_nonlinear(problem, [0.0], algorithm))[0] == pytest.approx(
-        1.0 + np.sqrt(1.01)
-    )
-
-
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(3.0 * x**2 + 2.0 * x - 2.0)])
 def test_of_several_solutions_one_near_the_start_is_found(
     jacobian: Callable[..., Any] | None,
@@ -551,24 +506,11 @@ HOPELESS = {
 @pytest.mark.full
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
-def test_a_hopeless_nonlinear_problem_ends(
-    algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where nothing can be solved every policy ends, after a bounded number of steps, linearisations and stages."""
-    stages = []
-    solved_by = josephy_newton.solved_within
-
-    def counted(*of: Any) -> Result:
-        result = solved_by(*of)
-        stages.append(len(result.stages))
-        return result
-
-    monkeypatch.setattr(josephy_newton, "solved_within", counted)
+def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str) -> None:
+    """If nothing can be solved every policy ends after a bounded number of steps."""
     result = solve_nonlinear(NonlinearProblem(HOPELESS[name]), [1.0, 0.5], algorithm)
     assert not result.is_solved
     assert result.iterations <= 7 * 30  # starts, and steps without a gain
-    assert len(stages) <= 8 * result.iterations + 8 * 7
-    assert max(stages) <= 8
 
 
 UNSOLVABLE = {
@@ -632,49 +574,6 @@ def test_limits_record_and_callback() -> None:
     assert len(recorded.history) == recorded.iterations + 1
     assert recorded.history[-1].residual <= 1e-8
     np.testing.assert_array_equal(recorded.z, solve_nonlinear(problem, start).z)
-
-
-def test_a_callback_that_raises_is_heard() -> None:
-    """What the callback and F raise reaches the caller."""
-
-    def broken(*_: Any) -> Any:
-        raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), callback=broken)
-    with pytest.raises(ZeroDivisionError):
-        solve_nonlinear(NonlinearProblem(broken), np.ones(5))
-
-
-def test_ctrl_c_keeps_the_best() -> None:
-    """SIGINT inside F, in the middle of a run, gives INTERRUPTED with the best x so far."""
-    calls = []
-
-    def F(x: np.ndarray) -> np.ndarray:
-        calls.append(x)
-        if len(calls) == 60:
-            signal.raise_signal(signal.SIGINT)
-        return models.NASH_10(x)
-
-    result = solve_nonlinear(NonlinearProblem(F), np.ones(10))
-    assert result.status is Status.INTERRUPTED
-    first = solve_nonlinear(NonlinearProblem(models.NASH_10), np.ones(10), max_iterations=0)
-    assert result.residual <= first.residual
-
-
-def test_ctrl_c_during_the_check_of_the_derivative_keeps_the_start() -> None:
-    """Once F and its derivative are known at the start, no Ctrl-C is lost."""
-    calls = []
-
-    def F(x: np.ndarray) -> np.ndarray:
-        calls.append(x)
-        if len(calls) == 5:
-            signal.raise_signal(signal.SIGINT)
-        return x**3 - 8.0
-
-    result = solve_nonlinear(NonlinearProblem(F, lambda x: np.diag(3 * x**2)), [1.0, 2.5])
-    assert (result.status, result.iterations) == (Status.INTERRUPTED, 0)
-    np.testing.assert_array_equal(result.z, [1.0, 2.5])
 
 
 def test_nothing_of_the_callers_is_changed() -> None:
@@ -757,7 +656,6 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
         InvalidProblem,
         "upper must be a number or a vec",
     ),
-    (lambda: NP(np.sin, lower=[2.0], upper=1.0), InvalidProblem, "lower ≤ upper"),
     (
         lambda: solve(NP(np.sin)),
         InvalidOption,
@@ -765,11 +663,8 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     ),
     (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
     (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
-    (lambda: run(NP(np.sin), [np.nan]), InvalidOption, r"x0\[0\] = nan"),
-    (lambda: run(NP(np.sin), np.ones((2, 2))), InvalidOption, "shape"),
     (lambda: run(NP(lambda x: x[:1]), np.ones(2)), InvalidProblem, r"length 2 .* shape \(1,\)"),
     (lambda: run(NP(lambda x: None), np.ones(2)), InvalidProblem, "got None"),
-    (lambda: run(NP(lambda x: 1j * x), np.ones(2)), InvalidProblem, "complex"),
     (
         lambda: run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]),
         InvalidProblem,
@@ -778,7 +673,6 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: run(NP(np.sin, lambda x: np.eye(3)), [1.0]), InvalidProblem, r"shape \(1, 1\)"),
     (lambda: run(NP(np.sin, lambda x: [[np.nan]]), [1.0]), InvalidProblem, "jacobian.*finite"),
     (lambda: run(NP(np.sin), np.ones(1001)), InvalidProblem, "pattern"),
-    (lambda: run(NP(np.sin), [1.0], tolerance=-1), InvalidOption, "tolerance"),
 ]
 
 
@@ -816,13 +710,6 @@ def test_a_right_jacobian_is_not_warned_of(seed: int, kind: str, n: int) -> None
         planted(rng, kind, n).problem, rng.standard_normal(n), max_iterations=0
     )
     assert "contradicts" not in result.explain()
-
-
-def test_a_start_is_optional() -> None:
-    """By default a run begins at the point of the bounds nearest to 0."""
-    problem = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[1.0, 0.0])
-    one, other = solve(problem), solve(problem, x0=[1.0, 0.0])
-    np.testing.assert_array_equal(solved(one), other.z)
 
 
 def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
@@ -902,25 +789,3 @@ def test_only_a_solution_has_a_derivative() -> None:
     """What is not SOLVED has no derivative."""
     with pytest.raises(UnsuitableProblem, match="MAX_ITERATIONS"):
         derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=0))
-
-
-@pytest.mark.full
-def test_a_far_start_of_a_large_problem_costs_few_factorisations():
-    """−Δu = 5 eᵘ under a ceiling of 3 on 11³ points, from the ceiling, where no linearisation is worth solving."""
-    m, ceiling = 11, 3.0
-    line, eye = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(m, m)), sp.eye_array(m)
-    laplace = (
-        sp.kron(sp.kron(line, eye), eye)
-        + sp.kron(sp.kron(eye, line), eye)
-        + sp.kron(sp.kron(eye, eye), line)
-    )
-    laplace = sp.csr_array(laplace * (m + 1.0) ** 2)
-    problem = NonlinearProblem(
-        lambda u: laplace @ u - 5.0 * np.exp(u),
-        lambda u: sp.csr_array(laplace - sp.diags_array(5.0 * np.exp(u))),
-        lower=-np.inf,
-        upper=np.full(m**3, ceiling),
-    )
-    result = solve_nonlinear(problem, np.full(m**3, ceiling + 5.0))
-    assert result.status is Status.SOLVED
-    assert result.work <= 60_000  # 3e5 and more where each linearisation is tried to the end

@@ -96,14 +96,6 @@ def test_monotone_paths_meet_solves(seed: int) -> None:
         )
 
 
-def test_a_path_back_is_the_path() -> None:
-    """From stop to start the same breakpoints are met in the other order."""
-    problem, dq = random_lcp(np.random.default_rng(3), 20, 20, 1.0)
-    there, back = trace(problem, {"q": dq}, 0, 1), trace(problem, {"q": dq}, 1, 0)
-    assert np.allclose(there.breakpoints, back.breakpoints[::-1], rtol=0, atol=1e-12)
-    assert np.allclose(there.x([0.1, 0.7]), back.x([0.1, 0.7]), rtol=0, atol=1e-11)
-
-
 def test_bounds_move() -> None:
     """Bounds may move as q does."""
     path = trace(LCP(np.eye(2), [-1, -1], upper=[1, 4]), {"upper": [1, -1], "q": [-1, 0]}, 0, 4)
@@ -180,15 +172,6 @@ def test_linear_programs_move_along_faces(seed: int) -> None:
         ).require_solved()
         assert path.at(theta).objective == pytest.approx(answer.objective, abs=1e-7)
         assert path.at(theta).is_solved
-
-
-def test_all_of_a_segment_solves() -> None:
-    """Where the best vertex changes both are best, and so is what lies between."""
-    program = QuadraticProgram(None, [0, 1], A=[[1, 1]], b=[1], lower=0)
-    path = trace(program, {"c": [1, 0]}, 0, 2).require_solved()
-    assert path.segments == pytest.approx([1.0])
-    assert [piece.x0.tolist() for piece in path.pieces] == [[1.0, 0.0], [0.0, 1.0]]
-    assert "at 1 all points between two solutions are solutions" in path.explain()
 
 
 def test_infeasible_from_somewhere_on_comes_with_the_proof() -> None:
@@ -272,19 +255,6 @@ def test_lasso_path_is_that_of_lars(seed: int) -> None:
     ).require_solved()
     assert np.allclose(path.breakpoints, theirs * b.size, rtol=0, atol=1e-9 * most)
     assert np.allclose(path.x(np.clip(theirs * b.size, 1e-3 * most, most)), x.T, rtol=0, atol=1e-7)
-
-
-def test_equal_columns_share_nothing_and_break_nothing() -> None:
-    """Columns that are equal make the Gram matrix singular; the path has the least cost all the same."""
-    A, b = lasso(2, 30, 8)
-    twice = np.hstack([A, A])
-    most = np.abs(A.T @ b).max()
-    path = trace(
-        BoundedLeastSquares(twice, b, lower=-INF), {"l1": 1}, most, 1e-2 * most
-    ).require_solved()
-    alone = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-2 * most)
-    for theta in most * np.array([0.8, 0.3, 0.05]):
-        assert path.at(theta).objective == pytest.approx(alone.at(theta).objective, rel=1e-12)
 
 
 def test_penalties_within_bounds_weights_and_a_ridge() -> None:
@@ -425,23 +395,6 @@ def test_a_path_is_shown_in_words_tables_and_pictures() -> None:
     assert len(program.plot().figure.axes) == 1
     with pytest.raises(InvalidOption, match="from 0 to 1"):
         path.plot(rows=[2])
-
-
-def test_one_value_is_a_path_of_one_piece() -> None:
-    """A path from a value to itself is the solution there."""
-    path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 2, 2).require_solved()
-    assert path.at(2).z == pytest.approx([2.5, 0.0])
-
-
-def test_nothing_given_is_modified() -> None:
-    """Data and directions stay as they are."""
-    A, b = lasso(0, 10, 4)
-    kept = A.copy(), b.copy()
-    step = np.ones(4)
-    trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": step}, 5, 0)
-    assert np.array_equal(A, kept[0])
-    assert np.array_equal(b, kept[1])
-    assert np.array_equal(step, np.ones(4))
 
 
 # --- what rounding, units and crossing bounds leave -----------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import pickle
 import re
 from collections.abc import Callable
 from fractions import Fraction
@@ -33,23 +32,18 @@ from lcp_plugin import (
     complements,
     solve,
 )
-from lcp_plugin.core.deadline import seconds_left
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
-from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs, distance
+from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs
 from lcp_plugin.problems.programs.dual_bounds import (
-    DualBounds,
-    DualPoint,
-    _sum_above,
     implied_box,
 )
 from lcp_plugin.problems.programs.feasible_points import (
-    FeasiblePoint,
     FeasiblePoints,
     distance_of_equations,
 )
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
-from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
+from lcp_plugin.proofs.bounds.curvature import constrained_curvature, curvature
 from lcp_plugin.strategies import convex_qps
 
 INF = np.inf
@@ -132,19 +126,6 @@ def test_what_disproves_is_said(x: list[float], reason: str) -> None:
     said = certify(SIMPLE, x)
     assert said.verdict == "disproved"
     assert said.reason.startswith(reason)
-
-
-def test_proofs_are_kept_with_a_program_and_left_out_of_pickles() -> None:
-    """Proofs are made once a program; what a pickle holds does not grow with them, and its data stay read-only."""
-    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
-    before = pickle.dumps(program)
-    said = certify(program, [0.5, 1.5])
-    assert ProgramProofs.of(program) is ProgramProofs.of(program)
-    after = pickle.dumps(program)
-    assert len(after) == len(before)
-    copy = pickle.loads(after)
-    assert not copy.c.flags.writeable
-    assert str(certify(copy, [0.5, 1.5])) == str(said)
 
 
 def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
@@ -248,13 +229,6 @@ def test_multipliers_are_a_pair_or_a_solution() -> None:
         assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
 
 
-def test_a_solution_of_ours_is_an_answer() -> None:
-    """A QPSolution brings x and multipliers."""
-    own = ProgramProofs(SIMPLE).own_solution
-    assert own is not None
-    assert certify(SIMPLE, own).verdict == "proved"
-
-
 def test_wrong_multipliers_of_a_right_x_are_told() -> None:
     """A wrong sign, and a gradient that the multipliers leave; the bounds stand all the same."""
     for wrong in ([-1.0], [0.5]):
@@ -343,13 +317,6 @@ def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
     value = sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(0))
     program = QuadraticProgram(np.zeros((5, 5)), np.zeros(5), G=[row], h=[0.0])
     assert 0 < value <= Fraction(float(program.constraints.excess(np.array(x))[0]))
-
-
-@pytest.mark.parametrize("objective", [(1e-300, 1e155), (5e-324, 1.0)])
-def test_curvature_that_underflows_is_no_distance(objective: tuple[float, float]) -> None:
-    """A P of next to nothing beside c: the form of a step underflows, and nothing is said of the step."""
-    program = QuadraticProgram([[objective[0]]], [objective[1]], lower=-2.0, upper=1.0)
-    assert certify(program, [-2.0 + 1e-9], tolerance=1e-3).verdict in ("proved", "unproved")
 
 
 @pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])
@@ -490,28 +457,6 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(
     assert finite >= 2 * len(draws(25))
 
 
-def test_the_bound_is_sharp_where_it_can_be() -> None:
-    """Of ½x² the bound at x̂ = 1 is its minimum; on x₁ = 0, without curvature of its own, that of a linear objective."""
-    plain = ProgramProofs(QuadraticProgram([[1.0]], [0.0])).bounds
-    assert plain.best(np.ones(1), np.zeros(0)) == pytest.approx(0.0, abs=1e-15)
-    held = ProgramProofs(QuadraticProgram([[0.0]], [1.0], A=[[1.0], [2.0]], b=[0.0, 0.0])).bounds
-    for x in (0.0, 1e-3, 1.0):
-        for y in ([0.0, 0.0], [-1.0, 0.0]):
-            at = DualPoint(np.array([x]), np.array(y))
-            assert held.value(at) <= 0.0
-            assert held._exact_value(at) <= 0.0
-
-
-def test_a_distance_is_that_of_the_worst_optimum() -> None:
-    """Where y is one from the optimum by its value, the answer may be on either side of it: the far one is bounded."""
-    proofs = ProgramProofs(QuadraticProgram(np.diag([2.0, 8.0]), [0.0, 0.0]))
-    for y, end in ((1.0, 3.0), (-1.0, 5.0)):  # x* is y ± 1 as far as the value tells; x = 3
-        point = FeasiblePoint(np.array([y, 0.0]), np.zeros(2), 1.0)
-        assert end <= distance(proofs, np.array([3.0, 0.0]), [point], 0.0) <= 1.05 * end
-    assert distance(proofs, np.ones(2), [], 0.0) == INF
-    assert not Curvature(np.array([1.0, -1e-9])).is_semidefinite
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", ["definite", "definite, equations"])
 @pytest.mark.parametrize("moved", [0.0, 1e-11, 1e-7])
@@ -526,31 +471,6 @@ def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
         assert not CAMPAIGN.faults(case, x, said), said
         small += said.distance is not None and said.distance <= 1e-4 + 1e4 * moved
     assert small >= 7
-
-
-def test_what_bends_down_and_what_is_missed_is_taken_off() -> None:
-    """Weights below 0 sag within the box; between points of A x = b the penalty is taken off: both as much as it is."""
-    flat = QuadraticProgram([[-2.0]], [0.0], lower=-1.0, upper=1.0)
-    sagging = DualBounds(flat, Curvature(np.array([-2.0])), (np.array([-1.0]), np.array([1.0])))
-    at = DualPoint(np.zeros(1), np.zeros(0))
-    assert sagging.value(at) == pytest.approx(-1.0)
-    assert sagging.value(at) <= -1.0
-    straight = DualBounds(
-        flat, Curvature(np.zeros(1)), sagging.box
-    )  # −s t is largest at either end of s
-    for below, above in ((2.0, 3.0), (3.0, 2.0)):
-        assert straight._loss(-np.ones(1), np.ones(1), np.array([below]), np.array([above])) >= 3.0
-    assert _sum_above(np.array([1.0, 2.0**-60])) > 1.0
-    only = QuadraticProgram(
-        [[-1.0]], [0.0], A=[[1.0]], b=[1.0]
-    )  # x = 1 alone, where the objective is −½
-    held = DualBounds(
-        only, Curvature(np.array([1.0]), penalty=2.0), (np.array([-INF]), np.array([INF]))
-    )
-    at = DualPoint(np.zeros(1), np.array([-1.0]))
-    for found in (held.value(at), held._value_of([Fraction(0)], [Fraction(-1)])):
-        assert found == pytest.approx(-0.5)
-        assert found <= -0.5
 
 
 def test_indefinite_by_a_rounding_error_is_no_proof() -> None:
@@ -595,98 +515,6 @@ def test_implied_bounds_are_rounded_outwards() -> None:
             assert Fraction(float(low[j])) <= max(end, Fraction(float(lower[j]))) or a > 0.0
 
 
-@pytest.mark.full
-def test_a_chain_of_free_states_gets_a_bound() -> None:
-    """Positions and speeds without bounds: the dynamics bound them, and errors of 1e-15 in multipliers cost little."""
-    steps, rng = 300, np.random.default_rng(0)
-    rows = sp.lil_array((2 * steps, 3 * steps))
-    for k in range(steps):  # position, speed and force of step k
-        rows[2 * k, 3 * k], rows[2 * k + 1, 3 * k + 1], rows[2 * k + 1, 3 * k + 2] = 1.0, 1.0, -0.1
-        if k:
-            rows[2 * k, 3 * k - 3], rows[2 * k, 3 * k - 2], rows[2 * k + 1, 3 * k - 2] = (
-                -1.0,
-                -0.1,
-                -1.0,
-            )
-    start, force = np.zeros(2 * steps), np.tile([0.0, 0.0, 1.0], steps)
-    start[:2] = 1.0
-    program = QuadraticProgram(
-        sp.diags_array(force),
-        np.tile([0.01, 0.0, 0.0], steps),
-        A=rows.tocsr(),
-        b=start,
-        lower=np.where(force > 0.0, -1.0, -INF),
-        upper=np.where(force > 0.0, 1.0, INF),
-    )
-    assert np.isfinite(implied_box(program)).all()
-    proofs = ProgramProofs(program)
-    own = proofs.own_solution
-    assert own is not None
-    blurred = own.equality + 1e-15 * rng.normal(size=own.equality.size)
-    assert proofs.bounds.value(proofs.bounds.admitted(own.x, blurred)) > own.objective - 1e-6 * (
-        1 + abs(own.objective)
-    )
-
-
-def test_free_columns_are_repaired() -> None:
-    """Multipliers off by 1e-10 on free columns: the plain bound is −∞, the repaired one sharp."""
-    rng = np.random.default_rng(1)
-    A = rng.normal(size=(4, 9))
-    nu, x = rng.normal(size=4), rng.normal(size=9)
-    program = QuadraticProgram(np.zeros((9, 9)), -A.T @ nu, A=A, b=A @ x)
-    proofs = ProgramProofs(program)
-    blurred = nu + 1e-10
-    assert proofs.bounds.value(proofs.bounds.admitted(x, blurred)) == -INF
-    assert proofs.lower(x, np.zeros(0), blurred, program.objective(x)) in (
-        -INF,
-        pytest.approx(program.objective(x)),
-    )
-    dyadic = np.round(64 * A) / 64
-    program = QuadraticProgram(np.zeros((9, 9)), -dyadic.T @ np.ones(4), A=dyadic, b=np.ones(4))
-    found = ProgramProofs(program).lower(x, np.zeros(0), np.ones(4) + 1e-10, -4.0)
-    assert found == pytest.approx(-4.0)
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    "rows", [10, 100]
-)  # below and above what is solved once more for a sharper bound
-def test_a_violated_answer_is_disproved_without_fractions(
-    monkeypatch: pytest.MonkeyPatch, rows: int
-) -> None:
-    """Noise that violates constraints disproves an answer by itself, with bounds of the optimal value beside it."""
-    monkeypatch.setattr(
-        FeasiblePoints, "inside", property(lambda _: pytest.fail("fractions were asked"))
-    )
-    rng = np.random.default_rng(3)
-    n = 4 * rows
-    factor, G, A = (rng.standard_normal(shape) for shape in ((n, n + 5), (n // 2, n), (rows, n)))
-    x = rng.random(n)
-    program = QuadraticProgram(
-        factor @ factor.T / n, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0
-    )
-    noisy = solve(program).x + 1e-4 * rng.standard_normal(n)
-    found = certify(program, noisy)
-    assert found.verdict == "disproved"
-    assert "violated" in found.reason
-    assert found.lower is not None
-    assert found.upper is None or found.lower <= found.upper
-
-
-def test_feasible_points_are_feasible() -> None:
-    """Near a point that misses equations and tight rows by rounding there mostly is one that meets them exactly."""
-    rng, proved = np.random.default_rng(2), 0
-    for seed in range(4):
-        case = CAMPAIGN.case("definite, equations", np.random.default_rng(seed), 6)
-        near = case.x + 1e-9 * rng.normal(size=case.x.size)
-        points = FeasiblePoints(case.program)
-        if (found := points.near(near)) is not None:
-            proved += 1
-            assert np.abs(found.near - near).max() < 1e-6
-            assert Fraction(found.value) >= case.value
-    assert proved >= 1
-
-
 def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
     """Of equations with a known solution, to a radius that rounding explains; of dependent ones there is none."""
     rng = np.random.default_rng(8)
@@ -722,13 +550,6 @@ def test_what_is_called_feasible_is() -> None:
                     seed,
                     size,
                 )
-
-
-def test_a_point_between_two_vectors_has_the_larger_value() -> None:
-    """The value of a point that is known to a radius is above the objective wherever it may lie."""
-    program = QuadraticProgram([[2.0]], [0.0])
-    assert FeasiblePoint.of(program, np.array([1.0]), np.array([2.0])).value == pytest.approx(4.0)
-    assert FeasiblePoint.of(program, np.array([1.0]), np.array([2.0])).value >= 4.0
 
 
 # --- cvxpy -------------------------------------------------------------------------------------------------------
@@ -901,39 +722,6 @@ def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: s
         call()
 
 
-# --- The command --------------------------------------------------------------------------------------------------
-
-
-QPS = """NAME          TWO
-ROWS
- N  obj
- L  r1
-COLUMNS
-    c1        obj       -2.0   r1        1.0
-    c2        obj       -4.0   r1        1.0
-RHS
-    rhs       r1        2.0
-BOUNDS
- FR bnd       c1
- FR bnd       c2
-QUADOBJ
-    c1        c1        2.0
-    c2        c2        2.0
-ENDATA
-"""
-
-
-def write_program(path: Path, **changes: Any) -> None:
-    """The program of the doctest in the layout of arrays."""
-    P, A = sp.csc_array(2.0 * np.eye(2)), sp.csc_array([[1.0, 1.0]])
-    parts = {
-        f"{name}_{part}": getattr(matrix, part)
-        for name, matrix in (("P", P), ("A", A))
-        for part in ("data", "indices", "indptr", "shape")
-    }
-    np.savez(path, **{**parts, "q": [-2.0, -4.0], "l": [-1e20], "u": [2.0], "r": 1.0, **changes})
-
-
 # --- Small multipliers, and time -----------------------------------------------------------------------------------
 
 
@@ -949,58 +737,6 @@ def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
         assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(
             theirs, 1e-6
         )
-
-
-def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Multipliers take at most half of the time that certify is given: what they prove takes time as well."""
-    limits: list[float] = []
-
-    def counted(program: Any, **options: Any) -> Any:
-        limits.append(seconds_left())
-        return solve(program, **options)
-
-    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solve_program", counted)
-    assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
-    assert limits
-    assert max(limits) <= 30.0
-
-
-def test_many_flat_variables_apart_from_each_other() -> None:
-    """A grid whose boundary edges cost nothing: more equations than one exact solve takes, a few at each node."""
-    side = 20
-    number = np.arange(side * side).reshape(side, side)
-    inner = np.concatenate(
-        [
-            np.stack([number[1:].ravel(), number[:-1].ravel()]),
-            np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()]),
-        ],
-        axis=1,
-    )
-    outer = np.concatenate(
-        [number[0], number[-1], number[:, 0], number[:, -1], number[0], number[:, 0], number[-1]]
-    )
-    k = inner.shape[1]
-    A = sp.csr_array(
-        (
-            np.concatenate([np.ones(k), -np.ones(k), np.full(outer.size, 0.3)]),
-            (
-                np.concatenate([inner[0], inner[1], outer]),
-                np.concatenate([np.arange(k), np.arange(k), k + np.arange(outer.size)]),
-            ),
-        )
-    )
-    curved = np.arange(k + outer.size) < k
-    rng = np.random.default_rng(0)
-    v = np.round(rng.normal(size=side * side), 1)
-    c = np.where(curved, rng.normal(size=curved.size), A.T @ v)
-    program = QuadraticProgram(
-        sp.diags_array(1.0 * curved).tocsr(), c, A=A, b=A @ rng.normal(size=curved.size)
-    )
-    answer = ProgramProofs.of(program).own_solution
-    assert answer is not None
-    found = certify(program, answer)
-    assert found.lower is not None
-    assert found.verdict == "proved"
 
 
 @pytest.mark.sampled(3)

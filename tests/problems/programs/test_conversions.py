@@ -21,7 +21,6 @@ from lcp_plugin.problems.programs.conversion import (
 )
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
-from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 
 TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}
 SEEDS = range(6)
@@ -110,14 +109,6 @@ def test_planted_answers_are_optimal(seed: int) -> None:
     assert not on_inactive.is_optimal()
 
 
-def test_a_limit_out_of_reach_excuses_nothing() -> None:
-    """A bound of 1e9 that holds does not make a violation of another row relatively small."""
-    program = QuadraticProgram([[2.0]], [-4.0], [[1.0], [2.0]], [1.0, 1e9], lower=-1e9, upper=1e9)
-    solution = lcp_from_qp(program).origin.recover([1.5])
-    assert solution.primal_residual == pytest.approx(0.5 / 1.5)
-    assert not solution.is_optimal(1e-2)
-
-
 def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
     return solution.inequality, solution.equality, solution.lower, solution.upper
 
@@ -156,14 +147,6 @@ def test_kkt_form_folds_singletons(seed: int) -> None:
 
 
 # --- Which form, and what is folded -------------------------------------------------------------------------
-
-
-def test_auto_chooses_the_form() -> None:
-    """Only bounds, or no rows at all: direct. Otherwise: kkt."""
-    assert lcp_from_qp(planted(0, m=0, p=0).program).origin.form == "direct"
-    assert lcp_from_qp(QuadraticProgram(np.zeros((0, 0)), [])).origin.form == "direct"
-    assert lcp_from_qp(planted(0).program).origin.form == "kkt"
-    assert lcp_from_qp(planted(0, bounded=False, rank=3).program).origin.form == "kkt"
 
 
 def test_simple_rows_become_bounds() -> None:
@@ -313,28 +296,6 @@ def test_gap_program_of_monotone_problems(seed: int) -> None:
 # --- Definiteness ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sparse", [False, True])
-def test_definiteness_is_proven(sparse: bool) -> None:
-    """Definite, semidefinite and indefinite matrices are told apart in any unit of each variable."""
-    wrap = sp.csr_array if sparse else np.asarray
-    rng = np.random.default_rng(0)
-    for n in (1, 2, 5, 30):
-        basis, _ = np.linalg.qr(rng.normal(size=(n, n)))
-        units = 10.0 ** rng.integers(-6, 6, n)
-        for smallest in (1e-3, 0.0, -1e-3):
-            values = np.r_[np.ones(n - 1), smallest]
-            P = (basis * values) @ basis.T
-            P = units[:, None] * (P + P.T) / 2 * units
-            expected = smallest > 0
-            solver = positive_definite_solver(wrap(P))
-            assert (solver is not None) == expected, (n, smallest)
-            if n > 1 or smallest:
-                assert is_semidefinite_to_rounding(wrap(P)) == (smallest >= 0.0), (n, smallest)
-            if solver is not None:
-                x = rng.normal(size=(n, 2)) / units[:, None]
-                np.testing.assert_allclose(solver(P @ x), x, rtol=1e-9, atol=1e-9 / units.min())
-
-
 def game_of(*payoffs: Any) -> Any:
     """What counts as a game: players with payoffs, each with his own action first."""
     return SimpleNamespace(
@@ -343,17 +304,6 @@ def game_of(*payoffs: Any) -> Any:
 
 
 # --- Linear programs, games, absolute values ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_linear_program(seed: int) -> None:
-    """A planted primal-dual pair of a linear program solves its complementarity problem and is recovered."""
-    answer = planted(seed, rank=0)
-    program = answer.program
-    problem = lcp_from_qp(program)
-    z = np.concatenate([answer.x, answer.inequality, answer.equality])
-    assert Certificate.of(problem, z).relative_residual < 1e-12
-    answer.agrees(problem.origin.recover(z), 1e-12)
 
 
 GAMES = {
@@ -418,136 +368,69 @@ def test_a_game_of_players_is_taken_as_it_is() -> None:
         assert problem.origin.recover(solve(problem)).regret < 1e-12
 
 
-def test_regret_sees_what_is_no_equilibrium() -> None:
-    """A strategy that could be improved has a regret of that much."""
-    problem = lcp_from_bimatrix_game([[1, -1], [-1, 1]], [[-1, 1], [1, -1]])
-    assert problem.origin.recover([1.0, 0.0, 1.0, 0.0]).regret == 2.0
-
-
 # --- What is refused, and data that stay as they are ---------------------------------------------------------
 
-EYE = np.eye(2)
+EYE, QP, INVALID = np.eye(2), QuadraticProgram, InvalidProblem
+game = lcp_from_bimatrix_game
 REFUSED = {
-    "P rectangular": (
-        InvalidProblem,
-        "P must be a real matrix of shape",
-        lambda: QuadraticProgram([[1, 2]], [1, 2]),
-    ),
+    "P rectangular": (INVALID, "P must be a real matrix of shape", lambda: QP([[1, 2]], [1, 2])),
     "P not symmetric": (
-        InvalidProblem,
+        INVALID,
         r"P\[0, 1\] = 1.0 and P\[1, 0\] = 0.0",
-        lambda: QuadraticProgram([[1, 1], [0, 1]], [1, 2]),
+        lambda: QP([[1, 1], [0, 1]], [1, 2]),
     ),
     "P in two units": (
-        InvalidProblem,
+        INVALID,
         "P must be symmetric",
-        lambda: QuadraticProgram([[1e20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]),
+        lambda: QP([[1e20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]),
     ),
-    "P complex": (InvalidProblem, "complex", lambda: QuadraticProgram(EYE * 1j, [1, 2])),
-    "P not finite": (
-        InvalidProblem,
-        r"P\[1, 1\] = nan",
-        lambda: QuadraticProgram([[1, 0], [0, np.nan]], [1, 2]),
-    ),
-    "c not a vector": (
-        InvalidProblem,
-        r"c must be a vector.*shape \(1, 2\)",
-        lambda: QuadraticProgram(EYE, [[1, 2]]),
-    ),
-    "c infinite": (InvalidProblem, r"c\[1\] = inf", lambda: QuadraticProgram(EYE, [1, np.inf])),
+    "P complex": (INVALID, "complex", lambda: QP(EYE * 1j, [1, 2])),
+    "P not finite": (INVALID, r"P\[1, 1\] = nan", lambda: QP([[1, 0], [0, np.nan]], [1, 2])),
+    "c not a vector": (INVALID, r"c must be a vector.*shape \(1, 2\)", lambda: QP(EYE, [[1, 2]])),
     "G transposed": (
-        InvalidProblem,
+        INVALID,
         r"got shape \(4, 3\); did you mean G.T\?",
-        lambda: QuadraticProgram(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]),
+        lambda: QP(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]),
     ),
     "A transposed, sparse": (
-        InvalidProblem,
+        INVALID,
         r"got shape \(2, 3\); did you mean A.T\?",
         lambda: LCP.from_qp(EYE, [1, 2], A=sp.csr_array(np.ones((2, 3))), b=[1, 2, 3]),
     ),
     "ranges transposed": (
-        InvalidProblem,
+        INVALID,
         r"did you mean A.T\?",
-        lambda: QuadraticProgram.from_ranges(EYE, [1, 2], np.ones((2, 3)), np.zeros(3), np.ones(3)),
+        lambda: QP.from_ranges(EYE, [1, 2], np.ones((2, 3)), np.zeros(3), np.ones(3)),
     ),
     "G too wide": (
-        InvalidProblem,
+        INVALID,
         r"got shape \(3, 4\)$",
-        lambda: QuadraticProgram(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3]),
+        lambda: QP(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3]),
     ),
-    "G a vector": (
-        InvalidProblem,
-        r"as \[\[…\]\]",
-        lambda: QuadraticProgram(EYE, [1, 2], [1, 2], [1]),
-    ),
-    "P too large": (
-        InvalidProblem,
-        r"shape \(2, 2\), got shape \(3, 3\)",
-        lambda: QuadraticProgram(np.eye(3), [1, 2]),
-    ),
+    "G a vector": (INVALID, r"as \[\[…\]\]", lambda: QP(EYE, [1, 2], [1, 2], [1])),
     "not convex": (
         UnsupportedModel,
         "smallest eigenvalue of P is -3",
-        lambda: solve(QuadraticProgram(-3 * EYE, [1, 2])),
-    ),
-    "not convex beside equations": (
-        UnsupportedModel,
-        "smallest eigenvalue of P is -3",
-        lambda: solve(QuadraticProgram(np.diag([1.0, -3.0]), [0, 0], A=[[1, 1]], b=[1])),
+        lambda: solve(QP(-3 * EYE, [1, 2])),
     ),
     "program without a bound": (
         NotConverged,
         "UNBOUNDED.*bound the unknowns where it falls",
-        lambda: solve(QuadraticProgram(None, [-1, 0], [[0, 1]], [1])).require_solved(),
-    ),
-    "contradiction": (
-        NotConverged,
-        "INFEASIBLE.*check the data",
-        lambda: solve(
-            QuadraticProgram(EYE, [0, 0], [[1, 1], [-1, -1]], [-1, 0.5])
-        ).require_solved(),
+        lambda: solve(QP(None, [-1, 0], [[0, 1]], [1])).require_solved(),
     ),
     "bound a NaN": (
-        InvalidProblem,
+        INVALID,
         r"lower\[1\] = nan; use -inf",
-        lambda: QuadraticProgram(EYE, [1, 2], lower=[0, np.nan]),
+        lambda: QP(EYE, [1, 2], lower=[0, np.nan]),
     ),
-    "G without h": (InvalidProblem, "got G without h", lambda: QuadraticProgram(EYE, [1, 2], EYE)),
-    "b without A": (
-        InvalidProblem,
-        "got b without A",
-        lambda: QuadraticProgram(EYE, [1, 2], b=[1]),
-    ),
-    "h too short": (
-        InvalidProblem,
-        "h must be a vector of length 2",
-        lambda: QuadraticProgram(EYE, [1, 2], EYE, [1]),
-    ),
-    "h at −∞": (
-        InvalidProblem,
-        r"h\[0\] = -inf",
-        lambda: QuadraticProgram(EYE, [1, 2], EYE, [-np.inf, 1]),
-    ),
-    "b infinite": (
-        InvalidProblem,
-        r"b\[0\] = inf",
-        lambda: QuadraticProgram(EYE, [1, 2], A=EYE, b=[np.inf, 1]),
-    ),
-    "bounds crossed": (
-        InvalidProblem,
-        "lower ≤ upper",
-        lambda: QuadraticProgram(EYE, [1, 2], lower=1, upper=0),
-    ),
-    "no program": (
-        InvalidProblem,
-        "needs a QuadraticProgram, got tuple",
-        lambda: lcp_from_qp((EYE, [1, 2])),
-    ),
-    "no LCP": (InvalidProblem, "needs an LCP, got list", lambda: qp_from_lcp([EYE])),
+    "G without h": (INVALID, "got G without h", lambda: QP(EYE, [1, 2], EYE)),
+    "h too short": (INVALID, "h must be a vector of length 2", lambda: QP(EYE, [1, 2], EYE, [1])),
+    "h at −∞": (INVALID, r"h\[0\] = -inf", lambda: QP(EYE, [1, 2], EYE, [-np.inf, 1])),
+    "bounds crossed": (INVALID, "lower ≤ upper", lambda: QP(EYE, [1, 2], lower=1, upper=0)),
     "recover": (
-        InvalidProblem,
+        INVALID,
         "z must be a vector of length 2",
-        lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2])).origin.recover([1]),
+        lambda: lcp_from_qp(QP(EYE, [1, 2])).origin.recover([1]),
     ),
     "gap of a box": (
         UnsuitableProblem,
@@ -560,35 +443,18 @@ REFUSED = {
         lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])),
     ),
     "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).solution().is_optimal(-1)),
-    "game shapes": (
-        InvalidProblem,
-        r"B must be.*\(2, 2\)",
-        lambda: lcp_from_bimatrix_game(EYE, [[1, 2]]),
-    ),
-    "game, one payoff": (
-        InvalidProblem,
-        "B is missing: a game is .* got list alone",
-        lambda: lcp_from_bimatrix_game([[1]]),
-    ),
-    "game, payoffs twice": (
-        InvalidProblem,
-        "leave B out",
-        lambda: lcp_from_bimatrix_game(game_of(EYE, EYE), EYE),
-    ),
+    "game shapes": (INVALID, r"B must be.*\(2, 2\)", lambda: game(EYE, [[1, 2]])),
+    "game, payoffs twice": (INVALID, "leave B out", lambda: game(game_of(EYE, EYE), EYE)),
     "game of three": (
-        InvalidProblem,
+        INVALID,
         "two players, got a game of 3",
-        lambda: lcp_from_bimatrix_game(game_of(EYE, EYE, EYE)),
+        lambda: game(game_of(EYE, EYE, EYE)),
     ),
-    "game empty": (
-        InvalidProblem,
-        "at least one row",
-        lambda: lcp_from_bimatrix_game(np.zeros((0, 2)), EYE),
-    ),
+    "game empty": (INVALID, "at least one row", lambda: game(np.zeros((0, 2)), EYE)),
     "game unsolved": (
         NotConverged,
         "row player",
-        lambda: lcp_from_bimatrix_game(EYE, EYE).origin.recover(np.zeros(4)),
+        lambda: game(EYE, EYE).origin.recover(np.zeros(4)),
     ),
 }
 

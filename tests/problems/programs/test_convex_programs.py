@@ -22,13 +22,10 @@ from lcp_plugin import (
     QPSolver,
     Status,
     UnsupportedModel,
-    box,
     certify,
     complements,
     solve,
 )
-from lcp_plugin.algorithms import Algorithm, Step
-from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
@@ -39,7 +36,6 @@ from lcp_plugin.problems.programs.no_minimum import (
     prove_infeasible,
     prove_unbounded,
 )
-from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.exact.linear_systems import solved_nearby
@@ -73,26 +69,6 @@ def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
         result = solve_program(case)
         answer = result.solution
         assert CAMPAIGN.said(case, answer, result.status.name, value, "") == (True, False), result
-
-
-def test_linear_programs_agree_with_highs() -> None:
-    """Linear programs with all kinds of rows have HiGHS's value, through their conditions of optimality."""
-    from scipy.optimize import linprog
-
-    for seed in range(4):
-        case, _ = CAMPAIGN.case("linear", seed, 0, 20)
-        expected = linprog(
-            case.c,
-            case.G,
-            case.h,
-            case.A if case.b.size else None,
-            case.b if case.b.size else None,
-            bounds=np.column_stack([case.lower, case.upper]),
-        )
-        problem = lcp_from_qp(case)
-        solution = problem.origin.recover(solve(problem, INTERIOR, tolerance=1e-10))
-        assert solution.is_optimal(1e-7)
-        assert solution.objective == pytest.approx(expected.fun, rel=1e-7, abs=1e-7)
 
 
 def test_ranges_say_what_they_say() -> None:
@@ -170,17 +146,6 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
         assert result.is_solved, (seed, result, str(solution))
         assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
         assert result.iterations <= 2000
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(("largest", "seeds"), [(60, 8), (400, 6)])
-def test_rows_and_columns_over_twelve_orders_of_magnitude(largest: int, seeds: int) -> None:
-    """The road of `QPSolver`, which asks for more where rows are left over: the planted value, every row to 1e-6."""
-    for seed in range(seeds):
-        program, value = CAMPAIGN.case("graded rows, columns", seed, 12, largest)
-        solution = solve_program(program).solution
-        assert solution.is_optimal(1e-6), (seed, str(solution))
-        assert solution.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
 @pytest.mark.sampled(1)
@@ -321,22 +286,6 @@ def test_an_infinite_limit_may_be_rounded() -> None:
     assert (program.lower == -INF).all()
 
 
-def test_rounding_is_no_error_as_a_multiplier() -> None:
-    """Between far bounds a reduced cost that only rounding leaves, times the distance, is little of the objective."""
-    program = QuadraticProgram([[1e-3]], [-3e2], A=[[1e7]], b=[3e12], lower=0.0, upper=1e9)
-    problem = lcp_from_qp(program)
-    x, v = 3e5, 0.1 / 7.0
-    c = -(1e-3 * x + 1e7 * v) * (1.0 + 2.0**-52)
-    solution = problem.origin.recover([x])
-    assert solution.is_optimal(1e-9)
-    program = QuadraticProgram(
-        [[1e-3, 0.0], [0.0, 1.0]], [c, 0.0], [[1e7, 1.0]], [1e7 * x], lower=0.0, upper=1e9
-    )
-    solution = lcp_from_qp(program).origin.recover([x, 0.0, v])
-    assert max(solution.lower[0], solution.upper[0]) <= 2.0**-50 * abs(c)
-    assert solution.error <= 1e-9
-
-
 def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
     """Far from the bound 1e-6 next to terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
     program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
@@ -349,17 +298,6 @@ def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
 
 
 # --- Residuals row by row ----------------------------------------------------------------------------------------
-
-
-def test_a_huge_coefficient_hides_no_error_in_another_row() -> None:
-    """Beside a cost of 1e7 an error of 1 in another row is relatively small, and not optimal all the same."""
-    program = QuadraticProgram(np.eye(2), [1e7, -1.0], lower=[0.0, -INF])
-    wrong = QPSolution(program, [0.0, 0.0], [], [], [1e7, 0.0], [0.0, 0.0])
-    assert wrong.error > 1.0
-    assert not wrong.is_optimal()
-    right = QPSolution(program, [0.0, 1.0], [], [], [1e7, 0.0], [0.0, 0.0])
-    assert right.error <= 1e-14
-    assert right.is_optimal(1e-14)
 
 
 def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
@@ -564,34 +502,6 @@ def falling(n: int) -> QuadraticProgram:
     return QuadraticProgram(factor @ factor.T / n, -2.0 * d, G, np.ones(n // 2))
 
 
-def test_a_program_without_a_minimum_is_solved_alike_again() -> None:
-    """The proof that it keeps changes no later call: algorithm, steps and x are those of the first."""
-    rows = sp.csr_array(([1.0, 1.0], ([0, 0], [0, 1])), shape=(1, 500))
-    for program in (
-        QuadraticProgram(sp.eye_array(500), np.ones(500), rows, [-1.0], lower=0.0),
-        contradicting(12),
-        falling(12),
-    ):
-        first, again = solve(program), solve(program)
-        assert first.status is again.status is not Status.SOLVED
-        assert (first.algorithm, first.iterations, first.x.tobytes()) == (
-            again.algorithm,
-            again.iterations,
-            again.x.tobytes(),
-        )
-
-
-def test_a_proof_that_time_has_cut_short_is_looked_for_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A limit that leaves no time for the linear program says nothing of a later call."""
-    program = contradicting(12)
-    with time_limit(0.0), monkeypatch.context() as patched:
-        patched.setattr("lcp_plugin.proofs.no_solution.farkas.linear_program", lambda *_: None)
-        assert program.facts.proof_of_no_minimum is None
-    assert program.facts.proof_of_no_minimum is not None
-
-
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("made", "status", "n"),
@@ -621,33 +531,6 @@ def test_a_rounded_bound_proves_nothing() -> None:
         program = QuadraticProgram([[0.0]], [1.0], [[-3.0]], [-1.0], A=[[1.0]], b=[right])
         proof = proof_of_no_minimum(program)
         assert proof is None or (Fraction(right) * 3 < 1 and proof.verify())
-
-
-def test_infeasible_strictly_convex_programs_are_called_so() -> None:
-    """Recover says infeasible, and a proven problem has no multipliers."""
-    A = np.abs(np.random.default_rng(1).standard_normal((10, 20)))
-    problem = LCP.from_qp(np.eye(20), np.zeros(20), A, -np.ones(10), lower=0.0)
-    result = solve(problem)
-    assert result.status is Status.INFEASIBLE
-    assert np.isnan(problem.origin.recover(result).multipliers).all()
-    assert problem.origin.form == "kkt"
-    single = LCP.from_qp([[1.0]], [0.0], G=[[-1.0], [1.0]], h=[-1.0, 0.0])
-    solution = single.origin.recover(solve(single))
-    assert not solution.is_optimal()
-
-
-def test_a_full_program_gives_a_full_matrix() -> None:
-    """The KKT form of dense data is an ndarray, of sparse data CSR, and both hold the same numbers."""
-    rng = np.random.default_rng(4)
-    F, G = rng.standard_normal((30, 30)), rng.standard_normal((20, 30))
-    full = F @ F.T
-    for P, few, kind in ((full + full.T, 0, np.ndarray), (np.diag(np.abs(F[0])), 28, sp.csr_array)):
-        C = np.triu(G, few)
-        problem = lcp_from_qp(QuadraticProgram(P, np.ones(30), C, np.ones(20)))
-        rows = FoldedRows.of(problem.origin.program).left
-        expected = np.block([[P, C[rows].T], [-C[rows], np.zeros((rows.size, rows.size))]])
-        assert isinstance(problem.M, kind)
-        assert np.array_equal(problem.csr.toarray(), expected)
 
 
 def test_a_linear_program_under_a_limit_of_seconds_is_refuted() -> None:
@@ -775,16 +658,6 @@ def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool
         assert solution.is_optimal()
 
 
-def test_a_stationary_point_of_a_nonconvex_program_is_not_optimal() -> None:
-    """The conditions hold at a saddle of a concave program, which is refused."""
-    program = QuadraticProgram(-np.eye(2), [0.1, 0.0], lower=-1.0, upper=1.0)
-    zero = np.zeros(2)
-    saddle = QPSolution(program, np.array([0.1, 0.0]), np.zeros(0), np.zeros(0), zero, zero)
-    assert saddle.is_optimal()  # of a convex program; solve refuses this one
-    with pytest.raises(UnsupportedModel, match="not convex"):
-        solve(program)
-
-
 def test_an_unbounded_direction_needs_a_feasible_point() -> None:
     """A direction of descent beside contradicting constraints is infeasible, never unbounded."""
     program = QuadraticProgram(
@@ -860,23 +733,6 @@ def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
     getattr(StandardTestLPs, name)(solver=QPSolver, algorithm=INTERIOR)
 
 
-@pytest.mark.parametrize("objective", ["linear", "merely convex", "absolute values"])
-def test_merely_convex_models(objective: str) -> None:
-    """Linear and merely convex cvxpy models agree with HiGHS or Clarabel in value and are feasible."""
-    x = cp.Variable(3)
-    goal = {
-        "linear": cp.sum(x),
-        "merely convex": cp.square(x[0] - x[1]) + cp.sum(x),
-        "absolute values": cp.norm1(x - np.array([3.0, -1.0, 0.5])) + cp.sum_squares(x[:2]),
-    }[objective]
-    constraints = [x >= 0, x[0] + x[1] + x[2] >= 1, x[0] - x[2] <= 3, x[1] - x[2] == -0.25]
-    problem = cp.Problem(cp.Minimize(goal), constraints)
-    value = problem.solve(solver=QPSolver, algorithm=INTERIOR)
-    assert problem.status == "optimal"
-    assert max(float(c.violation().max()) for c in constraints) < 1e-8
-    assert value == pytest.approx(problem.solve(solver=cp.CLARABEL), abs=1e-5)
-
-
 def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
     """Rows that contradict each other by rounding: no point is feasible, and the words do not say that one is."""
     found = solve(
@@ -909,33 +765,6 @@ def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
     problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
     with pytest.raises(UnsupportedModel, match=r'psor needs a positive diagonal.*algorithm="auto"'):
         problem.solve(solver=QPSolver, algorithm="psor")
-
-
-def test_a_sparse_dense_and_empty_program() -> None:
-    """Dense and sparse data give the same answer; no rows at all and one variable work."""
-    rng = np.random.default_rng(1)
-    P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
-    answers = [
-        solve_program(
-            QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR
-        ).solution
-        for wrap in (np.asarray, sp.csr_array)
-    ]
-    np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
-    single = QuadraticProgram(np.zeros((1, 1)), [1.0], lower=-3.0)
-    assert solve_program(single, INTERIOR).solution.x.tolist() == [-3.0]
-
-
-def test_rounding_does_not_make_a_program_nonconvex() -> None:
-    """A row of P that is zero but for rounding errors is accepted; an eigenvalue of −1e-6 is refused by name."""
-    P = np.array([[1.0, 0.0, 1e-17], [0.0, 1.0, 0.0], [1e-17, 0.0, 0.0]])
-    program = QuadraticProgram(P, [-1.0, 0.0, 1.0], lower=[-5.0, -5.0, 0.0])
-    answer = solve_program(program, INTERIOR).solution
-    np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
-    with pytest.raises(UnsupportedModel, match="not convex"):
-        solve_program(
-            QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR
-        )
 
 
 # --- Optimality conditions written by hand ----------------------------------------------------------------------
@@ -972,42 +801,6 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
     answer = solve_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
     assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(
         answer.objective, rel=1e-8, abs=1e-8
-    )
-
-
-@pytest.mark.parametrize("model", ["support vectors", "portfolio"])
-def test_models_declared_with_complements(model: str) -> None:
-    """The dual of a support vector machine and a portfolio agree with Clarabel's value and are monotone."""
-    rng = np.random.default_rng(0)
-    x, offset, price = cp.Variable(20), cp.Variable(), cp.Variable()
-    if model == "support vectors":
-        points = rng.normal(size=(20, 3))
-        y = np.sign(points[:, 0] + 0.3 * rng.normal(size=20))
-        Q = (y[:, None] * points) @ (y[:, None] * points).T
-        constraints = [complements(box(x, 0.0, 1.0), Q @ x - 1 + y * offset), y @ x == 0]
-        goal, ordinary = (
-            0.5 * cp.quad_form(x, Q, assume_PSD=True) - cp.sum(x),
-            [x >= 0, x <= 1, y @ x == 0],
-        )
-    else:
-        gain, S = rng.uniform(0.0, 0.2, 20), rng.normal(size=(20, 15))
-        S = S @ S.T / 20
-        constraints = [
-            complements(x >= 0, S @ x - gain * price + offset >= 0),
-            complements(price >= 0, gain @ x - 0.1 >= 0),
-            cp.sum(x) == 1,
-        ]
-        goal, ordinary = (
-            0.5 * cp.quad_form(x, S, assume_PSD=True),
-            [x >= 0, cp.sum(x) == 1, gain @ x >= 0.1],
-        )
-    assert is_monotone(constraints)
-    problem = cp.Problem(cp.Minimize(0), constraints)
-    problem.solve(method="LCP", algorithm=INTERIOR, tolerance=1e-10)
-    assert problem.status == "optimal"
-    value = float(goal.value)
-    assert value == pytest.approx(
-        cp.Problem(cp.Minimize(goal), ordinary).solve(solver=cp.CLARABEL), abs=1e-6
     )
 
 
@@ -1121,26 +914,3 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     assert problem.origin.program.facts.accepted_proof() is None
     apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
     assert solve(apart.origin.program).status is Status.INFEASIBLE
-
-
-def test_a_limit_nobody_reaches_hides_no_contradiction() -> None:
-    """A row x₃ ≤ 1e12 beside a contradiction of 1e-3 in others changes nothing."""
-    rows = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    program = QuadraticProgram(np.eye(3), np.ones(3), rows, [1.0, -1.001, 1e12])
-    proof = program.facts.accepted_proof()
-    assert isinstance(proof, QPInfeasibility)
-    assert proof.margin > 1e-4
-
-
-class _Points(Algorithm):
-    """Yields given points, each with the residual that it has."""
-
-    name = "points"
-
-    def __init__(self, *points: Any) -> None:
-        object.__setattr__(self, "points", points)
-
-    def iterates(self, problem: LCP, z0: Any) -> Any:
-        yield Step(z0)
-        for point in self.points:
-            yield Step(np.array(point))

@@ -20,8 +20,6 @@ from lcp_plugin import (
     trace,
 )
 
-INF = np.inf
-
 
 @pytest.mark.parametrize("n", [5_000, 200_000])
 def test_a_linear_program_over_a_box_is_solved_at_once(n: int) -> None:
@@ -116,16 +114,6 @@ def test_a_quasiconvex_program_is_bisected() -> None:
     problem.solve(qcp=True, solver=QPSolver())
     assert problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
     assert problem.value == pytest.approx(1.0, abs=1e-5)
-
-
-def test_how_bounds_are_written_changes_no_bit() -> None:
-    """As bounds and as rows of one entry."""
-    rng = np.random.default_rng(1)
-    F, c = rng.normal(size=(6, 6)), rng.normal(size=6)
-    bounds = solve(QuadraticProgram(F @ F.T, c, lower=0))
-    rows = solve(QuadraticProgram(F @ F.T, c, -np.eye(6), np.zeros(6)))
-    assert bounds.x.tobytes() == rows.x.tobytes()
-    assert bounds.algorithm == rows.algorithm == "auto: daqp"
 
 
 @pytest.mark.parametrize("name", ["lemke", "npsor"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from fractions import Fraction
 from typing import Any
 
@@ -11,10 +10,8 @@ import pytest
 import scipy.sparse as sp
 from campaigns.convex_programs import SOLVABLE, case
 
-from lcp_plugin import solve
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
-from lcp_plugin.problems.programs.program_matrices import as_csr
 from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solution import QPSolution
 
@@ -63,14 +60,6 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
         assert getattr(left, name) == getattr(right, name)
 
 
-def test_the_matrix_of_the_conditions_is_shared() -> None:
-    """Facts about the matrix of a problem are known to that of the program with other vectors, in every form."""
-    for kind in ("strictly convex", "linear", "no bounds"):
-        first, _ = case(kind, 3, 0, 12)
-        other = first.with_vectors(c=first.c + 1.0)
-        assert lcp_from_qp(first).matrix is lcp_from_qp(other).matrix
-
-
 def test_rows_that_contradict_their_bounds_come_and_go() -> None:
     """A row that is a bound in one program, and no bound in the next as it contradicts another, is seen as such."""
     first = QuadraticProgram(
@@ -90,26 +79,6 @@ def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
     first = QuadraticProgram(np.eye(2), [1, 1], G=np.eye(2), h=[1, 1], A=np.eye(2), b=[1, 1])
     with pytest.raises(InvalidProblem, match=name):
         first.with_vectors(**{name: wrong})
-
-
-def test_a_pickled_program_says_the_same() -> None:
-    """A program that was converted can be pickled with its problem, and is solved as before."""
-    problem = lcp_from_qp(case("condition 1e8", 5, 0, 12)[0])
-    restored = pickle.loads(pickle.dumps(problem))
-    ours, theirs = (one.origin.recover(solve(one)) for one in (problem, restored))
-    np.testing.assert_array_equal(ours.x, theirs.x)
-    assert theirs.is_optimal()
-
-
-def test_a_full_or_empty_array_is_compressed_as_scipy_does() -> None:
-    """An ndarray as CSR has scipy's arrays, whatever its shape and zeros."""
-    rng = np.random.default_rng(0)
-    for shape in ((0, 3), (3, 0), (1, 1), (4, 3), (2, 5)):
-        for share in (0.0, 0.4, 1.0):
-            dense = np.where(rng.random(shape) < share, rng.normal(size=shape), 0.0)
-            ours, theirs = as_csr(dense), sp.csr_array(dense)
-            for name in ("data", "indices", "indptr"):
-                np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
 
 
 def exactly(row: Any, x: Any) -> Fraction:

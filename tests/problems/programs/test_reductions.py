@@ -79,12 +79,3 @@ def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
     proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
     assert proof is not None
     assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)
-
-
-@pytest.mark.parametrize(("n", "by"), [(40, "daqp"), (401, "piqp")])
-def test_a_contradiction_is_named_by_what_came_upon_it(n: int, by: str) -> None:
-    """Daqp takes up to 400 variables: what contradicts in more, PIQP came upon."""
-    rows = np.zeros((2, n))
-    rows[:, [3, 7]] = [[1.0, 1.0], [-1.0, -1.0]]
-    result = solve(QuadraticProgram(np.eye(n), np.ones(n), rows, [-1.0, -1.0]))
-    assert (result.status.name, result.algorithm) == ("INFEASIBLE", f"auto: {by}")

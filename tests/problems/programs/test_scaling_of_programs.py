@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from typing import Any
 
 import numpy as np
 import pytest
-from campaigns import convex_programs, scaled_programs
+from campaigns import scaled_programs
 
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
@@ -36,15 +35,6 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(
     assert result.status is Status.UNBOUNDED
     assert result.proof is not None
     assert result.proof.is_exact
-    assert result.proof.verify()
-
-
-def test_what_is_infeasible_in_its_own_units_has_a_proof() -> None:
-    """Constraints in mixed units that contradict have a proof."""
-    program, _ = convex_programs.case("infeasible, graded", 57001, 2, 2000)
-    result = solve(program)
-    assert result.status is Status.INFEASIBLE
-    assert result.proof is not None
     assert result.proof.verify()
 
 
@@ -115,26 +105,6 @@ def test_right_hand_sides_that_are_rounding_name_no_unit() -> None:
     assert np.abs(result.x).max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("program", "status"),
-    [
-        (QuadraticProgram(None, [-1.0], lower=-1.0), Status.UNBOUNDED),
-        (
-            QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, 0.5]),
-            Status.INFEASIBLE,
-        ),
-    ],
-)
-def test_the_table_ends_in_the_verdict(
-    program: QuadraticProgram, status: Status, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The last line of verbose=True names what the result says; INTERRUPTED stands nowhere."""
-    assert solve(program, verbose=True).status is status
-    printed = capsys.readouterr().out
-    assert printed.splitlines()[-1].startswith(f"{status.name}: ")
-    assert not re.search("INTERRUPTED", printed)
-
-
 @pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit of program 12")
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", range(15))
@@ -158,15 +128,6 @@ def test_a_far_limit_hides_no_contradiction(far: Any, by: float) -> None:
     assert result.proof.is_exact
     assert result.proof.verify()
     assert result.proof.least_violation == pytest.approx(by / 2, rel=1e-6)
-
-
-@pytest.mark.parametrize("cost", [-1e-3, -1e-9])
-def test_a_large_cost_hides_no_descent(cost: float) -> None:
-    """The objective cost x₁ + 1e10 x₂ over x ≥ 0 falls for ever along x₁ alone."""
-    result = solve(QuadraticProgram(None, [cost, 1e10], lower=0.0))
-    assert result.status is Status.UNBOUNDED
-    assert result.proof.is_exact
-    assert result.proof.direction[1] == 0
 
 
 @pytest.mark.parametrize("far", [-1e13, -1e15, -1e16, -1e19])

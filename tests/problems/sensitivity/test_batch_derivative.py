@@ -121,19 +121,6 @@ def test_entries_of_the_matrix() -> None:
         assert np.isclose((total * change).sum(), (g * shared.jvp(dM=change)).sum(), rtol=1e-12)
 
 
-def test_the_number_of_threads_changes_no_bit() -> None:
-    """Of vjp and jvp, on one, two and five threads."""
-    data = planted(700, 12, 5, symmetric=False)
-    g = np.random.default_rng(0).normal(size=(700, 12))
-    first, *others = (of(data, threads=threads) for threads in (1, 2, 5))
-    gradient, dz = first.vjp(g), first.jvp(dq=g)
-    for other in others:
-        again = other.vjp(g)
-        for name in ("q", "lower", "upper", "M"):
-            assert getattr(again, name).tobytes() == getattr(gradient, name).tobytes()
-        assert other.jvp(dq=g).tobytes() == dz.tobytes()
-
-
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_gradients_and_changes_are_adjoint(symmetric: bool) -> None:
     """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ for changes h of q, both bounds and M."""
@@ -148,14 +135,6 @@ def test_gradients_and_changes_are_adjoint(symmetric: bool) -> None:
     left, right = sum((a * b).sum() for a, b in parts), (g * dz).sum() + (gw * dw).sum()
     terms = sum(np.abs(a * b).sum() for a, b in parts)
     assert abs(left - right) <= 1e-13 * terms
-
-
-def test_a_rough_solution_has_the_exact_derivative() -> None:
-    """A z at tolerance 1e-3 is solved for once more: its gradient by M is that of the solution."""
-    data = planted(30, 10, 7)
-    rough, fine = of(data, algorithm="psor", tolerance=1e-3), of(data, tolerance=1e-12)
-    assert np.abs(rough.batch.z - fine.batch.z).max() > 1e-6
-    assert np.allclose(rough.vjp(np.ones(10)).M, fine.vjp(np.ones(10)).M, rtol=1e-12, atol=1e-13)
 
 
 def test_kinks() -> None:
@@ -175,24 +154,6 @@ def test_kinks() -> None:
         assert found[k].is_unique is False
         assert np.array_equal(dz[k], found[k].jvp(dq=dq[k]))
         assert np.array_equal(gradient.lower[k], found[k].vjp(dq[k]).lower)
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("seed", range(4))
-def test_planted_kinks(seed: int) -> None:
-    """Small integers with z and w known, both 0 above the bound in some rows: named, and treated as one by one."""
-    rng = np.random.default_rng(seed)
-    M = rng.integers(-2, 3, (60, 5, 5)).astype(float) + 12.0 * np.eye(5)
-    place, at_upper = rng.integers(3, size=(60, 5)), rng.random((60, 5)) < 0.3
-    lower = rng.integers(-3, 3, (60, 5)).astype(float)
-    upper = lower + 4.0
-    z = np.where(place == 0, lower + rng.integers(1, 4, (60, 5)), np.where(at_upper, upper, lower))
-    w = np.where(place == 1, np.where(at_upper, -1.0, 1.0) * rng.integers(1, 4, (60, 5)), 0.0)
-    found = of((M, w - (M @ z[:, :, None])[:, :, 0], lower, upper))
-    assert np.array_equal(found.degenerate, place == 2)
-    assert np.array_equal(found.free, place == 0)
-    assert len(found._left) < 10
-    assert_each(found)
 
 
 def test_zero_rows_that_are_free_together_with_a_kink() -> None:
@@ -264,23 +225,6 @@ def test_velocities_of_contacts_have_the_gradient_of_differences() -> None:
     assert is_smooth.sum() > 50
     told = (gradient.q * dq).sum(1)
     assert np.abs(told - forward)[is_smooth].max() <= 1e-4 * (1.0 + np.abs(forward).max())
-
-
-def test_ill_conditioned_blocks_are_left_to_them_too() -> None:
-    """Blocks with a condition of 10¹⁰ lose no more digits in a batch than one by one."""
-    rng = np.random.default_rng(4)
-    turned = [np.linalg.qr(rng.normal(size=(8, 8)))[0] for _ in range(10)]
-    M = np.array([Q @ np.diag(np.geomspace(1.0, 1e-10, 8)) @ Q.T for Q in turned])
-    M = 0.5 * (M + M.transpose(0, 2, 1))
-    found = derivative(solve_batch(M, rng.normal(size=(10, 8)), lower=-INF, tolerance=1e-4))
-    M_gradient = found.vjp(np.ones(8)).M
-    left = list(found._each)
-    assert len(left) > 5
-    assert_each(found)
-    for k in left:
-        own = found[k].vjp(np.ones(8))
-        assert np.allclose(M_gradient[k], own.M.toarray(), rtol=1e-12, atol=0.0)
-        assert np.array_equal(found.jvp(dq=np.ones(8))[k], found[k].jvp(dq=np.ones(8)))
 
 
 def test_a_bad_problem_costs_itself_alone() -> None:
@@ -375,14 +319,6 @@ def test_what_is_refused(call: Any, said: str) -> None:
     """Other shapes and numbers that are not finite, in words that name the argument."""
     with pytest.raises(InvalidProblem, match=said):
         call(of(planted(5, 4, 10)))
-
-
-def test_one_negative_index_and_too_large_ones() -> None:
-    """``found[-1]`` is the last; beyond the end is an IndexError."""
-    found = of(planted(3, 2, 11))
-    assert found[-1] is found[2]
-    with pytest.raises(IndexError):
-        found[3]
 
 
 def test_a_slack_of_rounding_need_not_be_a_kink() -> None:

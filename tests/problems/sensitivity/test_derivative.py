@@ -10,18 +10,16 @@ import pytest
 import scipy.sparse as sp
 from campaigns import derivatives as campaign
 from drawn_scaling import scaled_solved, strict
-from exact import FREE, LOWER, UPPER, exact_solution
+from exact import LOWER, UPPER, exact_solution
 from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Status, derivative, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.problems.sensitivity import Derivative
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems import free_systems
-from lcp_plugin.systems.free_systems import FreeSystem
 
 STRICT = strict(solved_lcps(bounds=True))
 ACCURACY = 1e-12
@@ -135,14 +133,6 @@ def test_differences_within_an_active_set_are_derivatives(drawn, data) -> None:
         assert distance(dz, exact) <= ACCURACY * (np.linalg.cond(M, np.inf) if F else 1.0)
 
 
-def test_the_derivative_by_one_entry_of_the_matrix() -> None:
-    """dz/dm₁₁ of z = −q/m is q/m²: −5/2 · 1/2 with another row held at its bound."""
-    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
-    assert np.array_equal(found.jvp(dM=[[1, 0], [0, 0]]), [-1.25, 0.0])
-    assert np.array_equal(found.jvp(dM=sp.csr_array([[1.0, 0], [0, 0]])), [-1.25, 0.0])
-    assert np.array_equal(found.jvp(dM=[[0, 7], [7, 7]]), [0.0, 0.0])
-
-
 @settings.get_profile("few")
 @given(STRICT, st.integers(0, 9))
 def test_the_products_are_adjoint(drawn, seed) -> None:
@@ -174,35 +164,6 @@ def test_the_gradient_by_the_matrix_has_its_pattern() -> None:
         assert isinstance(gradient, sp.csr_array)
         assert np.array_equal(gradient.indices, sp.csr_array(dense).indices)
         assert np.array_equal(gradient.indptr, sp.csr_array(dense).indptr)
-
-
-def test_a_fixed_row_follows_its_bounds() -> None:
-    """Where lower = upper, z moves with both, is never degenerate, and the gradient is at the bound that w asks for."""
-    for q, side in ((-7.0, "upper"), (7.0, "lower"), (-2.0, "lower")):  # w = −5, 9 and 0
-        found = found_of(LCP([[2.0]], [q], lower=1.0, upper=1.0))
-        assert found.degenerate.size == 0
-        assert found.is_unique is True
-        assert np.array_equal(found.jvp(dlower=3.0, dupper=3.0), [3.0])
-        gradient = found.vjp([1.0])
-        assert (gradient.lower + gradient.upper, gradient.q) == (1.0, 0.0)
-        assert getattr(gradient, side) == 1.0
-
-
-def test_w_follows() -> None:
-    """The change of w is dM z + M dz + dq: 0 on free rows, and where z is held dw is what moves."""
-    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
-    dM, dq = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1.0, 1.0])
-    dz = found.jvp(dM=dM, dq=dq)
-    assert np.array_equal(dz, [-1.75, 0.0])
-    assert np.array_equal(found.dw(dz, dM=dM, dq=dq), [0.0, 6.75])
-
-
-def test_a_free_row_has_no_part_in_what_w_tells() -> None:
-    """Its w stays 0: gw there changes no bit of any gradient, however large it is."""
-    found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
-    one, other = found.vjp([1, 1], [0, 1]), found.vjp([1, 1], [1e17, 1])
-    assert all(np.array_equal(*pair) for pair in zip(one[:3], other[:3], strict=True))
-    assert np.array_equal(one.M.data, other.M.data)
 
 
 # --- Which rows are what ------------------------------------------------------------------------------------
@@ -347,19 +308,6 @@ def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float)
 # --- Which systems are solved -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [0, 1, 5])
-@pytest.mark.parametrize("state", [LOWER, FREE, UPPER])
-def test_all_rows_alike(n: int, state: int) -> None:
-    """No rows, one and five: all free, all at the lower, all at the upper bound."""
-    problem = LCP(
-        2.0 * np.eye(n) - 0.5 * np.eye(n, k=1), np.full(n, -4.0 * state), lower=-1.0, upper=1.0
-    )
-    found = found_of(problem)
-    assert np.array_equal(found.free, np.full(n, state == FREE))
-    assert found.is_unique is True
-    check_against(piece_of(found), found)
-
-
 SINGULAR_ROOTS = ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]])
 
 
@@ -415,17 +363,6 @@ def test_a_nearly_singular_block_is_solved_as_its_condition_allows(small: float)
     found = found_of(problem)
     assert found.free.tolist() == [True, True, False]
     check_against(piece_of(found), found, accuracy=4e-16 * 4.0 / small)
-
-
-def test_units_far_apart_are_no_singularity() -> None:
-    """A regular block whose unknowns are measured in units 10¹² apart is solved, a singular one is not."""
-    M = np.array([[1.02e-11, 0.0, 4e-1], [-9e-8, 7.3e4, 2e3], [3e-13, 1.8e-2, 6e-1]])
-    for block, is_singular in (
-        (M, False),
-        (np.array([[1e-9, 1e3], [1e-3, 1e9]]) * (1.0 + 1e-16), True),
-    ):
-        system = FreeSystem(Matrix(block), np.ones(len(block), np.bool_))
-        assert system.is_singular == is_singular
 
 
 def convection(n: int, drift: float) -> sp.csr_array:
@@ -524,19 +461,6 @@ def test_wrong_shapes_and_numbers_are_refused(call) -> None:
     assert np.array_equal(found.jvp(dq=[1.0, 0.0]), [-0.5, 0.0])
 
 
-def test_what_is_handed_over_stays_as_it_is() -> None:
-    """jvp, vjp and dw modify none of their arguments, and not the result."""
-    problem = LCP([[2, 1], [1, 2]], [-5, 1])
-    result = solve(problem)
-    z, arrays = result.z.copy(), [np.ones((2, 2)), *np.ones((4, 2))]
-    found = derivative(result)
-    found.jvp(**dict(zip(("dM", "dq", "dlower", "dupper"), arrays, strict=False)))
-    found.vjp(arrays[1], arrays[4])
-    found.dw(arrays[1], dM=arrays[0], dq=arrays[2])
-    assert all((array == 1.0).all() for array in arrays)
-    assert np.array_equal(result.z, z)
-
-
 def grid(size: int) -> sp.csr_array:
     """The five-point Laplacian."""
     second = sp.diags_array(
@@ -561,23 +485,6 @@ def test_the_unit_of_rows_spoils_no_krylov_step(decades: int) -> None:
     expected[free] = sp.linalg.spsolve(sp.csc_array(L[free][:, free]), -(h / D)[free])
     np.testing.assert_allclose(dz, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     assert abs(g @ dz - found.vjp(g).q @ h) <= 1e-11 * np.abs(g) @ np.abs(dz)
-
-
-def test_a_block_in_uneven_units_is_factorised_at_once() -> None:
-    """Rows and columns in units of 10^±6, alike: pivots stay on the diagonal, where there is no fill to wait for."""
-    rng, L = np.random.default_rng(0), grid(60)
-    n = L.shape[0]
-    unit = 10.0 ** rng.uniform(-3.0, 3.0, n)
-    M = sp.csr_array(sp.diags_array(unit) @ L @ sp.diags_array(unit))
-    system, right = FreeSystem(Matrix(M), np.ones(n, np.bool_)), rng.standard_normal(n)
-    assert system._factor is not None
-    assert system._factor.solve_work <= 40.0 * M.nnz
-    expected = sp.linalg.spsolve(sp.csc_array(L), right)
-    for transposed in (False, True):
-        x = system.solve(unit * right, transposed=transposed)
-        np.testing.assert_allclose(
-            unit * x, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max()
-        )
 
 
 @pytest.mark.parametrize("diagonal", [1e-6, 1e-9, 1e-12])

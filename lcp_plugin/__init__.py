@@ -1,21 +1,22 @@
 """Linear complementarity problems: model, solve, certify.
 
-Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below load on first use, so that
-``import lcp_plugin`` costs no more than numpy and scipy.sparse. Each has its help; these are pages on a whole subject:
+Find z with lower ≤ z ≤ upper and w = M z + q complementary: w_i ≥ 0 if z_i = lower_i, w_i ≤ 0 if z_i = upper_i, w_i = 0
+between them. The names below load on first use, so that ``import lcp_plugin`` loads only numpy. ``help(name)``
+describes each of them; these pages describe a whole subject:
 
-- ``help("lcp_plugin.core")``: what every solve needs, and in which order to read it
-- ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
+- ``help("lcp_plugin.core")``: the modules of every solve, and the order in which to read them
+- ``help("lcp_plugin.modeling")``: the models that cvxpy may contain, and their statuses
 - ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games
-- ``help("lcp_plugin.auto")``: what algorithm="auto" does
-- ``help("lcp_plugin.methods.direct")``: how it goes on without sweeps
-- ``help("lcp_plugin.core.splittings")``: what to expect of sweeps
-- ``help("lcp_plugin.proofs")``: what is proved of a matrix, a method, an error, a problem without solution
-- ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which scaling
-- ``help("lcp_plugin.problems.programs.criterion")``: the same of a quadratic program
+- ``help("lcp_plugin.auto")``: the choice of methods by algorithm="auto"
+- ``help("lcp_plugin.methods.direct")``: the direct methods, and their order
+- ``help("lcp_plugin.core.splittings")``: sweeps, and how fast they converge
+- ``help("lcp_plugin.proofs")``: proofs about a matrix, a method, an error, an infeasible problem
+- ``help("lcp_plugin.core.certificates.criterion")``: the stopping criterion behind SOLVED
+- ``help("lcp_plugin.problems.programs.criterion")``: the stopping criterion of quadratic programs
 - ``help("lcp_plugin.interfaces.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, files, finite elements
 - ``help("lcp_plugin.evidence")``: error against time, studies, cross-validation; other packages
-- ``help("lcp_plugin.ranks")``: several machines
+- ``help("lcp_plugin.ranks")``: distributed problems on several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
 """
 
@@ -29,7 +30,7 @@ __version__ = "0.1.0"
 
 
 def _homes() -> dict[str, str]:
-    """Return the module of each public name, as ``__init__.pyi`` says, which editors and mypy read."""
+    """Return the module of each public name from ``__init__.pyi``, which editors and mypy also read."""
     lines = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8").splitlines()
     said = [
         line.split() for line in lines if line.startswith("from ")

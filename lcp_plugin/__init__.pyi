@@ -1,4 +1,4 @@
-# The public names and where each is written: __init__.py loads them from there, editors and mypy read it as it is.
+# The public names and the module of each: __init__.py loads them from this table; editors and mypy read it directly.
 
 from . import gallery as gallery
 from . import strategies as strategies

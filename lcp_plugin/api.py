@@ -67,56 +67,56 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     Parameters
     ----------
     problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem, BoundedLeastSquares, or one over cones
-        Never modified. What follows is said of an LCP; see Notes for the others.
+        Never modified. The descriptions below refer to an LCP; see Notes for the other classes.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     **options
-        As follows, and those of the named algorithm.
+        The options below, and the options of the named algorithm.
     z0 : array, shape (n,), or a number for n = 1, optional
-        Start, of every kind of problem; x0 is the same where the unknown is called x. It is projected onto the bounds;
-        by default it is the point of [lower, upper] nearest to 0. ``interior_point`` and
-        ``lemke`` begin with the active set of a z0 whose residual is at most a tenth of that of the default start;
-        engines of programs begin anew. Where a start changes nothing, ``explain()`` says so.
+        Starting point, projected onto the bounds; x0 is the same option for problems in x. Default: the point of
+        [lower, upper] nearest to 0. ``interior_point`` and ``lemke`` start from the active set of z0 if the residual of
+        z0 is at most a tenth of the default start's residual; external solvers of programs ignore z0. ``explain()``
+        reports an unused start.
     tolerance : float
-        In [0, 1), relative: 1e-8 by default, of a QuadraticProgram and an EquilibriumProgram 1e-6 (the gap). Here
+        Relative tolerance in [0, 1). Default 1e-8; for a QuadraticProgram and an EquilibriumProgram 1e-6 (the gap).
         SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
-        is at most this times that of the point of [lower, upper] nearest to 0, and that no row is violated by more
-        than tolerance^(3/4) of its terms: ``help("lcp_plugin.core.certificates.criterion")``.
+        is at most this times the residual of the point of [lower, upper] nearest to 0, and that no row is violated by
+        more than tolerance^(3/4) of its terms: ``help("lcp_plugin.core.certificates.criterion")``.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the
         iteration under way, as Ctrl-C is, which raises KeyboardInterrupt before the first step; a long factorization
         is finished first. With a limit, none is begun that is predicted not to fit.
     absolute_tolerance : float
-        In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance is solved in any case. Use it for contacts at rest,
-        whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved by more than it.
+        In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance also counts as solved. Use it for contacts at rest,
+        whose gaps are rounding errors. INFEASIBLE and NO_SOLUTION are proved by a larger margin.
     record : bool
-        Keep samples of the run at geometric intervals in ``Result.history``; of an engine its start and its end.
+        Keep samples of the run at geometric intervals in ``Result.history``; an external solver has a first and a last.
     callback : callable, optional
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
-        run with status INTERRUPTED. What it raises is passed on. External solvers show no steps: it is called with
-        their point.
+        run with status INTERRUPTED. Its exceptions propagate. External solvers show no steps: it is called with their
+        point.
     error_bound : bool
-        Bound |z − z*| in the result, computed when it is looked at. None where nothing about M allows a bound; see
+        Compute a bound of |z − z*| when ``result.error_bound`` is read. None if M allows no bound; see
         :func:`lcp_plugin.error_bound`.
     prove_infeasibility : bool
-        Look for a proof that there is no solution where none is found. False saves the work: a run that finds no
-        solution then ends STALLED.
+        If no solution is found, search for a proof that none exists. False saves this work: such a run then ends
+        STALLED.
     threads : int, optional
-        How many threads this solve may use; by default all that the process may use. The answer is the same bit for
-        bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
+        Number of threads of this solve; by default all that the process may use. The result is the same bit for bit
+        for any number. ``OMP_NUM_THREADS`` sets the threads of BLAS.
     verbose : bool
         Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
-        seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.
+        seconds), the end, and a line when kernels are compiled. By default nothing is printed.
 
     Returns
     -------
     Result
-        For other kinds of problem a result class of their own; each is an
-        :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x, objective, advice and proof. Always, whatever
-        the status, with the best iterate whose residual was measured (in-place methods are measured at intervals and
-        at the end), also after Ctrl-C; before the first step that is the start. ``result.require_solved()`` raises
-        instead.
+        Other problem classes have their own result classes; each is an
+        :class:`~lcp_plugin.core.solving.answer.Answer`, with status, x, objective, advice and proof. For every status,
+        also after Ctrl-C, it holds the best iterate whose residual was measured (in-place methods are measured at
+        intervals and at the end); before the first step this is the start. ``result.require_solved()`` raises
+        NotConverged if the status is not SOLVED.
 
     Raises
     ------
@@ -125,8 +125,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
 
     Notes
     -----
-    For other kinds of problem, the functions and classes below say which options there are (others raise
-    InvalidOption), what SOLVED means, and which tolerance is the default:
+    For other problem classes, the functions and classes below describe the options (others raise InvalidOption), the
+    meaning of SOLVED, and the default tolerance:
 
     - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.problems.nonlinear.solving.solve_nonlinear`;
     - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and

@@ -1,6 +1,6 @@
 """Models in ``.nl`` files by chance, and what the executable's answers to them are held against.
 
-Small whole numbers, so that infeasible, unbounded and degenerate ones are among them: objectives (none, constant,
+Small integers, so that infeasible, unbounded and degenerate ones are among them: objectives (none, constant,
 linear, convex, not convex, nonlinear, two of them), equations, inequalities, ranges, complementarities of all four
 kinds whose bounds are those of the variable or not, fixed and integer variables, defined variables, names, starts.
 """

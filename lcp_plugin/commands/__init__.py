@@ -1,1 +1,1 @@
-"""What the subcommands of `lcp-plugin` do; `cli` says what they are called."""
+"""Functions behind the subcommands of `lcp-plugin`, which :mod:`.cli` declares."""

@@ -1,6 +1,6 @@
 """lcp-plugin-ampl: reads stub.nl and writes stub.sol, the way AMPL, Pyomo and JuMP call a solver.
 
-A modelling language asks for the version often, so nothing is imported before it is needed.
+A modeling language requests the version often, so nothing is imported before it is needed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ KEYWORDS: dict[str, tuple[Any, str]] = {
     "max_iterations": (int, "limit of iterations (100000), or of nodes (none)"),
     "max_seconds": (float, "limit of wall-clock seconds (none)"),
     "outlev": (int, "1 prints the run (0)"),
-    "prove": (int, "1 asks for a proof of the gap, of an objective next to complementarities (0)"),
+    "prove": (
+        int,
+        "1 requests a proof of the gap, if an objective comes with complementarity conditions (0)",
+    ),
     "threads": (int, "number of threads (all)"),
     "tolerance": (float, "solved means a residual of at most this (1e-8), or such a gap (1e-6)"),
 }
@@ -53,14 +56,14 @@ def run() -> None:
 
 
 def main(words: list[str], environment: str = "") -> int:
-    """Do what the words request and return the exit code; failures are one line on stderr.
+    """Run the requested command and return the exit code; failures are one line on stderr.
 
     Parameters
     ----------
     words : list of str
         Of the command line.
     environment : str
-        Assignments; those of the command line replace them.
+        Assignments; assignments on the command line replace them.
     """
     try:
         if (information := _information(words)) is not None:
@@ -106,7 +109,7 @@ def assigned(text: str, where: str = "") -> dict[str, Any]:
         try:
             found[name] = kind(value)
         except ValueError:
-            needed = {float: "a number", int: "a whole number"}[kind]
+            needed = {float: "a number", int: "an integer"}[kind]
             raise InvalidOption(
                 f"{name} needs {needed}, got {value!r}{where}; it is: {what}"
             ) from None
@@ -146,7 +149,7 @@ def _solve(words: list[str], environment: str) -> int:
 
 
 def _answer(content: NLContent, settings: dict[str, Any]) -> tuple[str, Any, Any, int]:
-    """Return message, values, duals and code; a model that is refused is answered by its refusal."""
+    """Return message, values, duals and code; for a rejected model the message is the error's text."""
     from ..interfaces.nl.model import model_of
 
     try:

@@ -108,6 +108,6 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
 
 
 def _drop_output() -> None:
-    """Let go of what stdout could not write: Python would try once more at its end, and exit with 120."""
+    """Discard the output that stdout could not write: Python would try again at its end, and exit with 120."""
     with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())

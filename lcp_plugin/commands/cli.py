@@ -1,4 +1,4 @@
-"""lcp-plugin: read a problem, call one function of the package, print what it explains."""
+"""lcp-plugin: read a problem, call one function of the package, print its report."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def solve(
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: MaxSeconds = None,
     prove_infeasibility: Annotated[
-        bool | None, typer.Option(help="Look for a proof that there is no solution.")
+        bool | None, typer.Option(help="Search for a proof that no solution exists.")
     ] = None,
     threads: Annotated[
         int | None, typer.Option(help="Number of threads; BLAS's: OMP_NUM_THREADS.")
@@ -129,7 +129,7 @@ def check(
     max_seconds: MaxSeconds = None,
     size: Size = None,
 ) -> bool:
-    """Compare our solution with that of a convex solver."""
+    """Compare our solution with a convex solver's solution."""
     from ..evidence.cross_check import cross_validate
     from .target import read_lcp
 
@@ -218,7 +218,7 @@ def compare(
 
 @command("list", "0 done", "list")
 def list_names() -> None:
-    """List algorithms and external solvers with what they need, and test problems."""
+    """List algorithms and external solvers with their requirements, and test problems."""
     from .tables import print_names
 
     print_names()

@@ -42,7 +42,7 @@ def run(
     _check_outputs(target, plot, out)
     given = read_target(target, size)
     if shape is not None and given.scene is not None:
-        raise InvalidOption("--grid is for a file; a scene knows its grid, leave it out")
+        raise InvalidOption("--grid is for a file; a test problem has its own grid, leave it out")
     if isinstance(given.problem, LCP):
         settings = settings | {"record": plot is not None}
     if hasattr(given.problem, "content"):  # an .nl file
@@ -108,7 +108,7 @@ def _steps(
 
 
 def _march_lines(given: Target, answers: list[Any]) -> list[str]:
-    """Return the residuals of an LCP, the errors that a scene knows, and the totals of a march."""
+    """Return lines with the residuals of an LCP, the errors against a known solution, and the totals of a march."""
     scene, last = given.scene, answers[-1]
     lines = str(last.certificate).splitlines() if isinstance(given.problem, LCP) else []
     if scene is None:
@@ -156,9 +156,11 @@ def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
     for pair in [*([] if relaxation is None else [f"relaxation={relaxation}"]), *pairs]:
         key, equals, text = pair.partition("=")
         if not equals or not key:
-            raise InvalidOption(f"--option wants name=value, got {pair!r}")
+            raise InvalidOption(f"--option requires name=value, got {pair!r}")
         if key in own:
-            raise InvalidOption(f"{key} is no option of an algorithm; see lcp-plugin solve --help")
+            raise InvalidOption(
+                f"{key} is not an option of an algorithm; see lcp-plugin solve --help"
+            )
         if key in options:
             raise InvalidOption(f"the option {key} is given twice; once is enough")
         options[key] = _value(text)
@@ -166,7 +168,7 @@ def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """Return a whole number, a number, the meaning of a word, or the word."""
+    """Return an integer, a number, the meaning of a word, or the word."""
     for kind in (int, float):
         try:
             return kind(text)
@@ -184,13 +186,13 @@ def _shape_of(grid: str | None, plot: Path | None) -> tuple[int, ...] | None:
     sizes = grid.lower().replace("×", "x").split("x")
     if not all(size.strip().isdecimal() and int(size) for size in sizes):
         raise InvalidOption(
-            f"--grid wants whole numbers, rows x columns, as --grid 500x500; got {grid!r}"
+            f"--grid requires integers, rows x columns, as --grid 500x500; got {grid!r}"
         )
     return tuple(int(size) for size in sizes)
 
 
 def _check_outputs(target: str, plot: Path | None, out: Path | None) -> None:
-    """Refuse before the run what could not be written after it."""
+    """Raise an error before the run if an output could not be written after it."""
     if plot is not None:
         from ..evidence.drawing import check_format, require_matplotlib
 

@@ -1,4 +1,4 @@
-"""What `analyze` and `list` print: proofs about a matrix, guarantees of algorithms, and names."""
+"""Tables printed by `analyze` and `list`: proofs about a matrix, guarantees of algorithms, and names."""
 
 from __future__ import annotations
 

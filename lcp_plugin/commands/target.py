@@ -11,7 +11,7 @@ from ..core.problem_classes import refusal
 
 
 class Target(NamedTuple):
-    """A problem with what its source knows about it.
+    """A problem and the facts that its source supplies.
 
     Attributes
     ----------
@@ -19,7 +19,7 @@ class Target(NamedTuple):
         An ``NLModel`` of an .nl file.
     scene : Scene or None
     constant, sign : float
-        The objective of a file is sign · (that of the program + constant).
+        The objective of a file is sign · (the program's objective + constant).
     names : sequence of str or None
         Of the variables.
     """
@@ -53,9 +53,11 @@ def read_target(target: str, size: int | None = None) -> Target:
     path = Path(target)
     if not (set(target) & set("/\\.") or path.exists() or Path(f"{target}M.mtx").exists()):
         hint = did_you_mean(name, gallery.names(), is_listed=True)
-        raise InvalidOption(f"{target!r} is neither a file nor a scene{hint}")
+        raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
     if size is not None:
-        raise InvalidOption(f"--size {size} is for a scene, but {target!r} is none; leave it out")
+        raise InvalidOption(
+            f"--size {size} is for a test problem, but {target!r} is not one; leave it out"
+        )
     if path.suffix.lower() in MPS:
         program, constant, sign, names = load_program(target)
         return Target(program, None, constant, sign, names)

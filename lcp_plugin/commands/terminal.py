@@ -16,7 +16,7 @@ UPDATE_SECONDS = 0.1
 
 @contextmanager
 def moving_line(text: str) -> Iterator[Callable[[str], None] | None]:
-    """Show a line on stderr while something runs, and give the function that changes it; None if nobody looks."""
+    """Show a line on stderr while something runs, and yield the function that changes it; None without a terminal."""
     if not (sys.stderr and sys.stderr.isatty()):
         yield None
         return
@@ -28,7 +28,7 @@ def moving_line(text: str) -> Iterator[Callable[[str], None] | None]:
 
 
 def steps_on(say: Callable[[str], None]) -> Callable[[Sample, FloatVector], bool]:
-    """Return a callback of `solve` that says where the run is."""
+    """Return a callback of `solve` that shows the progress of the run."""
     last = -UPDATE_SECONDS
 
     def show(sample: Sample, z: FloatVector) -> bool:

@@ -1,4 +1,4 @@
-"""What an algorithm is: frozen options and an iterator; no clock, no tolerance, no status."""
+"""The interface of algorithms: frozen options and an iterator; no clock, no tolerance, no status."""
 
 from __future__ import annotations
 
@@ -27,24 +27,25 @@ class Step:
     Attributes
     ----------
     z : ndarray, shape (n,)
-        Borrowed: the algorithm may overwrite it after the driver has asked for the next step.
+        Borrowed: the algorithm may overwrite it when it computes the next step.
     residual : float or None
         Exactly the numerator of the relative residual of this z, where the algorithm has it for free.
     increment : float or None
-        ‖z − previous z‖∞; tells the driver when a residual is worth measuring.
+        ‖z − previous z‖∞; the driver uses it to decide when to measure a residual.
     work : float
         Matrix entries touched since the last step, divided by the nonzeros of M.
     is_settling : bool
-        The algorithm has just changed a parameter of its own: a residual that does not fall now is no standstill.
+        The algorithm has just changed one of its parameters: a residual that does not fall now does not count as a
+        stall.
     proof : object, optional
-        Of `proofs`: that the problem has no solution. The driver verifies it before it believes it.
+        A proof from `proofs` that the problem has no solution. The driver accepts it only after ``verify()``.
     remark : str
-        A clause for the advice of a run that does not solve the problem: what was left undecided, and what to do.
+        A clause for the advice of a run that does not solve the problem: the undecided question, and the next step.
     label : str
         The name of the part at work, where an algorithm has several; the result shows them as its stages.
     least_residual : float
-        No z has a smaller relative residual, as doubles say, without a proof: where the run asks for less, `auto`
-        spends no work on other methods.
+        Lower bound, computed in double precision and not proved, of the relative residual of every z: if the run
+        requires less, `auto` spends no work on other methods.
     """
 
     z: FloatVector
@@ -63,18 +64,17 @@ class Algorithm(ABC):
     """An algorithm: a frozen dataclass of its options, with a generator of iterates.
 
     Class attributes describe it to readers: `name` (registry name), `needs`, `solves`
-    (matrix classes with a proof), `cost` (of one iteration), `reference`, each "–" unless the class says more. Of a
-    method in this package the first two are tested: `needs` that begins with "positive diagonal" means that it calls
+    (matrix classes with a proof), `cost` (of one iteration), `reference`; "–" if the class does not set them. For the
+    methods of this package the first two are tested: `needs` that begins with "positive diagonal" means that it calls
     `require_positive_diagonal`, and a class of matrices in `solves` ("H₊", "SPD", "PSD") that `theorem` proves it, for
-    the default options, on such matrices. Besides,
-    `is_monotone` False says that rises of the residual are legal, and
-    that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
-    run whose best residual stands still.
+    the default options, on such matrices. In addition,
+    `is_monotone` = False declares that the residual may rise, and that the iterator ends by itself if it cannot
+    continue; `is_watched` declares that the driver nevertheless ends a run whose best residual no longer falls.
 
-    A method of your own needs a `name` and `iterates(problem, z0)`; clock, tolerance and status are `solve`'s. Of its
-    problem it may use, and must not change:
+    A method of your own needs a `name` and `iterates(problem, z0)`; clock, tolerance and status belong to `solve`. It
+    may use these attributes of its problem, and must not change them:
 
-    - ``M``, as it is kept, dense or CSR, and ``csr``, ``csc``, canonical, shape (n, n); ``is_dense``; ``diagonal``,
+    - ``M``, as stored, dense or CSR, and ``csr``, ``csc``, canonical, shape (n, n); ``is_dense``; ``diagonal``,
       shape (n,); ``matrix``, M with what is known of it;
     - ``q``, ``lower``, ``upper``, shape (n,), bounds perhaps infinite; ``n`` and ``nonzeros``;
     - ``slack(z)``, w = M z + q; ``nearest_to_zero``, z°; ``residual_scale``, the d_i of the residual;
@@ -117,13 +117,13 @@ class Algorithm(ABC):
     def takes_scaled(self) -> bool:
         """Whether the iteration may run in the scaling that M needs; otherwise it sees the caller's matrix.
 
-        True of what scaling does not change, and of what it helps: factorisations, pivots, interior points.
+        True for methods that are invariant under scaling or profit from it: factorizations, pivots, interior points.
         """
         return True
 
     @abstractmethod
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start and then one step an iteration, for ever.
+        """Yield the start and then one step per iteration, without limit.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class Algorithm(ABC):
         Raises
         ------
         UnsuitableMatrix, UnsuitableProblem
-            Before the first step, naming the row that stands in the way.
+            Before the first step; the message names the unsuitable row.
         """
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
@@ -144,12 +144,12 @@ class Algorithm(ABC):
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return about how many passes over M an answer takes where npsor needs so many more sweeps.
 
-        ∞ where it is no rival of npsor, or none by its work: those come by their prospects.
+        ∞ if the method does not compete with npsor by its predicted work.
         """
         return math.inf
 
     def facts(self, problem: LCP) -> IterationFacts | None:
-        """Return what the convergence theorems ask of the iteration, or None where no theorem here is about it.
+        """Return the facts of the iteration that convergence theorems require, or None if no theorem covers it.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class Algorithm(ABC):
         return None
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
-        """Return what proves, for a method without `facts`, that it ends in a solution whatever q is, or None.
+        """Return the theorem by which a method without `facts` finds a solution for every q, or None.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Algorithm(ABC):
 
 
 def without_warnings(steps: Iterator[Step]) -> Iterator[Step]:
-    """Yield the steps; what overflows in them is seen in the residual. Whoever takes them keeps his own settings."""
+    """Yield the steps without numpy's warnings: an overflow shows in the residual. The caller's settings are kept."""
     while True:
         with np.errstate(all="ignore"):  # not around a yield: there it would reach the caller
             step = next(steps, None)
@@ -222,7 +222,7 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
 
 
 def in_driven_sweeps(problem: LCP, passes: float) -> float:
-    """Return how many sweeps, each with the calls around it, take as long as so many compiled passes over M."""
+    """Return the number of sweeps, with the calls around each, that take as long as `passes` compiled passes over M."""
     return passes * problem.nonzeros / (problem.nonzeros + SWEEP_ENTRIES)
 
 

@@ -1,11 +1,11 @@
-"""What can go wrong, one class a kind; every message says what was given, what is needed, what to do."""
+"""Exceptions; every message has the given value, the requirement, and a remedy."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from difflib import SequenceMatcher
 
-LONG_LIST = 20  # more names than this are not listed beside a guess
+LONG_LIST = 20  # longer lists of names are not printed next to a guess
 CLOSE = 0.6  # of 1, which is the same word
 
 
@@ -22,11 +22,11 @@ class InvalidOption(LCPError, TypeError):
 
 
 class UnsuitableMatrix(LCPError, ValueError):
-    """The algorithm cannot run on this matrix, whatever q is."""
+    """The algorithm cannot run on this matrix, for any q."""
 
 
 class UnsuitableProblem(LCPError, ValueError):
-    """The algorithm cannot run on this kind of problem, for instance on its bounds."""
+    """The algorithm cannot run on a problem of this class, or with such bounds."""
 
 
 class UnsupportedModel(LCPError, ValueError):
@@ -42,15 +42,15 @@ class UnknownAlgorithm(LCPError, LookupError):
 
 
 class UnreadableFile(LCPError, OSError):
-    """A file is missing, damaged, or holds something else than a problem."""
+    """A file is missing, corrupt, or does not contain a problem."""
 
 
 class NotConverged(LCPError, RuntimeError):
-    """The run ended without a solution and the caller asked for one."""
+    """The run ended without a solution, and the caller required one."""
 
 
 class ModelWarning(UserWarning):
-    """The model can be read, but probably says something else than was meant."""
+    """The model is valid, but its meaning is probably not the intended one."""
 
 
 def did_you_mean(
@@ -62,8 +62,8 @@ def did_you_mean(
 ) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and those that `solve` itself takes.
 
-    Of words equally close the first one in the alphabet is meant. Many algorithms or scenes, which ``lcp-plugin list``
-    shows (`is_listed`), are not named.
+    Among equally close words the first one in the alphabet is chosen. Long lists of algorithms and test problems, which
+    ``lcp-plugin list`` shows (`is_listed`), are left out.
 
     Examples
     --------

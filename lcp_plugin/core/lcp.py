@@ -40,17 +40,17 @@ class LCP:
     ----------
     M : array or sparse array, shape (n, n)
         Real, finite. Integers, booleans and single precision become float64. A dense M is copied. A canonical
-        CSR array of float64 (sorted, no duplicates, no stored zeros) is used without a copy, so leave its entries as
-        they are while the problem lives, or give ``M.copy()``; nothing given is ever modified.
+        CSR array of float64 (sorted, no duplicates, no stored zeros) is used without a copy, so do not change its
+        entries while the problem is in use, or pass ``M.copy()``. Arguments are never modified.
     q : array, shape (n,)
         Real, finite.
     lower, upper : scalar or array, shape (n,)
-        Bounds of z in the unit of z, lower ≤ upper; none where lower ≤ −1e20, or upper ≥ 1e20.
+        Bounds of z in the unit of z, lower ≤ upper; lower ≤ −1e20 and upper ≥ 1e20 mean no bound.
 
     Raises
     ------
     InvalidProblem
-        Where the data do not state such a problem.
+        If the data do not define such a problem.
 
     References
     ----------
@@ -78,7 +78,7 @@ class LCP:
         self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
         self.origin: Any = (
-            None  # what the problem was converted from; it can recover that one's solution
+            None  # the problem from which this one was converted; it recovers the original solution
         )
 
     @cached_property
@@ -88,7 +88,7 @@ class LCP:
 
     @property
     def M(self) -> Any:
-        """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
+        """The stored matrix: a CSR array, or an ndarray if M is dense and small, shape (n, n)."""
         return self.matrix.array
 
     @cached_property
@@ -98,7 +98,7 @@ class LCP:
 
     @cached_property
     def is_dense(self) -> bool:
-        """True where M is kept as an ndarray."""
+        """True if M is stored as an ndarray."""
         return self.matrix.is_dense
 
     @cached_property
@@ -152,7 +152,7 @@ class LCP:
     def with_q(
         self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> LCP:
-        """Return the problem with another q (and bounds) that shares all that depends on M alone.
+        """Return the problem with another q (and bounds) that shares the cached properties of M.
 
         Parameters
         ----------
@@ -187,10 +187,10 @@ class LCP:
         ----------
         comm : communicator of mpi4py; None for the whole job
         rows : sparse array, shape (own, n)
-            The own rows of M with global column indices.
+            The local rows of M with global column indices.
         q : array, shape (own,)
         **given
-            lower, upper : scalar or array, shape (own,); first_row : int, the index of the first own row.
+            lower, upper : scalar or array, shape (own,); first_row : int, the index of the first local row.
         """
         from ..ranks.problem import RowsOnRanks
 
@@ -209,7 +209,7 @@ class LCP:
         Raises
         ------
         UnreadableFile
-            Where it cannot be written, or looks like a file of another kind, as a.mat does.
+            If it cannot be written, or its name belongs to another format, as a.mat.
         """
         from ..interfaces.files.files import save
 
@@ -229,9 +229,9 @@ class LCP:
     ) -> LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
-        Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. Who wants the LCP gets x,
-        multipliers and residuals by ``problem.origin.recover(result)``; errors:
-        :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`. ``solve`` judges it as an LCP.
+        To compute only x, use ``solve(QuadraticProgram(P, c, …))``, which is faster. For a result of this LCP,
+        ``problem.origin.recover(result)`` returns x, multipliers and residuals. ``solve`` tests it by the criterion of
+        LCPs. Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
 
         Parameters
         ----------
@@ -312,22 +312,22 @@ class LCP:
         ----------
         contacts : array W, shape (d k, d k), or (mass matrix, normals, tangents)
         friction : number or array, shape (k,)
-        velocities : array, shape (k, d), or (v,) beside a mass matrix
+        velocities : array, shape (k, d), or (v,) with a mass matrix
             Without the impulses.
         directions : int
             Edges of each friction pyramid.
         gaps : number or array, shape (k,), optional
             Distances at the beginning of the step, in m. Add none to `velocities`.
         time_step : float, optional
-            In s, beside `gaps`: a contact may close by gap / time step.
+            In s, required with `gaps`: a contact may close by gap / time step.
         cone : "pyramid" or "exact"
-            With "exact" friction is as it is: what is returned is a :class:`lcp_plugin.FrictionalContact`, whose
-            result has the motion as ``result.motion``; `directions` are not used.
+            "exact" keeps the quadratic friction cone: a :class:`lcp_plugin.FrictionalContact` is returned, whose
+            result has the motion as ``result.motion``; `directions` is not used.
 
         Raises
         ------
         InvalidProblem
-            Where `cone` is neither, and as `contact_data`.
+            If `cone` is neither, and as `contact_data`.
         """
         from ..problems.contact import lcp_from_contacts
 
@@ -376,8 +376,8 @@ class LCP:
         they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
         (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
         absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
-        which reads these, may end the process on a damaged one. AMPL's
-        ``.nl`` may state other problems, too: :func:`lcp_plugin.interfaces.nl.read_nl`.
+        which reads these, may end the process on a corrupt one. For other models in AMPL's ``.nl`` format use
+        :func:`lcp_plugin.interfaces.nl.read_nl`.
 
         Parameters
         ----------
@@ -386,9 +386,9 @@ class LCP:
         Raises
         ------
         UnreadableFile
-            Where the file is missing, damaged, or no linear complementarity problem.
+            If the file is missing, corrupt, or not a linear complementarity problem.
         UnsupportedModel
-            Where a ``.nl`` file states something else.
+            If a ``.nl`` file contains another model.
         """
         from ..interfaces.files.files import load
 
@@ -397,7 +397,7 @@ class LCP:
     __repr__ = described_lcp
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what can be computed again."""
+        """Return the state without cached properties."""
         computed = {name for name, value in vars(LCP).items() if isinstance(value, cached_property)}
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 

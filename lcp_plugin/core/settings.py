@@ -157,7 +157,7 @@ def _count(value: Any, name: str) -> int:
 
 def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InvalidOption(f"{name} must be a whole number ≥ {least}{otherwise}, got {value!r}")
+        raise InvalidOption(f"{name} must be an integer ≥ {least}{otherwise}, got {value!r}")
     return min(int(value), MOST)
 
 
@@ -184,7 +184,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
     Raises
     ------
     InvalidOption
-        Where it is no whole number ≥ 1.
+        Where it is no integer ≥ 1.
     """
     otherwise = ", or None for all that may be used"
     return _usable_threads() if threads is None else _whole_number(threads, name, 1, otherwise)

@@ -162,7 +162,7 @@ def cross_validate(
         result = solve(problem, algorithm, tolerance=tolerance, max_seconds=max_seconds)
     ours, seconds = Certificate.of(problem, result.z), result.seconds
     if problem.n == 0:
-        return CrossCheck("agree", "there are no unknowns", name, "", ours)
+        return CrossCheck("agree", "the problem has no unknowns", name, "", ours)
     convex = ConvexProgram.of(problem)
     if not convex.kind:
         is_false = _claims(result) and not _keeps_claim(result, ours)

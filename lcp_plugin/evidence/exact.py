@@ -62,7 +62,7 @@ def _states(problem: LCP, guess: Sequence[float]) -> States:
 
 
 def _solved(problem: LCP, states: States) -> list[Fraction] | None:
-    """Return z with its rows at their bounds and w = 0 on the free ones; None where their block is singular."""
+    """Return z with its rows at their bounds and w = 0 on the free ones; None if their block is singular."""
     ends = {AT_LOWER: problem.lower, FREE: np.zeros(problem.n), AT_UPPER: problem.upper}
     z = [Fraction(float(ends[state][i])) for i, state in enumerate(states)]
     is_free = [state == FREE for state in states]

@@ -2,7 +2,7 @@
 
 A node is at its bound or not, so the edge of a set of nodes has steps. The forces know more. Let g ≥ 0 be the gap
 between z and its bound, w the force of the bound, f the force that there would be with every node at the bound, and m
-the largest coupling of a row with a neighbour. In one dimension, of a node i that touches and a free neighbour j,
+the largest coupling of a row with a neighbor. In one dimension, of a node i that touches and a free neighbor j,
 
     w_i + m g_j = f   and the boundary lies at x_i + (1/2 − m g_j / f) h,
 
@@ -11,7 +11,7 @@ exactly where f and m are constant: the discrete z is a parabola whose vertex is
     φ_i = 1/2 − w_i / f_i  at the bound,     φ_j = 1/2 + m_j g_j / f_j  elsewhere
 
 is linear in both, is −1/2 deep in the contact, and 0 at that place where the boundary lies outside the last node that
-touches (inside it, within a tenth of h). Where no force presses, as of a string on a flat roof, z alone is known: −1/2
+touches (inside it, within a tenth of h). If no force presses, as of a string on a flat roof, z alone is known: −1/2
 where it rests, 1/2 beside. On a grid or on triangles the boundary is the contour φ = 0.
 """
 
@@ -36,7 +36,7 @@ NO_FORCE = 1e-12  # of the terms of its row
 
 @dataclass(frozen=True, eq=False)
 class FreeBoundary:
-    """Where an answer leaves its bounds.
+    """Points at which a solution leaves its bounds.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class FreeBoundary:
 
     @property
     def positions(self) -> FloatVector:
-        """Where φ changes its sign in one dimension, rising, shape (k,)."""
+        """Points at which φ changes its sign in one dimension, rising, shape (k,)."""
         if self.points.ndim != 1:
             raise InvalidOption(
                 "positions are those of one dimension; in the plane take segments or draw(axes)"

@@ -49,7 +49,7 @@ def plot_path(path: Path, *, axes: Any = None, rows: Sequence[int] | None = None
     chosen = np.asarray(rows)
     is_whole = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
     if not is_whole or not ((chosen >= 0) & (chosen < n)).all():
-        raise InvalidOption(f"rows must be whole numbers from 0 to {n - 1}, got {rows!r}")
+        raise InvalidOption(f"rows must be integers from 0 to {n - 1}, got {rows!r}")
     if axes is None:
         import matplotlib.pyplot as plt
 

@@ -119,7 +119,7 @@ def checked_shape(shape: Any, n: int) -> tuple[int, ...]:
     except (TypeError, ValueError):
         is_whole = False
     if not is_whole:
-        raise InvalidOption(f"shape must hold whole numbers > 0, as (rows, columns), got {shape!r}")
+        raise InvalidOption(f"shape must hold integers > 0, as (rows, columns), got {shape!r}")
     if (count := int(np.prod(sizes, dtype=object))) != n:
         raise InvalidOption(
             f"shape {sizes} is that of {count} unknowns, and the problem has {n}; give its grid"

@@ -30,7 +30,7 @@ class StressCase:
         What is extreme about it, with the number.
     problem : LCP
     near : sequence of float, shape (n,), optional
-        A point on the right bounds, from which the exact answer is found; None where there is no solution.
+        A point on the right bounds, from which the exact answer is found; None if no solution exists.
     start : ndarray, shape (n,), optional
         z0 of the runs.
     unit : ndarray, shape (n,), optional
@@ -53,7 +53,7 @@ class StressCase:
 
     @cached_property
     def exact(self) -> Answer | None:
-        """z* in fractions, verified exactly; None where there is no solution."""
+        """z* in fractions, verified exactly; None if no solution exists."""
         return (
             None
             if self.near is None

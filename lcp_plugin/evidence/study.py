@@ -328,7 +328,7 @@ def study(
     Returns
     -------
     Study
-        After Ctrl-C with the measurements that there are. A refused problem or size, and a method that raises, are
+        After Ctrl-C with the measurements that there are. A rejected problem or size, and a method that raises, are
         rows with the status REFUSED or ERROR and the reason.
 
     Raises
@@ -352,7 +352,7 @@ def study(
     ('method', 'n = 100', 'n = 400')
     """
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
-        raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
+        raise InvalidOption(f"repeats must be an integer ≥ 1, got {repeats!r}")
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
@@ -538,7 +538,7 @@ def _check_problem(one: Any) -> Any:
         name = one.partition(":")[0].strip()
         if name not in scene_names():
             hint = did_you_mean(name, scene_names(), is_listed=True)
-            raise InvalidOption(f"unknown scene {one!r}{hint}; a file: load_problem(path)")
+            raise InvalidOption(f"unknown test problem {one!r}{hint}; a file: load_problem(path)")
         return partial(_build_by_name, one)
     if isinstance(one, LCP | Scene | tuple) or (callable(one) and class_of(one) is None):
         return one
@@ -580,7 +580,7 @@ def _checked_sizes(sizes: Any) -> list[int | None]:
     listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]
     for size in listed:
         if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
-            raise InvalidOption(f"sizes must be whole numbers ≥ 1, as [100, 400], got {size!r}")
+            raise InvalidOption(f"sizes must be integers ≥ 1, as [100, 400], got {size!r}")
     return [int(size) for size in listed] or [None]
 
 

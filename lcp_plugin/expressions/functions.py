@@ -39,7 +39,7 @@ class Function:
 
 
 def _log_of_quotient(u: Any, v: Any) -> Any:
-    """Return log(u/v), also where the quotient is no normal double."""
+    """Return log(u/v), also where the quotient is not a normal double."""
     quotient = u / v
     is_normal = (quotient >= NORMAL) & np.isfinite(quotient) & (v > 0.0)
     return np.where(is_normal, np.log(quotient), np.log(u) - np.log(v))

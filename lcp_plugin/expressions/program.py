@@ -1,8 +1,8 @@
 """A smooth map as a short program: levels of elementary functions between sparse matrices.
 
 A level takes linear combinations of all quantities before it, the unknowns first, and puts elementary functions on
-them, thousands at once. The result is a linear combination of everything. What a derivative is made of never changes
-its place: the entries of the Jacobian are kept as one vector of numbers, and a level maps those before it to its own by
+them, thousands at once. The result is a linear combination of everything. The sparsity of a derivative never
+changes: the entries of the Jacobian are kept as one vector of numbers, and a level maps those before it to its own by
 a sparse matrix and the factors of the chain rule, so that no pattern is computed twice.
 """
 
@@ -45,7 +45,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Elementary functions of linear combinations; those of two arguments come first.
+    """Elementary functions of linear combinations; functions of two arguments come first.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Program:
         n : int
             The number of unknowns.
         """
-        # Those of two arguments first.
+        # Functions of two arguments first.
         groups = sorted(
             compiler.groups, key=lambda group: (group[0], len(group[2]) == 1, group[1].name)
         )
@@ -215,7 +215,7 @@ class Program:
 
     @cached_property
     def _patterns(self) -> list[_Pattern]:
-        """The patterns of the levels' Jacobians, and that of the result's."""
+        """The sparsity patterns of the levels' Jacobians, and of the result's Jacobian."""
         rows = sp.csr_array(
             (np.arange(self.n), np.arange(self.n), np.arange(self.n + 1)), shape=(self.n, self.n)
         )
@@ -252,12 +252,12 @@ def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> 
     return Combination(matrix, offset)
 
 
-#: Where the derivatives of the quantities are: of quantity k by the unknowns indices[indptr[k] : indptr[k + 1]].
+#: Sparsity of the derivatives: quantity k depends on the unknowns indices[indptr[k] : indptr[k + 1]].
 _Places = tuple[Indices, Indices]
 
 
 class _Pattern:
-    """The derivatives of some functions of combinations: which unknowns they have, and what their entries come from.
+    """Sparsity pattern of the derivatives of functions of combinations, and the sources of its entries.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ class _Pattern:
         self._n = n
 
     def repeated(self, values: FloatVector) -> FloatVector:
-        """Return what belongs to each function once an entry of its derivative."""
+        """Return the values of functions, each repeated once per entry of its derivative."""
         return np.repeat(values, self._lengths[: values.size])
 
     @cached_property
@@ -313,7 +313,7 @@ def _terms(known: _Places, matrix: sp.csr_array, n: int) -> tuple[Indices, Indic
 def _constant_apart(
     places: Indices, sources: Indices, factors: FloatVector, count: int, before: int, n: int
 ) -> Combination:
-    """Return the map of entries to entries; those of the unknowns themselves are 1, so that theirs are constants."""
+    """Return the map of entries to entries; derivatives of the unknowns are 1, so their terms are constants."""
     is_constant = sources < n
     offset = np.zeros(count)
     offset[places[is_constant]] = factors[

@@ -1,7 +1,7 @@
 """Arrays of expressions, affine in unknowns and in the results of functions; and functions of them.
 
-What a language has of its own, it makes of these. Entries are numbered by columns. A block is the derivative by one
-source, and an identity stores nothing; of a sparse matrix only the entries that may differ from zero are rows.
+Each modeling language builds its own functions from these. Entries are numbered by columns. A block is the derivative
+by one source, and an identity stores nothing; of a sparse matrix only the entries that may differ from zero are rows.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Rows:
 
     @classmethod
     def of(cls, value: Any) -> Rows:
-        """Return rows as they are, and the entries of an array or a sparse matrix as rows without sources."""
+        """Return rows unchanged, and the entries of an array or a sparse matrix as rows without sources."""
         if isinstance(value, Rows):
             return value
         if not sp.issparse(value):
@@ -235,7 +235,7 @@ def assembled(
     first : mapping
         From the key of a source to the number of its first entry.
     count : int
-        How many entries there are. A single block that has them all is returned as it is, not as a copy.
+        Number of entries. A single block that has all entries is returned without a copy.
     """
     offset = np.concatenate([*(part.offset for part in parts), np.zeros(0)])
     if len(parts) == len(parts[0].blocks if parts else ()) == 1:
@@ -288,7 +288,7 @@ def as_matrix(block: Block, size: int) -> sp.csr_array:
 
 
 def uniform(value: Any) -> Any:
-    """Return the number that a dense array repeats by its layout alone, for instance a promoted scalar."""
+    """Return the number that a dense array repeats because its strides are 0, for instance a promoted scalar."""
     if sp.issparse(value) or not value.size or (value.size > 1 and any(value.strides)):
         return None
     return value.flat[0]
@@ -340,7 +340,7 @@ class Compiler:
     """Makes products, quotients and functions of arrays; an operand is an array, a sparse matrix, or `Rows`."""
 
     def __init__(self) -> None:
-        #: Of each group of functions: level, function, arguments and the key of the results, which is negative.
+        #: Groups of functions, each with its level, function, arguments and the key of the results, which is negative.
         self.groups: list[tuple[int, Function, tuple[Rows, ...], int]] = []
 
     def emit(self, function: Function, *arguments: Rows) -> Rows:
@@ -360,7 +360,7 @@ class Compiler:
         is_product = function is functions.PRODUCT
         if left is right and is_product:
             return self.emit(functions.SQUARE, left)
-        # What multiplies a sparse array, or divides it, leaves its zeros.
+        # A product with a sparse array, or its quotient by an array, keeps its zeros.
         sparse = [
             Rows.of(one) for one in ((left, right) if is_product else (left,)) if _is_sparse(one)
         ]
@@ -434,7 +434,7 @@ def _factors(constant: Any, shape: tuple[int, ...], places: Indices | None) -> A
 
 
 def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
-    """Return what a matrix product multiplies: rows of the left, rows of the right, and the entry that they add to."""
+    """Return the factors of a matrix product: rows of the left, rows of the right, and the entry that they add to."""
     shapes = [
         (1, *left.shape) if len(left.shape) == 1 else left.shape,
         (*right.shape, 1) if len(right.shape) == 1 else right.shape,

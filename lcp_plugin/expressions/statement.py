@@ -1,4 +1,4 @@
-"""A model as unknowns, rows, pairs and an objective, whatever language states it; and the problem that it becomes."""
+"""A model as unknowns, rows, pairs and an objective, for any modeling language; and its conversion to a problem."""
 
 from __future__ import annotations
 
@@ -101,11 +101,11 @@ class Statement:
     first : mapping
         From the key of a source to the number of its first unknown.
     lower, upper : ndarray, shape (count,)
-        Bounds of the unknowns, that hold whatever pairs state.
+        Bounds of the unknowns, in addition to the conditions of the pairs.
     name : callable
         From the number of an unknown to its name.
     integers : ndarray of int
-        Unknowns that are whole numbers.
+        Unknowns that are integers.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Statement:
         self.pairs.append(StatedRows(w, zero + low, zero + high, origin, zero + sign, z))
 
     def entries(self, rows: Rows) -> tuple[Indices, FloatVector, FloatVector] | None:
-        """Return columns, weights and constants of rows weights · distinct unknowns + constants; None of others."""
+        """Return columns, weights and constants of rows weights · distinct unknowns + constants, or None."""
         if rows.level or rows.terms != rows.size:
             return None
         matrix, offset = assembled([rows], self.first, self.lower.size)
@@ -247,7 +247,7 @@ class Statement:
         way_out = ""
         if equations > free.size:
             way_out = (
-                "; where one says how prices are scaled, as sum(p) == 1, drop a market that the others imply, or give "
+                "; if one fixes the scale of prices, as sum(p) == 1, drop a market that the others imply, or give "
                 "the equation a free multiplier, a variable in the rows of the pairs"
             )
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
@@ -271,7 +271,7 @@ class Statement:
         return lower, upper
 
     def _dropped(self, free: Indices) -> Indices:
-        """Return the unpaired unknowns with bounds, but for those that say of w what its pair says."""
+        """Return the unpaired unknowns with bounds that no pair implies."""
         low, high = self.lower.copy(), self.upper.copy()
         for pair in self.pairs:
             if (found := self.entries(pair.rows)) is None:
@@ -284,7 +284,7 @@ class Statement:
         return free[np.isfinite(low[free]) | np.isfinite(high[free])]
 
     def is_outside(self, unknowns: FloatVector, columns: Indices) -> BoolVector:
-        """Return which of the unknowns in the columns are outside their bounds."""
+        """Return True for each unknown of the columns that violates its bounds."""
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
         return ~(beyond <= OUTSIDE * (1.0 + np.abs(unknowns[columns])))
 
@@ -296,7 +296,7 @@ class Statement:
         sign: float = 1.0,
         known: tuple[Any, FloatVector, float] | None = None,
     ) -> EquilibriumProgram:
-        """Return the program: minimise sign · goal, of which ½ xᵀP x + cᵀx + r may be known as P, c, r."""
+        """Return the program: minimize sign · goal, of which ½ xᵀP x + cᵀx + r may be known as P, c, r."""
         seconds = [self._value_of(pair) for pair in self.pairs]
         n, goal = self.lower.size, goal.scaled(sign)
         quadratic, smooth = self._quadratic(goal), None
@@ -337,7 +337,7 @@ class Statement:
         return found[0]
 
     def _quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
-        """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None where it is something else."""
+        """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None if it is something else."""
         n = self.lower.size
         c, shift = np.zeros(n), float(goal.offset[0])
         half = sp.csr_array((n, n))
@@ -413,7 +413,7 @@ def solve_from(
         known = ["z0", *list(inspect.signature(solve_nonlinear).parameters)[2:]]
         _refuse_unknown(options, "a nonlinear model", known)
         z0: Any = options.get("z0", np.zeros_like(problem.lower)) if is_given else start
-        # The derivative is ours; what the language itself evaluates is compared at the end.
+        # The derivative is ours; the result is compared with the language's own evaluation at the end.
         own = {
             "check_jacobian": False,
             **{name: value for name, value in options.items() if name != "z0"},

@@ -1,4 +1,4 @@
-"""What the equations of a model say of the unknowns that no pair holds: definitions, and which goes with which.
+"""Elimination of the unknowns without a pair by the equations of a model, and the matching of the remaining ones.
 
 Free unknowns that an equation defines, as in w == M @ x + q, are taken out of the model and put back. The equations
 left are matched with the unknowns left: the diagonal that a splitting method divides by.
@@ -32,7 +32,7 @@ class Elimination:
     kept : ndarray of int
         The unknowns that are left.
     expansion : CSR array, shape (all unknowns, unknowns left), or None
-        None where nothing is defined: all unknowns are left.
+        None if nothing is defined: all unknowns are left.
     offset : ndarray, shape (all unknowns,)
     rows, columns : ndarray of int
         Rows of the equations, and the unknown that each of them defined.
@@ -46,7 +46,7 @@ class Elimination:
 
     @classmethod
     def of_nothing(cls, count: int) -> Elimination:
-        """Return the elimination that leaves that many unknowns as they are."""
+        """Return the elimination that keeps all `count` unknowns."""
         nothing = np.zeros(0, dtype=np.int64)
         return cls(np.arange(count), None, np.zeros(count), nothing, nothing)
 
@@ -77,7 +77,8 @@ def eliminate_definitions(
     Parameters
     ----------
     equations, functions : pair of matrix and offset
-        Rows that are to be 0, and rows that belong to pairs; over all unknowns. What returns is over those left.
+        Rows that must be 0, and rows that belong to pairs, over all unknowns. The returned rows are over the remaining
+        ones.
     owner : array of int
         The constraint that each equation is of.
     is_free : array of bool
@@ -126,7 +127,7 @@ def eliminate_definitions(
 def put_in(
     matrix: sp.csr_array, offset: FloatVector, columns: Indices
 ) -> tuple[sp.csr_array, FloatVector]:
-    """Return R and r of z ← R z + r, which puts in what matrix · z + offset = 0 says of the unknowns in the columns.
+    """Return R and r of the substitution z ← R z + r that solves matrix · z + offset = 0 for the columns' unknowns.
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ def put_in(
 def put_in_all(
     matrix: sp.csr_array, offset: FloatVector, definitions: Indices, columns: Indices
 ) -> tuple[sp.csr_array, FloatVector]:
-    """Return rows matrix · z + offset without the unknowns in the columns, each as one of the rows, being 0, says.
+    """Return rows matrix · z + offset without the unknowns in the columns; the rows `definitions` = 0 define them.
 
     Definitions may hold unknowns of one another, in any order but a circle: a chain takes as many products of matrices
     as its length has binary digits.
@@ -184,7 +185,7 @@ def put_in_all(
 def _pivots(
     equations: sp.csr_array, rows: Indices, is_open: Mask, variable_of: Indices
 ) -> tuple[Indices, Indices]:
-    """Return rows of one constraint and the unknown that each defines: those of the variable with most of them."""
+    """Return rows of one constraint and the unknown that each defines, of the variable with most unknowns."""
     part = sp.csr_array(equations[rows])
     part.eliminate_zeros()
     place = np.repeat(np.arange(rows.size), np.diff(part.indptr))
@@ -253,7 +254,7 @@ def matched_for_monotony(
     rows = np.arange(order.size)
     signs = np.sign(np.asarray(equations[rows, free[order]]).ravel()) if order.size else np.zeros(0)
     column = free[order]
-    # A zero on the diagonal asks for a row that is minus the column.
+    # If the diagonal is zero, the row must be minus the column.
     across = _row_dots(sp.csr_array(equations[:, paired]), sp.csr_array(pairs[:, column].T))
     signs = np.where(signs == 0.0, -np.sign(across), signs)
     block = sp.csr_array(equations[:, column])
@@ -270,7 +271,7 @@ def _row_dots(first: sp.csr_array, second: sp.csr_array) -> FloatVector:
 def _mirrored(
     equations: sp.csr_array, pairs: sp.csr_array, paired: Indices, free: Indices
 ) -> Indices | None:
-    """Return the matching of rows and columns with equal absolute values; None where it does not settle all."""
+    """Return the matching of rows and columns with equal absolute values; None if it does not settle all."""
     size = free.size
     weights = np.random.default_rng(0).random(paired.size + size) + 1.0
     row_sums = abs(equations[:, paired]) @ weights[: paired.size]

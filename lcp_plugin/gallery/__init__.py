@@ -1,14 +1,14 @@
 """Named test problems with parameters, each with what is known about its solution.
 
 ``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
-same :class:`Scene`; ``describe()`` lists them all. A new scene is one function with ``scene_builder`` in a file of
-this folder, and nothing else.
+same :class:`Scene`; ``describe()`` lists them all. A new test problem is one function with ``scene_builder`` in a file
+of this folder, and nothing else.
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from . import mechanics, obstacle, paper  # noqa: F401 - their scenes are registered
+from . import mechanics, obstacle, paper  # noqa: F401 - their test problems are registered
 from .economics import binomial_put
 from .scene import Description, Scene, build, builder_of, describe, names, parse, scene_builder
 

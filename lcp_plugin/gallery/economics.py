@@ -156,7 +156,7 @@ def american_put(
     log_range
         The grid covers spot prices K e^±log_range.
     steps
-        Number of steps that `maturity` is divided into; this scene is the first of them.
+        Number of steps that `maturity` is divided into; this problem is the first of them.
 
     Notes
     -----

@@ -50,7 +50,7 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     u = −A log(r/2); u and u′ continuous with ψ at r* give A = r*²/√(1 − r*²) and r*² (1 − log(r*/2)) = 1.
     The boundary values on the square are those of this u, so it solves the problem there too. From r = 0.9
     on, outside the contact set, ψ is continued by its tangent cone, concave and below u. Rows are those of
-    the five-point stencil (4, −1), that is −h²Δ. The discretisation error falls about like h², unevenly, as
+    the five-point stencil (4, −1), that is −h²Δ. The discretization error falls about like h², unevenly, as
     the discrete contact set grows by whole nodes.
 
     References

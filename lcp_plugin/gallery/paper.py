@@ -98,7 +98,7 @@ def half_active(
     Notes
     -----
     The answer comes first: on free blocks z* = 1, 2, 1, 2, … and w* = 0, on active ones the other way round;
-    then q = w* − M z*. The paper's own examples have no active constraint and so say nothing about
+    then q = w* − M z*. The paper's own examples have no active constraint and so do not test
     complementarity: an iteration for the linear system alone would solve them.
     """
     side = _side(n)
@@ -161,11 +161,11 @@ def random_h_plus(
     Notes
     -----
     M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two; thus
-    ⟨M⟩ C⁻¹1 > 0 and M is H+, though as a rule neither rows nor columns of M are dominant. z* = C⁻¹ẑ, w* = R ŵ
+    ⟨M⟩ C⁻¹1 > 0 and M is H+, though usually neither rows nor columns of M are dominant. z* = C⁻¹ẑ, w* = R ŵ
     with small integers ẑ, ŵ, and q = w* − M z* = R (ŵ − A ẑ): integers far below 2⁵³ times powers of two, so
     that no rounding happens anywhere and z* is the exact solution for the stored data.
     """
-    require(n > 1, f"n must be a whole number ≥ 2, got {n}")
+    require(n > 1, f"n must be an integer ≥ 2, got {n}")
     require(0.0 <= active_share <= 1.0, f"active_share must lie in [0, 1], got {active_share}")
     require(max(row_scale, column_scale) <= 100, "row_scale and column_scale must be at most 100")
     generator = np.random.default_rng(seed)

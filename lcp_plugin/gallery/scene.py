@@ -1,4 +1,4 @@
-"""A scene: a test problem with everything its source knows about it; and the list of all scenes."""
+"""`Scene`: a test problem with the known facts about its solution; and the registry of all of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORDS = {"true": "True", "yes": "True", "false": "False", "no": "False"}
 class Scene:
     """A test problem with what is known about it.
 
-    The facts are declared, not computed: a scene costs the assembly of its matrix and nothing else.
+    The facts are declared, not computed: a `Scene` costs the assembly of its matrix and nothing else.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Scene:
     active_share : float, optional
         Share of components at a bound, in [0, 1]: of `exact` if it is known, or of `continuum`.
     grid : optional
-        Shape in which z is a picture, C order; that of the coordinates if there are any.
+        Shape in which z can be plotted, C order; the shape of the coordinates if there are any.
     coordinates : optional
         One array of node positions per axis of `grid`, shapes (grid[0],), (grid[1],), ….
     axis_labels
@@ -105,7 +105,7 @@ class Scene:
                         f"{fact} must have shape ({self.n},) like z, got {values.shape}"
                     )
                 view = values.view()
-                view.flags.writeable = False  # nobody changes the reference by accident
+                view.flags.writeable = False  # so that the reference is not changed by accident
                 object.__setattr__(self, fact, view)
         if self.exact is not None and self.active_share is None and self.n:
             share = float(np.mean(is_at_bound(self.problem, self.exact)))
@@ -130,7 +130,7 @@ class Scene:
 
     @property
     def title(self) -> str:
-        """The scene as it is written on a command line."""
+        """The test problem as a command-line argument, name:parameter=value,…."""
         values = ",".join(f"{name}={value}" for name, value in self.parameters.items())
         return f"{self.name}:{values}" if values else self.name
 
@@ -144,11 +144,11 @@ class Scene:
         Raises
         ------
         InvalidProblem
-            If the scene has no grid or z does not fit it.
+            If the test problem has no grid or z does not fit it.
         """
         values = np.asarray(z, dtype=np.float64)
         if self.grid is None:
-            raise InvalidProblem(f"scene {self.name!r} has no grid; plot z by its index")
+            raise InvalidProblem(f"test problem {self.name!r} has no grid; plot z by its index")
         if values.shape != (self.n,):
             raise InvalidProblem(f"z must have shape ({self.n},), got {values.shape}")
         return values.reshape(self.grid)
@@ -178,8 +178,8 @@ _SCENES: dict[str, Builder] = {}
 def scene_builder(builder: Builder) -> Builder:
     """Register the function that builds a test problem, under its own name.
 
-    The signature declares the parameters, keyword only and each with a default whose type a value must have. Whole
-    numbers are at least 0, those of `SIZES` at least 1, and numbers finite. The description is the first docstring
+    The signature declares the parameters, keyword only and each with a default whose type a value must have. Integers
+    are at least 0, parameters in `SIZES` at least 1, and floats finite. The description is the first docstring
     line.
 
     Parameters
@@ -190,7 +190,7 @@ def scene_builder(builder: Builder) -> Builder:
     Returns
     -------
     callable
-        The same function with checked parameters; the scene carries name, description and parameters.
+        The same function with checked parameters; its `Scene` carries name, description and parameters.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def scene_builder(builder: Builder) -> Builder:
         for key, value in given.items():
             if key not in defaults:
                 hint = did_you_mean(key, defaults) if defaults else "; it takes none"
-                raise InvalidOption(f"scene {name!r} has no parameter {key!r}{hint}")
+                raise InvalidOption(f"test problem {name!r} has no parameter {key!r}{hint}")
             defaults[key] = _checked(name, key, value, defaults[key])
         return replace(builder(**defaults), name=name, description=summary, parameters=defaults)
 
@@ -221,7 +221,7 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
             return type(default)(value)
     elif isinstance(default, int):
         least = 1 if key in SIZES else 0
-        needs = f"a whole number ≥ {least}"
+        needs = f"an integer ≥ {least}"
         if isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least:
             return int(value)
     else:
@@ -229,7 +229,9 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if is_number and abs(value) <= sys.float_info.max:
             return float(value)
-    raise InvalidOption(f"scene {name!r}: {key} must be {needs}, as {default!r}, got {value!r}")
+    raise InvalidOption(
+        f"test problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}"
+    )
 
 
 def require(condition: bool, words: str) -> None:
@@ -239,7 +241,7 @@ def require(condition: bool, words: str) -> None:
 
 
 def defaults_of(name: str) -> dict[str, Any]:
-    """Return the parameters of a scene with their defaults."""
+    """Return the parameters of a test problem with their defaults."""
     parameters = inspect.signature(builder_of(name)).parameters
     return {key: parameter.default for key, parameter in parameters.items()}
 
@@ -273,12 +275,12 @@ def build(name: str, /, **parameters: Any) -> Scene:
     name
         One of :func:`names`.
     **parameters
-        The scene's own parameters; those not given take their defaults.
+        Parameters of the test problem; the others take their defaults.
 
     Raises
     ------
     InvalidOption
-        If the scene or a parameter does not exist, or a value has the wrong type or range.
+        If the test problem or a parameter does not exist, or a value has the wrong type or range.
 
     Examples
     --------
@@ -306,7 +308,7 @@ def parse(text: str) -> Scene:
     >>> parse("obstacle_2d:size=20,shifted=true")
     Scene(obstacle_2d: size=20, shifted=True)
     """
-    words = f'a scene is written as a text, "half_active:n=900", got {text!r}'
+    words = f'a test problem is written as a text, "half_active:n=900", got {text!r}'
     require(isinstance(text, str), words)
     name, _, settings = text.strip().partition(":")
     builder = builder_of(name.strip())
@@ -323,7 +325,9 @@ def parse(text: str) -> Scene:
 
 
 def builder_of(name: str) -> Builder:
-    """Return the function that builds the scene of that name."""
+    """Return the function that builds the test problem of that name."""
     if not isinstance(name, str) or name not in _SCENES:
-        raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES, is_listed=True)}")
+        raise InvalidOption(
+            f"unknown test problem {name!r}{did_you_mean(name, _SCENES, is_listed=True)}"
+        )
     return _SCENES[name]

@@ -1,4 +1,4 @@
-"""Matrices that couple each node of a grid with its nearest neighbours."""
+"""Matrices that couple each node of a grid with its nearest neighbors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def stencil_matrix(
 ) -> sp.csr_array:
     """Return the matrix of (centre u)_i + Σ_axis (below[axis] u_{i − e} + above[axis] u_{i + e}) on a grid.
 
-    Neighbours outside the grid are left out: their known values belong into q, see `dirichlet_terms`.
+    Neighbors outside the grid are left out: their known values belong into q, see `dirichlet_terms`.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def stencil_matrix(
     n = math.prod(shape)
     strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
     axes = range(len(shape))
-    # The far neighbour below comes first, the far neighbour above last: each row is born sorted.
+    # The far neighbor below comes first, the far neighbor above last: each row is born sorted.
     offsets = [*(-stride for stride in strides), 0, *reversed(strides)]
     entries = np.empty((*shape, len(offsets)))
     for leg, axis in enumerate(axes):
@@ -80,7 +80,7 @@ def stencil_matrix(
 def balanced_matrix(
     shape: tuple[int, ...], legs: Legs, reaction: Coefficient = 0.0
 ) -> sp.csr_array:
-    """Return the stencil whose centre outweighs its legs by the reaction alone: of −∇·(k∇u) + b·∇u + reaction u."""
+    """Return the stencil whose centre exceeds its legs by exactly the reaction: −∇·(k∇u) + b·∇u + reaction u."""
     below, above = legs
     return stencil_matrix(shape, -sum(below) - sum(above) + reaction, below, above)
 
@@ -104,7 +104,7 @@ def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
 def dirichlet_terms(
     field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]
 ) -> FloatVector:
-    """Return what known values on the boundary layer add to each row of the stencil, shape (n,).
+    """Return the terms that known values on the boundary layer add to each row of the stencil, shape (n,).
 
     Parameters
     ----------

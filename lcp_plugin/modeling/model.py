@@ -75,7 +75,7 @@ class Model:
     memo : dict, optional
         What no parameter enters, kept from model to model.
     takes_integers : bool
-        Whether variables may be whole numbers.
+        Whether variables may be integers.
     compiled : CompiledProblem, optional
         Program of other terms that hold the same variables: its unknowns come first.
 

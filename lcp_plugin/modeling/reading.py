@@ -87,7 +87,7 @@ class Reader:
         From the ids of variables and parameters to their values. Then the parameters are the sources, and an atom
         whose own rule is not known is replaced by its tangent there. Without it the variables are.
     takes_integers : bool
-        Whether variables may be whole numbers.
+        Whether variables may be integers.
 
     Examples
     --------

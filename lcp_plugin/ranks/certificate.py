@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 SHARP = 1.5  # times the residual in double precision that rounding may add before it is enclosed sharply
 GAINS = (1e-2, 1e-6)  # relative residuals of ⟨M⟩v = diag(M) after which v is tried
-MOST_STEPS = 30  # v grows without end if M is not an H₊-matrix
+MOST_STEPS = 30  # v grows indefinitely if M is not an H₊-matrix
 
 
 class Components:

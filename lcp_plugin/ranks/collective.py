@@ -1,7 +1,7 @@
 """What all ranks do together: agree on a number, on a failure, on an end.
 
 Every sum is taken in the order of the ranks, so that a run on a given number of ranks repeats bit for bit. No rank
-waits for ever for one that has failed: all ranks go on, all raise the same, or the job ends.
+waits indefinitely for one that has failed: all ranks continue, all raise the same, or the job ends.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Ranks:
         return self.all_largest(float(np.any(is_so)))[0] > 0.0
 
     def together(self, attempt: Callable[[], T], *, names_rank: bool = True) -> T:
-        """Return what `attempt` gives on each rank; where it fails on one, no rank goes on.
+        """Return what `attempt` gives on each rank; where it fails on one, no rank continues.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Ranks:
         value: Any = None
         try:
             value = attempt()
-        except Exception as error:  # whatever it is, the other ranks must not wait for ever
+        except Exception as error:  # whatever it is, the other ranks must not wait indefinitely
             raised = error
         failures = self.comm.allgather(None if raised is None else _described(raised))
         if not any(failures):
@@ -170,11 +170,11 @@ def ends_together(
     """Let a block of code end alike on all ranks, or end the whole job.
 
     Put what calls MPI, directly or through this package, into ``with ends_together(comm):``. Without it an exception
-    on one rank leaves the others waiting in their next common call, for ever.
+    on one rank leaves the others waiting in their next common call, indefinitely.
 
     - The block ends on every rank: nothing happens.
     - Every rank raises an :class:`lcp_plugin.core.errors.LCPError`, as this package does on purpose, or leaves by
-      ``sys.exit``: each goes on to raise its own, so that you can catch it around the block.
+      ``sys.exit``: each continues to raise its own, so that you can catch it around the block.
     - One rank alone raises anything, or all raise something else: the first such rank writes one message with its
       number to stderr, with the traceback where nobody expects such an exception, and ends all ranks by
       ``comm.Abort``.
@@ -213,7 +213,7 @@ def ends_together(
                 _abort(mpi, speaker, error)
             raise
         if not _none_failed(ballot):
-            ballot.Barrier()  # for ever: the rank that failed speaks, then ends this one too
+            ballot.Barrier()  # indefinitely: the rank that failed speaks, then ends this one too
     except (LCPError, SystemExit):
         raise
     except BaseException as error:
@@ -249,7 +249,7 @@ def _none_failed(ballot: MPI.Comm) -> bool:
 
 
 def _voted(ballot: MPI.Comm, has_failed: bool, patience: float) -> Any:
-    """Return who has failed, shape (ranks,), or None where somebody does not come to vote in time."""
+    """Return who has failed, shape (ranks,), or None if somebody does not come to vote in time."""
     votes = np.zeros(ballot.size, dtype=np.uint8)
     request = ballot.Iallgather(np.array([has_failed], dtype=np.uint8), votes)
     until = time.monotonic() + patience

@@ -1,6 +1,6 @@
 """Classical algebraic multigrid on rows over MPI ranks, truncated to the free unknowns.
 
-Each rank chooses coarse unknowns among its own; the second pass of Ruge and Stüben mends the seams. Interpolation,
+Each rank chooses coarse unknowns among its own; the second pass of Ruge and Stüben repairs the seams. Interpolation,
 Galerkin products and truncation are those of one process: behind its own rows, a rank keeps those of the foreign
 unknowns next to them. A smoother sweeps on all ranks at once, with larger pivots where M is symmetric.
 """
@@ -36,7 +36,7 @@ COARSEST_SWEEPS = 10  # there and back
 FACTORISED_UP_TO = 150
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02  # share of positive couplings from which on the larger strength is taken
-NOTEWORTHY_LONELY = 5e-4  # share of unknowns without a coarse neighbour: interpolation is extended
+NOTEWORTHY_LONELY = 5e-4  # share of unknowns without a coarse neighbor: interpolation is extended
 LARGEST_GRID_SHARE, LARGEST_GROWTH, LARGEST_COMPLEXITY = 0.85, 2.0, 8.0
 
 

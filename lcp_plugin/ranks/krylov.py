@@ -1,4 +1,4 @@
-"""Conjugate gradients, or generalised conjugate residuals, on the free rows; one V-cycle preconditions a step."""
+"""Conjugate gradients, or generalized conjugate residuals, on the free rows; one V-cycle preconditions a step."""
 
 from __future__ import annotations
 

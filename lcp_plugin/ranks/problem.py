@@ -1,6 +1,6 @@
 """An LCP whose rows are spread over MPI ranks, saved and loaded as a folder of chunks.
 
-Bad input on one rank is refused on all of them.
+Bad input on one rank is rejected on all of them.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class RowsOnRanks:
         Raises
         ------
         InvalidProblem
-            On every rank, if a part is damaged or the parts do not fit together.
+            On every rank, if a part is corrupt or the parts do not fit together.
         """
         ranks = Ranks(comm)
         matrix = ranks.together(lambda: _checked_rows(rows))
@@ -160,7 +160,7 @@ class RowsOnRanks:
         )
 
     def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
-        """Return a checked vector, shape (own,); all ranks refuse a wrong part of one of them."""
+        """Return a checked vector, shape (own,); all ranks reject a wrong part of one of them."""
         return self.halo.together(lambda: real_vector(z, name, self.own))
 
     def slack(self, z: FloatVector) -> FloatVector:
@@ -229,7 +229,7 @@ class RowsOnRanks:
         Raises
         ------
         UnreadableFile, InvalidProblem
-            On every rank, if a chunk is missing or damaged on one of them.
+            On every rank, if a chunk is missing or corrupt on one of them.
         """
         ranks = Ranks(comm)
         source = ranks.together(lambda: checked_path(path))
@@ -389,7 +389,7 @@ def _head(path: Path) -> Head:
         or not {shape.dtype.kind, first_row.dtype.kind} <= {"i", "u"}
     ):
         raise UnreadableFile(
-            f"{path}: shape must be two whole numbers and first_row one; write it again"
+            f"{path}: shape must be two integers and first_row one; write it again"
         )
     return Head(path, int(first_row), int(shape[0]), int(shape[1]), str(content["save"]))
 

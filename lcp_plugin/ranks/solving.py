@@ -172,7 +172,7 @@ class _Run:
         return self.problem.halo.largest(time.perf_counter() - self.began)
 
     def _take(self, name: str, iterates: Any) -> Status:
-        """Take the iterates of one method; return why it ended, STALLED if another one may go on."""
+        """Take the iterates of one method; return why it ended, STALLED if another one may continue."""
         settings, first = self.settings, self.iterations
         for z, work in iterates:
             if self.iterations > first or work:

@@ -1,9 +1,9 @@
 """Hypothesis strategies: matrices whose class is certain, problems whose answer is exact, and a test of any solver.
 
-Everything drawn is made of small integers, so that it is what it claims to be in exact arithmetic,
+Everything drawn consists of small integers, so that its class holds in exact arithmetic,
 not up to rounding, and it is right by construction: nothing is drawn only to be thrown away. All strategies shrink
-towards the 1 × 1 identity, or the simplest matrix of their class, and small integers. Sizes up to some thirty rows are
-practical: hypothesis draws every entry and refuses what is too much for it.
+towards the 1 × 1 identity, or the simplest matrix of their class, and small integers. Sizes up to about thirty rows are
+practical: hypothesis draws every entry and rejects what is too much for it.
 
 `lcps` draws problems, `solved_lcps` with the exact answer, `infeasible_lcps` with a Farkas proof, `convex_qps` with x
 and multipliers; each matrix strategy is named after its class and draws arrays; `.map(scipy.sparse.csr_array)` makes

@@ -1,4 +1,4 @@
-"""assert_solves: a solver of anybody's against problems whose answers are known, judged in exact arithmetic."""
+"""assert_solves: test any solver on problems with known solutions, in exact arithmetic."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .matrices import check_integer, p_matrices
 from .problems import Answer, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
-Drawn = tuple[LCP, Answer | None, Any]  # the problem, its exact solution, M as it was drawn
+Drawn = tuple[LCP, Answer | None, Any]  # the problem, its exact solution, M in the drawn form
 
 PHASES = (Phase.generate, Phase.shrink)
 
@@ -44,7 +44,7 @@ def assert_solves(
     ----------
     solver : callable (M, q, lower, upper) → z
         M of shape (n, n), an array or CSR array as `matrices` draws it; the others arrays of shape (n,), lower = 0 and
-        upper = ∞ where no bounds were asked for. It returns z of shape (n,), which claims that the problem is solved,
+        upper = ∞ without `bounds`. It returns z of shape (n,), which claims that the problem is solved,
         or None, or raises, where it was not able to: translate a status into that.
     matrices : strategy of (n, n) matrices, optional
         The matrices that the solver is meant for; P-matrices of size 1 to 8 by default.
@@ -67,20 +67,20 @@ def assert_solves(
     Raises
     ------
     AssertionError
-        Where the solver was wrong, naming what: it gave up or raised; z not a vector of finite numbers, outside the
-        bounds, w of the wrong sign or not complementary, far from the exact answer; M, q or a bound modified; or not
-        the same answer to the same problem twice.
+        If the solver failed; the message names the fault: it gave up or raised; z not a vector of finite numbers,
+        outside the bounds, w of the wrong sign or not complementary, far from the exact answer; M, q or a bound
+        modified; or not the same answer to the same problem twice.
     InvalidOption
         Where an option is out of its range.
 
     Notes
     -----
     Half of the problems have an answer chosen beforehand, with inactive, active and degenerate rows and slacks up to
-    10⁸; the others have any q. w = M z + q is computed in rational arithmetic, so that the judge does not round.
+    10⁸; the others have any q. w = M z + q is computed in rational arithmetic, so that the test does not round.
 
     Examples
     --------
-    A diagonal solver, and what it forgot:
+    A diagonal solver, and the problem on which it fails:
 
     >>> def diagonal(M, q, lower, upper):
     ...     return np.clip(-q / M.diagonal(), lower, upper)
@@ -100,7 +100,7 @@ def assert_solves(
     if not isinstance(chosen, st.SearchStrategy):
         kind = type(chosen).__name__
         raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {kind}")
-    check_integer(max_examples, "max_examples must be a whole number ≥ 1", 1)
+    check_integer(max_examples, "max_examples must be an integer ≥ 1", 1)
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
         if not value >= 0.0:
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
@@ -130,7 +130,7 @@ def assert_solves(
 
 @st.composite
 def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool) -> Drawn:
-    """Return a problem, its exact solution or None, and M as it was drawn: an LCP may hold it in another form."""
+    """Return a problem, its exact solution or None, and M in the drawn form: an LCP may store it in another form."""
     M, kind = draw(matrices), draw(st.integers(0, 3))
     if kind >= 2:
         return draw(lcps(st.just(M), bounds=bounds)), None, M
@@ -140,14 +140,14 @@ def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: b
 def _verdict(
     solver: Solver, drawn: Drawn, may_give_up: bool, tolerance: float, error_tolerance: float
 ) -> tuple[str, Any]:
-    """Return the fault of a solver, "" if there is none, and z; the solver gets copies, which must stay as they are."""
+    """Return the fault of a solver, "" if there is none, and z; the solver gets copies, which it must not modify."""
     problem, truth, M = drawn
     stated = (M, problem.q, problem.lower, problem.upper)
     copies = [each.copy() for each in stated]
     reason = "returned None"
     try:
         z = solver(*copies)
-    except Exception as error:  # whatever a foreign solver raises means that it gave up
+    except Exception as error:  # any exception of a foreign solver means that it gave up
         z, reason = None, f"raised {type(error).__name__}: {error}"
     for name, now, before in zip(("M", "q", "lower", "upper"), copies, stated, strict=True):
         if (now != before).sum():
@@ -166,7 +166,7 @@ def check_solution(
     tolerance: float = 1e-6,
     error_tolerance: float = 1e-3,
 ) -> str:
-    """Return what is wrong with z as an answer to the problem, "" where nothing is; tolerances of `assert_solves`.
+    """Return the fault of z as a solution of the problem, "" if there is none; tolerances of `assert_solves`.
 
     Examples
     --------
@@ -177,7 +177,7 @@ def check_solution(
     """
     try:
         z = np.asarray(given)
-    except Exception:  # a pair (z, info), or an object that refuses in a way of its own
+    except Exception:  # a pair (z, info), or an object that rejects in a way of its own
         z = np.array(None)
     if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
         return (
@@ -197,7 +197,7 @@ def check_solution(
 
 
 def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any) -> str:
-    """Return which condition row i violates; a z within `allowed` of a bound is at it."""
+    """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
     low, high, here = problem.lower[i], problem.upper[i], z[i]
     for name, bound, excess in (("lower", low, low - here), ("upper", high, here - high)):
         if excess > allowed:

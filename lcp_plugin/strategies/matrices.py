@@ -25,7 +25,7 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
     """Return a strategy for numbers of rows, none below `smallest`, or raise InvalidOption."""
     if size is None:
         return st.integers(max(1, smallest), LARGEST_SIZE)
-    need = f"size must be a whole number ≥ {smallest} or a strategy of such"
+    need = f"size must be an integer ≥ {smallest} or a strategy of such"
     if isinstance(size, st.SearchStrategy):
         return size.map(lambda n: check_integer(n, need, smallest))
     return st.just(check_integer(size, need, smallest))
@@ -63,7 +63,7 @@ UNITS = st.sampled_from([1, 2, 4])
 def rows(n: int, row: Numbers) -> st.SearchStrategy[list[Any]]:
     """Return a strategy for lists of n values.
 
-    Up to 8 it always draws 8 and drops the last: shrinking can then lower n without a change of what follows.
+    Up to 8 it always draws 8 and drops the last: shrinking can then lower n without a change of the later draws.
     """
     return st.tuples(*[row] * max(n, LARGEST_SIZE)).map(lambda drawn: list(drawn[:n]))
 
@@ -99,11 +99,11 @@ def reordered(A: Matrix, order: NDArray[np.intp]) -> Matrix:
 
 Build = Callable[
     [st.DrawFn, int, Numbers], Matrix
-]  # of a size, and of numbers of the density asked for
+]  # of a size, and of numbers of the requested density
 
 
 def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStrategy[Any]]]:
-    """Make what draws a matrix of n ≥ `smallest` rows a function of the size and the density, checked at once."""
+    """Turn a function that draws a matrix of n ≥ `smallest` rows into a strategy with checked size and density."""
 
     def strategy_of(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
         drawn = st.composite(lambda draw, rows, values: build(draw, draw(rows), values))
@@ -120,7 +120,7 @@ def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStra
 
 @matrices()
 def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; as a rule they are no H₊-matrices.
+    """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; usually they are not H₊-matrices.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     Parameters
     ----------
     size, density
-        As in :func:`positive_definite_matrices`; the share is that of nonzeros off the diagonal.
+        As in :func:`positive_definite_matrices`; the density is the share of nonzeros off the diagonal.
 
     Notes
     -----
@@ -205,7 +205,7 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 
 @matrices()
 def m_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for nonsingular M-matrices, as a rule not symmetric: m_ij ≤ 0 off the diagonal, M⁻¹ ≥ 0.
+    """Return a strategy for nonsingular M-matrices, usually not symmetric: m_ij ≤ 0 off the diagonal, M⁻¹ ≥ 0.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     Parameters
     ----------
     size, density
-        As in :func:`h_plus_matrices`; the share is that of nonzeros of the parts.
+        As in :func:`h_plus_matrices`; the density is the share of nonzeros of the parts.
 
     Notes
     -----
@@ -303,7 +303,7 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 
 @matrices(1)
 def not_h_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for matrices that are no H-matrices: no scaling of rows and columns makes them dominant.
+    """Return a strategy for matrices that are not H-matrices: no scaling of rows and columns makes them dominant.
 
     Parameters
     ----------

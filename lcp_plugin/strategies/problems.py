@@ -102,8 +102,8 @@ def solved_lcps(
     bounds : bool
         Draw one-sided bounds below or above, boxes, fixed and free rows. Otherwise lower = 0, upper = ∞.
     huge_slacks : bool
-        Slacks are multiplied by powers of two up to 2²⁴ where q stays free of rounding: active rows then have a q that
-        is huge, but says nothing.
+        Slacks are multiplied by powers of two up to 2²⁴ where q stays free of rounding: active rows then have a
+        huge q that has no influence on z.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def solved_lcps(
         w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack
         try:
             q = exact_offset(M, z, w)
-        except InvalidProblem:  # no space for huge slacks beside this M
+        except InvalidProblem:  # no space for huge slacks with this M
             q = exact_offset(M, z, slack)
         return LCP(M, q, lower=lower, upper=upper), fractions_of(z)
 
@@ -190,7 +190,7 @@ def infeasible_lcps(
         n = draw(drawn_size)
         pivot = draw(st.integers(0, n - 1))
         _, _, lower, upper = columns_of(draw(rows(n, row)))
-        if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box asks for no sign of w
+        if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box needs no sign of w
             upper[pivot] = math.inf
         below, above = np.isinf(lower), np.isinf(upper)
         # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
@@ -200,7 +200,7 @@ def infeasible_lcps(
         product = np.zeros(n)
         if (
             not monotone
-        ):  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
+        ):  # Mᵀy ≤ 0 where z can rise indefinitely, ≥ 0 where it can fall, 0 where it is free
             drawn = draw(vectors(n, SIGNED))
             product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
             product[below & above] = 0.0

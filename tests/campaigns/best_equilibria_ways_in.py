@@ -55,7 +55,7 @@ class Said(NamedTuple):
 
 
 def with_integer_leaders(rng: Generator) -> EquilibriumProgram:
-    """Return a small problem whose leaders are whole numbers, and multiply followers in the objective."""
+    """Return a small problem whose leaders are integers, and multiply followers in the objective."""
     while True:
         problem = random_problem(rng, most=4)
         leaders = problem.program.n - 2 * problem.pairs

@@ -310,7 +310,7 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("option", ["max_pivots=50", "restarts=1"])
 def test_options_that_count_take_whole_numbers(option: str) -> None:
-    """A whole number on the command line is one for the algorithm, too."""
+    """An integer on the command line is one for the algorithm, too."""
     done = lcp_plugin("solve", "half_active:n=4", "-a", "lemke", "-o", option)
     assert done.exit_code == 0, done.stderr
 
@@ -338,7 +338,7 @@ SOLVE = "solve half_active:n=4 "
 BAD_INPUT = [
     ("solve missing.npz", r"no such file: missing\.npz"),
     ("solve no/folder/p.npz", r"no such file: no/folder/p\.npz"),
-    ("solve missing", r"'missing' is neither a file nor a scene.*known: "),
+    ("solve missing", r"'missing' is neither a file nor a test problem.*known: "),
     ("solve empty", r"no such file: empty/M\.mtx"),
     ("solve half", r"M\.mtx has no companion half/q\.mtx"),
     ("solve notes.txt", r"cannot read notes\.txt: expected an \.npz, \.mat, .* or M\.mtx"),
@@ -349,26 +349,26 @@ BAD_INPUT = [
     ("solve taken.npz", r"cannot read taken\.npz"),
     (
         "solve half_activ",
-        r"'half_activ' is neither a file nor a scene; did you mean 'half_active'\?",
+        r"'half_activ' is neither a file nor a test problem; did you mean 'half_active'\?",
     ),
     (
         "solve Half_active",
-        r"'Half_active' is neither a file nor a scene; did you mean 'half_active'\?",
+        r"'Half_active' is neither a file nor a test problem; did you mean 'half_active'\?",
     ),
     ("solve obstacle2d:size=9", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacl", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacle_2d,size=9", r"did you mean 'obstacle_2d'\?"),
     (
         "solve half_active:m=4",
-        r"scene 'half_active' has no parameter 'm'.*known: block, degenerate, delta, n",
+        r"test problem 'half_active' has no parameter 'm'.*known: block, degenerate, delta, n",
     ),
     ("solve obstacle_2d:sise=4", r"'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
     ("solve half_active:n", r"'n' in 'half_active:n' has no '='.*scene:parameter=value"),
     ("solve half_active:n=4,n=9", r"'n=9' in .* repeats a parameter"),
-    ("solve half_active:n=four", r"n must be a whole number .*got 'four'"),
-    ("solve half_active:n=4.5", r"n must be a whole number .*got 4.5"),
-    ("solve half_active:n=0", r"n must be a whole number .*got 0"),
-    ("solve half_active --size 4", r"scene 'half_active' has no parameter 'size'"),
+    ("solve half_active:n=four", r"n must be an integer .*got 'four'"),
+    ("solve half_active:n=4.5", r"n must be an integer .*got 4.5"),
+    ("solve half_active:n=0", r"n must be an integer .*got 0"),
+    ("solve half_active --size 4", r"test problem 'half_active' has no parameter 'size'"),
     ("solve obstacle_2d:size=4 --size 5", r"'size=5' in .* repeats a parameter"),
     ("solve box.npz --size 4", r"--size 4 is for a scene"),
     ("check obstacle_2d:size=4 --reference nobody", r"cvxpy has no solver 'nobody'"),
@@ -384,7 +384,7 @@ BAD_INPUT = [
     ),
     (
         "compare obstacle_2d:size=4 -a psor --repeats 0",
-        r"repeats must be a whole number ≥ 1, got 0",
+        r"repeats must be an integer ≥ 1, got 0",
     ),
     ("compare qp.npz", r"qp\.npz lacks the keys"),
     (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
@@ -394,8 +394,8 @@ BAD_INPUT = [
         r"piqp is an engine for convex programs.*solve\(problem\.to_qp\(\), 'piqp'\)",
     ),
     (SOLVE + "-a pqip", r"unknown algorithm 'pqip'; did you mean 'piqp'\?"),
-    (SOLVE + "-a psor -o relaxation", r"--option wants name=value, got 'relaxation'"),
-    (SOLVE + "-a psor -o =1.5", r"--option wants name=value, got '=1.5'"),
+    (SOLVE + "-a psor -o relaxation", r"--option requires name=value, got 'relaxation'"),
+    (SOLVE + "-a psor -o =1.5", r"--option requires name=value, got '=1.5'"),
     (
         SOLVE + "-a psor -o relaxtion=1.5",
         r"psor has no option 'relaxtion'; did you mean 'relaxation'\?",
@@ -419,7 +419,7 @@ BAD_INPUT = [
     (SOLVE + "-a npsor -o problem=3", r"'?problem'?"),
     (SOLVE + "--tolerance -1", r"tolerance must be finite and not negative, got -1"),
     (SOLVE + "--tolerance nan", r"tolerance must be finite and not negative, got nan"),
-    (SOLVE + "--max-iterations -1", r"max_iterations must be a whole number ≥ 0, got -1"),
+    (SOLVE + "--max-iterations -1", r"max_iterations must be an integer ≥ 0, got -1"),
     (SOLVE + "--max-seconds -3", r"max_seconds must be finite and not negative, got -3"),
     (SOLVE + "--plot out.txt", r"must end in \.png, \.pdf, \.svg, got 'out\.txt'"),
     (SOLVE + "--plot out", r"must end in \.png, \.pdf, \.svg, got 'out'"),

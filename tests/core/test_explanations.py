@@ -1,4 +1,4 @@
-"""explain() answers a reader's three questions in its first three lines: what happened, how sure, what next."""
+"""The first three lines of explain(): the event, its certainty, the next step."""
 
 from __future__ import annotations
 

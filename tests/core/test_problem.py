@@ -402,7 +402,7 @@ WHOLE = st.integers(-1000, 1000)
 
 @given(data=st.data(), n=st.integers(1, 5), is_sparse=st.booleans())
 def test_slack_is_m_z_plus_q(data: st.DataObject, n: int, is_sparse: bool) -> None:
-    """The slack is M z + q, exact on whole numbers; a fresh array each time, whatever sequence z is."""
+    """The slack is M z + q, exact on integers; a fresh array each time, whatever sequence z is."""
     M = np.array(data.draw(st.lists(WHOLE, min_size=n * n, max_size=n * n))).reshape(n, n)
     q = data.draw(st.lists(WHOLE, min_size=n, max_size=n))
     z = data.draw(st.lists(WHOLE, min_size=n, max_size=n))

@@ -260,7 +260,7 @@ def run(name: str, error: type[LCPError], pattern: str, *algorithm: Any, **setti
 
 
 LENGTH_3 = r"z0 must be a finite vector of length 3"
-WHOLE = r"max_iterations must be a whole number ≥ 0, got "
+WHOLE = r"max_iterations must be an integer ≥ 0, got "
 
 RUNS = [
     run(

@@ -167,9 +167,7 @@ def test_wrong_numbers_of_threads_are_refused(wrong: Any) -> None:
         lambda: prepare(TWO, threads=wrong),
         lambda: solve_nonlinear(problem, [1.0], threads=wrong),
     ):
-        with pytest.raises(
-            InvalidOption, match=r"threads must be a whole number ≥ 1, or None .* got"
-        ):
+        with pytest.raises(InvalidOption, match=r"threads must be an integer ≥ 1, or None .* got"):
             attempt()
 
 

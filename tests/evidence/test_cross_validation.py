@@ -224,7 +224,7 @@ def test_a_start_that_is_the_answer_can_be_checked(q: list[float]) -> None:
 def test_no_unknowns(M: object) -> None:
     """A problem without unknowns agrees, with no reference."""
     check = cross_validate(LCP(M, []))
-    assert check.explain().startswith("agree: there are no unknowns")
+    assert check.explain().startswith("agree: the problem has no unknowns")
 
 
 @pytest.mark.parametrize("q", [-3.0, 0.0, 2.0])

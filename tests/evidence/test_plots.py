@@ -91,11 +91,11 @@ def test_a_grid_shows_a_map() -> None:
     assert result.plot(shape=(1, 144)).get_xlabel() == "index"
     for shape, words in (
         ((12, 13), r"shape \(12, 13\) is that of 156 unknowns, and the problem has 144"),
-        ((0, 12), "whole numbers > 0"),
-        ((1.5, 96), "whole numbers > 0"),
-        (144, "whole numbers"),
-        ((), "whole numbers"),
-        ("12x12", "whole numbers"),
+        ((0, 12), "integers > 0"),
+        ((1.5, 96), "integers > 0"),
+        (144, "integers"),
+        ((), "integers"),
+        ("12x12", "integers"),
     ):
         with pytest.raises(InvalidOption, match=words):
             result.plot(shape=shape)

@@ -184,23 +184,23 @@ def test_three_ways_to_build_agree() -> None:
         (
             "obstacle2d",
             {},
-            r"unknown scene 'obstacle2d'; did you mean 'obstacle_2d'\? \(known: american_put",
+            r"unknown test problem 'obstacle2d'; did you mean 'obstacle_2d'\? \(known: american_put",
         ),
         (
             "obstacle_2d",
             {"siez": 9},
-            r"scene 'obstacle_2d' has no parameter 'siez'; did you mean 'size'\?.*shifted",
+            r"test problem 'obstacle_2d' has no parameter 'siez'; did you mean 'size'\?.*shifted",
         ),
         (
             "obstacle_2d",
             {"size": 0},
-            "scene 'obstacle_2d': size must be a whole number ≥ 1, as 100, got 0",
+            "test problem 'obstacle_2d': size must be an integer ≥ 1, as 100, got 0",
         ),
-        ("obstacle_2d", {"size": 9.0}, "size must be a whole number ≥ 1, as 100, got 9.0"),
-        ("obstacle_2d", {"size": True}, "size must be a whole number ≥ 1, as 100, got True"),
+        ("obstacle_2d", {"size": 9.0}, "size must be an integer ≥ 1, as 100, got 9.0"),
+        ("obstacle_2d", {"size": True}, "size must be an integer ≥ 1, as 100, got True"),
         ("obstacle_2d", {"shifted": 1}, "shifted must be true or false, as False, got 1"),
         ("paper_example_1", {"n": 99}, "n must be a perfect square, got 99"),
-        ("paper_example_2", {"n": -4}, "n must be a whole number ≥ 1, as 100, got -4"),
+        ("paper_example_2", {"n": -4}, "n must be an integer ≥ 1, as 100, got -4"),
         (
             "paper_example_1",
             {"delta": float("nan")},
@@ -209,9 +209,9 @@ def test_three_ways_to_build_agree() -> None:
         ("paper_example_1", {"delta": 10**400}, "delta must be a finite number, as 4.0, got 1000"),
         ("paper_example_1", {"delta": "4"}, "delta must be a finite number, as 4.0, got '4'"),
         ("random_h_plus", {"active_share": 1.5}, r"active_share must lie in \[0, 1\], got 1.5"),
-        ("random_h_plus", {"n": 1}, "n must be a whole number ≥ 2, got 1"),
+        ("random_h_plus", {"n": 1}, "n must be an integer ≥ 2, got 1"),
         ("random_h_plus", {"row_scale": 101}, "row_scale and column_scale must be at most 100"),
-        ("random_h_plus", {"seed": -1}, "seed must be a whole number ≥ 0, as 0, got -1"),
+        ("random_h_plus", {"seed": -1}, "seed must be an integer ≥ 0, as 0, got -1"),
         (
             "bimatrix_game",
             {"game": "poker"},
@@ -244,17 +244,17 @@ def test_bad_parameters_are_refused_by_name_and_value(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("nothing_like_it:size=3", r"unknown scene 'nothing_like_it'; known: american_put"),
+        ("nothing_like_it:size=3", r"unknown test problem 'nothing_like_it'; known: american_put"),
         (
             "obstacle_2d:size",
             "'size' in 'obstacle_2d:size' has no '='; write scene:parameter=value",
         ),
         ("obstacle_2d:size=3,size=4", "'size=4' in .* repeats a parameter"),
-        ("obstacle_2d:size=3.5", "size must be a whole number ≥ 1, as 100, got 3.5"),
+        ("obstacle_2d:size=3.5", "size must be an integer ≥ 1, as 100, got 3.5"),
         ("obstacle_2d:shifted=perhaps", "shifted must be true or false, as False, got 'perhaps'"),
         ("paper_example_1:delta=four", "delta must be a finite number, as 4.0, got 'four'"),
         ("paper_example_1:delta=1e999", "delta must be a finite number, as 4.0, got inf"),
-        ("half_active:m=3", r"scene 'half_active' has no parameter 'm'"),
+        ("half_active:m=3", r"test problem 'half_active' has no parameter 'm'"),
     ],
 )
 def test_bad_texts_are_refused(text: str, message: str) -> None:

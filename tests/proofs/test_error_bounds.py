@@ -72,7 +72,7 @@ def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
 
 
 def near_singular_problem(seed: int) -> LCP:
-    """Return a problem of decimals whose ⟨M⟩, or whose symmetric part, is singular but for some ulps."""
+    """Return a problem of decimals whose ⟨M⟩, or whose symmetric part, is singular except for some ulps."""
     rng = np.random.default_rng(seed)
     n, ulps = int(rng.integers(2, 6)), int(rng.integers(1, 5))
     if seed % 2:  # ⟨M⟩ v = 0 to rounding, any signs next to the diagonal
@@ -101,7 +101,7 @@ def near_singular_problem(seed: int) -> LCP:
 @pytest.mark.full
 @pytest.mark.parametrize("block", range(10))
 def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> None:
-    """Whatever M `analyze` proves H₊ or definite has a rigorous bound, which no exact solution violates."""
+    """Each M that `analyze` proves H₊ or definite has a rigorous bound, which no exact solution violates."""
     proved = 0
     for seed in range(60 * block, 60 * block + 60):
         problem = near_singular_problem(seed)
@@ -120,7 +120,7 @@ def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> N
 @settings.get_profile("many")
 @given(solved_lcps(positive_definite_matrices(), bounds=True), POINTS, STEPS, st.booleans())
 def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
-    """The same where M is symmetric positive definite and as a rule no H₊-matrix."""
+    """The same where M is symmetric positive definite and usually no H₊-matrix."""
     problem, exact = drawn
     z = near(exact, direction, step)
     try:
@@ -318,7 +318,7 @@ def test_misuse_is_refused_in_words() -> None:
 @settings.get_profile("many")
 @given(scaled_symmetric(nearly_semidefinite(2.0**-20), 30), st.booleans())
 def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
-    """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorisation."""
+    """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorization."""
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
         exponents = unit_diagonal(problem.diagonal)
@@ -421,7 +421,7 @@ def test_exact_solver_finds_the_planted_answer(drawn) -> None:
 
 
 def test_fractions_solve_exactly() -> None:
-    """Elimination in fractions solves a system that doubles cannot, and refuses a singular one."""
+    """Elimination in fractions solves a system that doubles cannot, and rejects a singular one."""
     A = [[Fraction(1, i + j + 1) for j in range(6)] for i in range(6)]
     x = solve_fractions(A, [sum(row) for row in A])
     assert x == [1] * 6

@@ -460,7 +460,7 @@ def test_the_judge_refuses_wrong_options() -> None:
             {"matrices": np.eye(2)},
             r"matrices must be a strategy such as p_matrices\(4\), got ndarray",
         ),
-        ({"max_examples": 0}, "max_examples must be a whole number ≥ 1, got 0"),
+        ({"max_examples": 0}, "max_examples must be an integer ≥ 1, got 0"),
         ({"tolerance": -1.0}, "tolerance must be a number ≥ 0, got -1.0"),
     ):
         with pytest.raises(InvalidOption, match=message):
@@ -583,19 +583,19 @@ def test_counterexamples_are_small() -> None:
     [
         (
             lambda: h_plus_matrices(-1),
-            "size must be a whole number ≥ 0 or a strategy of such, got -1",
+            "size must be an integer ≥ 0 or a strategy of such, got -1",
         ),
         (
             lambda: h_plus_matrices(2.0),
-            "size must be a whole number ≥ 0 or a strategy of such, got 2.0",
+            "size must be an integer ≥ 0 or a strategy of such, got 2.0",
         ),
         (
             lambda: h_plus_matrices(True),
-            "size must be a whole number ≥ 0 or a strategy of such, got True",
+            "size must be an integer ≥ 0 or a strategy of such, got True",
         ),
         (lambda: h_plus_matrices(density=1.5), r"density must lie in \[0, 1\], got 1.5"),
         (lambda: h_plus_matrices(density=float("nan")), r"density must lie in \[0, 1\], got nan"),
-        (lambda: not_h_matrices(0), "size must be a whole number ≥ 1 or a strategy of such, got 0"),
+        (lambda: not_h_matrices(0), "size must be an integer ≥ 1 or a strategy of such, got 0"),
     ],
 )
 def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:

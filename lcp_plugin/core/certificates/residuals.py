@@ -1,4 +1,4 @@
-"""How wrong a z is: a function of the user's (M, q, lower, upper) and z, and of nothing else."""
+"""Residuals of a point z: functions of only the user's (M, q, lower, upper) and z."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ DECIDED = 1e-12  # of the reference: rounding bounds below it may be plain
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """How far z is from solving the problem, measured on the problem's data and z alone.
+    """Residuals of z as a solution of the problem, computed only from the problem's data and z.
 
     The relative, natural and euclidean residuals are upper bounds of the exact ones: rounding errors are included. The
     other numbers are measured in double precision.
@@ -86,7 +86,7 @@ class Certificate:
     z: FloatVector = field(repr=False)
 
     is_linearised: ClassVar[bool] = (
-        False  # whether `problem` is only what a nonlinear one looks like near z
+        False  # whether `problem` is the linearization of a nonlinear problem at z
     )
 
     __setstate__ = restored
@@ -98,7 +98,7 @@ class Certificate:
         Raises
         ------
         InvalidProblem
-            If z is not a real vector of length n. NaN and infinities are measured, not refused.
+            If z is not a real vector of length n. NaN and infinities are accepted.
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(refusal("Certificate.of", problem))
@@ -129,7 +129,7 @@ class Certificate:
         several = connected_components(self.problem.matrix)
         with np.errstate(all="ignore"):
             residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            if several is not None:  # the component is that of the relative residual
+            if several is not None:  # the component with the largest relative residual
                 relative = over(self._proved_rows, self.references[0][several.labels])
                 relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
@@ -279,9 +279,9 @@ class Certificate:
 
     @cached_property
     def rounding_floor(self) -> FloatVector:
-        """What rounding alone can make of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
+        """Rounding bound of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
 
-        k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
+        k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
         return rounding_floor(self.problem, self._terms, self._scale)
 
@@ -298,7 +298,7 @@ class Certificate:
     def is_limited_by_rounding(self) -> bool:
         """True at that level, if the residual is small, or in its component z° is a solution up to rounding.
 
-        Rounding as large as the problem itself is no limit reached, but data or a z out of all proportion.
+        Otherwise rounding as large as the problem itself, from a z of extreme size, would count as a limit reached.
         """
         if not self.is_at_rounding_level:
             return False

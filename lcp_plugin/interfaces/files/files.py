@@ -249,7 +249,7 @@ def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
             raise UnreadableFile(
-                f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}"
+                f"{source}: {key} must hold integers, got dtype {content[key].dtype}"
             )
     try:
         shape = tuple(int(k) for k in content["shape"])

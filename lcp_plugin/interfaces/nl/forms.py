@@ -60,7 +60,7 @@ class Text:
         return chr(line[0]) if line else ""
 
     def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
-        """Return the whole numbers behind the letter."""
+        """Return the integers behind the letter."""
         if has_name and self._words:
             self.name = self._words.pop()
         return self._numbers("i" * count, self._words)
@@ -133,7 +133,7 @@ class Binary:
         return chr(self.data[self.at]) if self.at < len(self.data) else ""
 
     def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
-        """Return the whole numbers behind the letter."""
+        """Return the integers behind the letter."""
         numbers = self._numbers("i" * count)
         if has_name:
             self.name = self.text()

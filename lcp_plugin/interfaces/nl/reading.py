@@ -187,7 +187,7 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     except ValueError:
         count = -1
     if not 0 <= count <= MOST_OPTIONS:
-        raise Fault(0, f"behind its letter stand up to {MOST_OPTIONS} whole numbers, and how many")
+        raise Fault(0, f"behind its letter stand up to {MOST_OPTIONS} integers, and how many")
     return (count, *given, *[0] * (count - len(given))), tolerance
 
 
@@ -197,7 +197,7 @@ def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: i
     called = names.split()
     words = line.split(b"#")[0].split()[: len(called)]
     if len(words) < needed or not b"".join(words).isdigit() or max(map(len, words)) > MOST_DIGITS:
-        what = f"{needed} whole numbers or more are needed ({meaning})"
+        what = f"{needed} integers or more are needed ({meaning})"
         raise Fault(header.places[number], what)
     numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
     for name, value in zip(called, numbers, strict=True):

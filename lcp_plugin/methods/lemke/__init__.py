@@ -79,7 +79,7 @@ class Lemke(Algorithm):
                 isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
             )
             if not is_count and value is not None:
-                raise InvalidOption(f"lemke: {option} must be a whole number ≥ 0, got {value!r}")
+                raise InvalidOption(f"lemke: {option} must be an integer ≥ 0, got {value!r}")
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.

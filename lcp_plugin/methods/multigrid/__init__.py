@@ -112,7 +112,7 @@ class Multigrid(Algorithm):
         )
         if not is_count or self.coarsest < 1:
             raise InvalidOption(
-                f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}"
+                f"multigrid: coarsest must be an integer ≥ 1, got {self.coarsest!r}"
             )
 
     def theorem(self, problem: LCP, report: Any) -> str | None:

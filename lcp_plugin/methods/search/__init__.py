@@ -291,5 +291,5 @@ def _require_small(problem: LCP) -> None:
 
 def _checked_count(name: str, value: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise InvalidOption(f"{name} must be a whole number, at least 1, got {value!r}")
+        raise InvalidOption(f"{name} must be an integer, at least 1, got {value!r}")
     return int(value)

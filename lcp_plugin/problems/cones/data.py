@@ -304,7 +304,7 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
             rows = cone[1]
             if not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
                 raise InvalidProblem(
-                    f"cones[{number}] = {cone!r} must name a whole number of rows ≥ 0; {NEED_CONES}"
+                    f"cones[{number}] = {cone!r} must name an integer of rows ≥ 0; {NEED_CONES}"
                 )
             rows = int(rows)
             is_half = kind == "nonnegative" or (kind == "second_order" and rows == 1)

@@ -68,7 +68,7 @@ def problem_of(content: Mapping[str, Any], source: str | PathLike[str]) -> Any:
 
 
 def _whole_numbers(values: Any, name: str) -> Any:
-    """Return a vector of whole numbers, or raise InvalidProblem."""
+    """Return a vector of integers, or raise InvalidProblem."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise InvalidProblem(f"{name} must be a vector of whole numbers, got {values.tolist()!r}")
+        raise InvalidProblem(f"{name} must be a vector of integers, got {values.tolist()!r}")
     return values

@@ -343,7 +343,7 @@ class FrictionalContactBatch:
     def __getitem__(self, i: int) -> FrictionalContact:
         if not isinstance(i, int | np.integer):
             raise TypeError(
-                f"a world is worlds[i], i a whole number, got {i!r}; several are a problem of W[…], b[…]"
+                f"a world is worlds[i], i an integer, got {i!r}; several are a problem of W[…], b[…]"
             )
         if not -len(self) <= i < len(self):
             raise IndexError(f"there are {len(self)} worlds, and none has the number {i}")
@@ -428,7 +428,7 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
         or ((counts < 0) | (counts > k)).any()
     ):
         raise InvalidProblem(
-            f"contacts must be {count} whole numbers from 0 to {k}, one a world, got {contacts!r}"
+            f"contacts must be {count} integers from 0 to {k}, one a world, got {contacts!r}"
         )
     return counts.astype(np.int64)
 

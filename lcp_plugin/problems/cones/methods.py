@@ -110,7 +110,7 @@ class NPGS(ConeAlgorithm):
 
     def __post_init__(self) -> None:
         if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
-            raise InvalidOption(f"npgs: sweeps must be a whole number ≥ 1, got {self.sweeps!r}")
+            raise InvalidOption(f"npgs: sweeps must be an integer ≥ 1, got {self.sweeps!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point every few sweeps."""
@@ -150,7 +150,7 @@ class Newton(ConeAlgorithm):
         if not (isinstance(self.proximal, int | float) and 0.0 < self.proximal < np.inf):
             raise InvalidOption(f"newton: proximal must be > 0 and finite, got {self.proximal!r}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise InvalidOption(f"newton: seed must be a whole number ≥ 0, got {self.seed!r}")
+            raise InvalidOption(f"newton: seed must be an integer ≥ 0, got {self.seed!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per linear system; end where none gains any more."""

@@ -78,7 +78,7 @@ class EquilibriumProgram:
     offset : float
         A constant in the objective.
     integers : array of int, optional
-        The variables that are whole numbers.
+        The variables that are integers.
     smooth : SmoothPart, optional
         What is neither linear nor quadratic.
     names : sequence of str, optional
@@ -119,7 +119,7 @@ class EquilibriumProgram:
             if given.ndim != 1 or (given.size and given.dtype.kind not in "iu") or given.size != k:
                 raise InvalidProblem(
                     f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
-                    "of each pair the number of z in first, that of w in second, and those of whole numbers in integers"
+                    "of each pair the number of z in first, that of w in second, and those of integers in integers"
                 )
             if given.size and not (given.min() >= 0 and given.max() < n):
                 raise InvalidProblem(

@@ -18,7 +18,7 @@ from .families import Family, PathPoint, Piece
 
 SHOWN = 8  # breakpoints in a paragraph
 INSIDE = 1e-6, 1e-5  # of half a piece, at both ends: where it is judged
-MIDST = 0.3819660112501051  # of a piece: no simple fraction, at which whole numbers cancel
+MIDST = 0.3819660112501051  # of a piece: no simple fraction, at which integers cancel
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 JOINED = 1e-9  # beside the unknowns there: by how much two pieces that join may differ
 

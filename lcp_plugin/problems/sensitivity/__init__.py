@@ -1,7 +1,7 @@
 """The derivative of a solution by the data of its problem, as :mod:`lcp_plugin.systems.linearised` states it.
 
 Within one active set z is smooth in M, q and the bounds: the free rows are those strictly between their bounds, others
-at one with w ≠ 0. Where a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives, each the
+at one with w ≠ 0. If a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives, each the
 solution of a small LCP on the free and the degenerate rows.
 
 References
@@ -53,7 +53,7 @@ class Gradient(NamedTuple):
     Attributes
     ----------
     q, lower, upper : ndarray, shape (n,)
-        By the entries of q and of the bounds; 0 for a bound that does not hold. Where lower = upper, the gradient
+        By the entries of q and of the bounds; 0 for a bound that does not hold. If lower = upper, the gradient
         belongs to the bound that the sign of w asks for; where both move together their sum counts.
     M : csr_array, shape (n, n)
         By the entries that M has, in their places.
@@ -171,7 +171,7 @@ class Derivative(Linearised):
 
     Notes
     -----
-    The solution is solved for once more on its free rows, with w in twice the working precision, so that rows are
+    The solution is solved for again on its free rows, with w in twice the working precision, so that rows are
     told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
 
     Where M is singular on the free rows, z is one of several solutions, and the derivative that of the least change,
@@ -204,7 +204,7 @@ class Derivative(Linearised):
 
     @property
     def free(self) -> BoolVector:
-        """The rows that `vjp` takes as free, shape (n,); degenerate ones only where they make the block regular."""
+        """The rows that `vjp` takes as free, shape (n,); degenerate ones only if they make the block regular."""
         return self._system.free
 
     @property
@@ -243,7 +243,7 @@ class Derivative(Linearised):
     def determined(self) -> BoolVector:
         """Which z_i are the same for all solutions with the rows in `free` free, shape (n,); all where M_FF is regular.
 
-        Where rows are degenerate, solutions with other free rows may have others.
+        If rows are degenerate, solutions with other free rows may have others.
         """
         determined = np.ones(self.problem.q.size, np.bool_)
         determined[self._system.rows] = self._system.determined
@@ -313,7 +313,7 @@ class Derivative(Linearised):
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
 
-        Where rows are degenerate, this is the gradient of one of the pieces that meet there (an element of the
+        If rows are degenerate, this is the gradient of one of the pieces that meet there (an element of the
         B-subdifferential): that on which the rows in `free` are free.
 
         Parameters
@@ -335,7 +335,7 @@ class Derivative(Linearised):
         rows, free = self._rows, self.free
         by_w = np.where(
             free, 0.0, by_w
-        )  # w stays 0 there, and its part would cancel only but for rounding
+        )  # w stays 0 there, and its part would cancel only up to rounding
         by_q, by_bound, _ = self.adjoint(g, by_w)
         lower, upper = (
             np.where(free | (rows.is_upper != is_upper), 0.0, by_bound)
@@ -350,7 +350,7 @@ class Derivative(Linearised):
         return h if change is None else h + change @ self.z
 
     def _matrix_change(self, dM: Any) -> Any:
-        """Return dM as an array, None where none is given."""
+        """Return dM as an array, None if none is given."""
         if dM is None:
             return None
         return rectangular_matrix(dM, "dM", self.problem.n, self.problem.n)

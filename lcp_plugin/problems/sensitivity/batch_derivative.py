@@ -30,7 +30,7 @@ NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
 class BatchPart(Linearised):
     """Small problems of a batch in arrays, with one stacked system.
 
-    Each solution is computed once more on its free rows until that changes it by rounding alone, and its rows are told
+    Each solution is computed again on its free rows until that changes it by rounding alone, and its rows are told
     apart. Rows at a bound with w = 0 are held, or free where only that makes the block regular. A problem with a row
     that rounding leaves open, or with a block that is neither regular nor clearly singular, is not plain.
 
@@ -87,7 +87,7 @@ class BatchPart(Linearised):
         self.is_plain &= self.blocks.is_regular | self.blocks.is_singular
 
     def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
-        """Return [dz], NaN where it is one-sided or a block is singular."""
+        """Return [dz], NaN if it is one-sided or a block is singular."""
         held = np.where(self.free, 0.0, np.where(self.is_upper, upper, lower))
         dz = self.tangent(np.broadcast_to(h, held.shape), held)
         dz[self.degenerate.any(axis=1)] = np.nan
@@ -121,7 +121,7 @@ class BatchGradient:
     Parameters
     ----------
     q, lower, upper : array, shape (B, n)
-        As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row a problem. NaN where `errors` of the
+        As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row per problem. NaN if `errors` of the
         derivative says why there is none; 0 where the function does not look at z and w.
     by_M : callable
         Gives M.
@@ -134,7 +134,7 @@ class BatchGradient:
     def M(self) -> Any:
         """The gradients by the entries of M, in the form in which M was given; computed when it is looked at.
 
-        Shape (B, n, n), by all entries, for an M each. Where one M stands for all, their sum: shape (n, n), or a
+        Shape (B, n, n), by all entries, for an M each. If one M stands for all, their sum: shape (n, n), or a
         csr_array with the pattern of a sparse M. For a list of LCPs a list with a csr_array on each one's pattern.
         """
         return self._by_M()
@@ -257,7 +257,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
     errors : dict
         Why problem k has no derivative: an UnsuitableProblem where it is not solved, an InvalidProblem where it is
         none. What `vjp` and `jvp` meet is added, where that of :class:`~lcp_plugin.problems.sensitivity.Derivative` is
-        refused. The rows of these problems are NaN, and cost the others nothing.
+        rejected. The rows of these problems are NaN, and cost the others nothing.
 
     Notes
     -----
@@ -268,7 +268,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
     @cached_property
     def z(self) -> Any:
-        """The solutions at which the derivatives are taken, shape (B, n); NaN where there is none."""
+        """The solutions at which the derivatives are taken, shape (B, n); NaN if there is none."""
         z = self._table(np.nan)
         self._fill([z], lambda part: [part.z], lambda k: [self[k].z])
         return read_only(z)

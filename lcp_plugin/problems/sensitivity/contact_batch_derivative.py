@@ -36,7 +36,7 @@ class _Together(StackDerivative):
         return FreeBlocks(whole_systems(self.stack, self.by_z, self.by_w), free)
 
     def changes(self, change: Any, slopes: Any) -> list[Any]:
-        """Return [dz], a row a world, by changes of W z + b and of friction; NaN where it is one-sided."""
+        """Return [dz], a row a world, by changes of W z + b and of friction; NaN if it is one-sided."""
         more = self.by_friction * np.repeat(slopes, self.stack.pattern.sizes, axis=1)
         dz = self.tangent(change, None, more)
         dz[self.is_degenerate.any(axis=1)] = np.nan
@@ -64,7 +64,7 @@ class ContactBatchGradient:
 
     Notes
     -----
-    NaN where ``errors`` of the derivative says why there is none; 0 where the function does not look at the world, and
+    NaN if ``errors`` of the derivative says why there is none; 0 where the function does not look at the world, and
     for contacts that are not there. What you gave once for all worlds has the sum over the worlds for its gradient.
     """
 
@@ -138,7 +138,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
 
     @cached_property
     def z(self) -> Any:
-        """The impulses at which the derivatives are taken, shape (B, n); NaN where there are none."""
+        """The impulses at which the derivatives are taken, shape (B, n); NaN if none exist."""
         z = np.full(self.batch.z.shape, np.nan)
         self._fill([z], lambda part: [part.stack.pattern.flat(part.z)], lambda k: [self[k].z])
         return read_only(z)

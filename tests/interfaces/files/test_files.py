@@ -372,7 +372,7 @@ def test_what_numpy_writes_is_read(bounds: dict[str, Any], tmp_path: Path) -> No
 
 # --- refused files -----------------------------------------------------------------------------------------------
 
-NO_CSR = "no valid CSR matrix|damaged sparse array|must hold whole numbers"
+NO_CSR = "no valid CSR matrix|damaged sparse array|must hold integers"
 NO_ARRAYS: dict[str, Any] = dict.fromkeys(("data", "indices", "indptr", "shape"))
 WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no matrix": (

@@ -208,9 +208,9 @@ def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
         ),
         (
             "--plot out.png --grid 3by4",
-            "--grid wants whole numbers, rows x columns, as --grid 500x500; got '3by4'",
+            "--grid requires integers, rows x columns, as --grid 500x500; got '3by4'",
         ),
-        ("--plot out.png --grid 0x4", "--grid wants whole numbers"),
+        ("--plot out.png --grid 0x4", "--grid requires integers"),
         ("--grid 3x4", "--grid 3x4 is for a picture; give --plot FILE as well"),
     ):
         done = lcp_plugin("solve", name, *words.split())
@@ -300,7 +300,7 @@ def test_what_cannot_be_written_is_refused_before_the_run() -> None:
 
 
 OF_OTHERS = [
-    ("solve qp.npz --size 3", "--size 3 is for a scene"),
+    ("solve qp.npz --size 3", "--size 3 is for a test problem"),
     ("solve qp.npz --relaxation 1.5", r"auto.*\['relaxation'\]"),
     ("solve qp.npz --error-bound", "error_bound"),
     ("solve fit.npz -a psor", "no algorithm for a BoundedLeastSquares"),

@@ -107,7 +107,7 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
     [
         (b"g3 1 1 0", b"q3 1 1 0", 1, "begins with g"),
         (b" 2 2 0 0 1 0", b" 999999999999 2 0 0 1 0", 2, "bytes follow"),
-        (b" 2 2 0 0 1 0", b" 2 x 0 0 1 0", 2, "whole numbers"),
+        (b" 2 2 0 0 1 0", b" 2 x 0 0 1 0", 2, "integers"),
         (b" 2 0 0 1 0 0", b" 2 0 0 2 0 0", 3, "complementarity rows"),
         (b" 4 0", b" 5 0", 8, "nonzeros"),
         (b"V2 1 0", b"V2 9 0", 13, "neither a number"),

@@ -371,8 +371,8 @@ def test_pivots_are_bounded() -> None:
 
 @pytest.mark.parametrize("options", [{"max_pivots": -1}, {"restarts": 1.5}, {"max_pivots": True}])
 def test_options_are_checked(options: dict[str, Any]) -> None:
-    """Counts are whole numbers."""
-    with pytest.raises(InvalidOption, match="must be a whole number ≥ 0"):
+    """Counts are integers."""
+    with pytest.raises(InvalidOption, match="must be an integer ≥ 0"):
         Lemke(**options)
 
 

@@ -502,9 +502,9 @@ def test_a_diagonal_entry_that_is_not_positive_is_refused(entry: float) -> None:
         ({"smoother": "psr"}, "smoother='psr' is not offered; did you mean 'psor'"),
         ({"relaxation": 0.0}, "relaxation must be a positive finite number, got 0.0"),
         ({"nested": 1}, "nested must be True or False, got 1"),
-        ({"coarsest": 0}, "coarsest must be a whole number ≥ 1, got 0"),
-        ({"coarsest": 2.5}, "coarsest must be a whole number ≥ 1, got 2.5"),
-        ({"coarsest": True}, "coarsest must be a whole number ≥ 1, got True"),
+        ({"coarsest": 0}, "coarsest must be an integer ≥ 1, got 0"),
+        ({"coarsest": 2.5}, "coarsest must be an integer ≥ 1, got 2.5"),
+        ({"coarsest": True}, "coarsest must be an integer ≥ 1, got True"),
     ],
 )
 def test_bad_options_are_refused(options: dict, message: str) -> None:

@@ -60,7 +60,7 @@ BAD: dict[str, tuple[Any, str]] = {
         lambda: CP(np.eye(3), np.zeros(3), [("second_order", 2)]),
         "2 rows and M has 3: too few",
     ),
-    "half a row": (lambda: CP(np.eye(3), np.zeros(3), [("free", 2.5)]), "whole number"),
+    "half a row": (lambda: CP(np.eye(3), np.zeros(3), [("free", 2.5)]), "integer"),
     "bounds in another order": (
         lambda: CP(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]),
         "lower ≤ upper",
@@ -285,7 +285,7 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
             r"lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None",
         ),
         (("box", np.full(4, np.nan), 1.0), r"lower of cones\[0\] must not hold NaN"),
-        (("second_order", np.inf), "must name a whole number of rows"),
+        (("second_order", np.inf), "must name an integer of rows"),
     ],
 )
 def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) -> None:
@@ -297,7 +297,7 @@ def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) ->
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"shape": [np.inf, 4]}, "shape must hold whole numbers"),
+        ({"shape": [np.inf, 4]}, "shape must hold integers"),
         ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
         ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"),
         ({"cone_kinds": [3]}, "cone_kinds names 1 cones"),
@@ -309,7 +309,7 @@ def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) ->
 def test_a_damaged_file_over_cones_is_told_what_is_wrong(
     changed: Any, words: str, tmp_path: Path
 ) -> None:
-    """Shapes, indices, kinds and rows that are no whole numbers, or none of a matrix; a kind of −1 counts from none."""
+    """Shapes, indices, kinds and rows that are no integers, or none of a matrix; a kind of −1 counts from none."""
     ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
         tmp_path / "p.npz"
     )

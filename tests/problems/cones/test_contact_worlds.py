@@ -167,9 +167,9 @@ def test_gaps_and_bodies_state_worlds_too() -> None:
 
 @pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
 def test_worlds_are_taken_one_by_one(index: Any) -> None:
-    """An index that is no whole number is refused, with what to write."""
+    """An index that is no integer is refused, with what to write."""
     worlds: Any = FrictionalContact(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
-    with pytest.raises(TypeError, match=r"worlds\[i\], i a whole number"):
+    with pytest.raises(TypeError, match=r"worlds\[i\], i an integer"):
         worlds[index]
 
 

@@ -706,7 +706,7 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     ({"ridge": -1.0}, InvalidOption, "ridge must be a finite number ≥ 0, got -1.0"),
     ({"x0": [1.0]}, InvalidOption, "x0 must be a vector of length 2"),
     ({"tolerance": -1e-8}, InvalidOption, "tolerance must be finite and not negative"),
-    ({"max_iterations": 1.5}, InvalidOption, "max_iterations must be a whole number"),
+    ({"max_iterations": 1.5}, InvalidOption, "max_iterations must be an integer"),
     ({"max_seconds": "1"}, InvalidOption, "max_seconds must be a finite number"),
 ]
 

@@ -187,7 +187,7 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
 
 
 def test_a_start_may_be_a_number_where_there_is_one_unknown() -> None:
-    """As elsewhere for equations in one unknown; for several it is refused."""
+    """As elsewhere for equations in one unknown; for several it is rejected."""
     problem = NonlinearProblem(lambda x: x**2 - 4.0)
     for x0 in (5, 5.0, np.float64(5.0), np.array(5.0)):
         assert np.array_equal(solve_nonlinear(problem, x0).z, solve_nonlinear(problem, [5.0]).z)
@@ -329,7 +329,7 @@ def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start:
 @pytest.mark.full
 @pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
 def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) -> None:
-    """−1 − x has no solution in x ≥ 0 and no linearisation of it has; few steps show that, for none climbs back."""
+    """−1 − x has no solution in x ≥ 0 and no linearization of it has; few steps show that, for none climbs back."""
     problem = NonlinearProblem(lambda x: -1.0 - x, lambda x: -np.eye(1))
     result = solve_nonlinear(problem, [1.0], algorithm)
     assert result.status is Status.STALLED
@@ -409,7 +409,7 @@ def test_a_hill_climber_finds_no_wrong_point_that_passes() -> None:
     """Of ten planted problems in units of rows and unknowns no point off by 1 % passes after a polish's tolerance."""
     from campaigns.attack_nonlinear import attack_nonlinear
 
-    with np.errstate(all="ignore"):  # far out F leaves the range of doubles
+    with np.errstate(all="ignore"):  # of large norm F leaves the range of doubles
         assert list(attack_nonlinear(np.random.default_rng(0), 10)) == []
 
 
@@ -489,7 +489,7 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
 
 @pytest.mark.full
 def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
-    """A positive diagonal is what psor needs, and where a linearisation has none auto solves it."""
+    """A positive diagonal is what psor needs, and where a linearization has none auto solves it."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0])
     )
@@ -523,7 +523,7 @@ UNSOLVABLE = {
 @pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
 @pytest.mark.parametrize("name", UNSOLVABLE)
 def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
-    """Without a solution every policy ends by itself, far from max_iterations, or refuses the matrix in words."""
+    """Without a solution every policy ends by itself, far from max_iterations, or rejects the matrix in words."""
     try:
         result = solve(LCP(*UNSOLVABLE[name]), algorithm)
     except (UnsuitableMatrix, UnsuitableProblem):
@@ -632,7 +632,7 @@ def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
 
 
 def test_the_lcp_solver_can_be_chosen() -> None:
-    """A named algorithm, or an object, solves the linearisations; a wrong name is refused."""
+    """A named algorithm, or an object, solves the linearizations; a wrong name is rejected."""
     for algorithm in ("lemke", "newton"):
         solved(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), algorithm))
     with pytest.raises(UnknownAlgorithm, match="lemke"):

@@ -137,7 +137,7 @@ HARD = (
 @pytest.mark.parametrize("largest", [60, 400])
 @pytest.mark.parametrize("kind", HARD)
 def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> None:
-    """Planted programs of each kind: the planted value, KKT residuals of 1e-6 row by row, in some dozen steps."""
+    """Planted programs of each kind: the planted value, KKT residuals of 1e-6 row by row, in about twelve steps."""
     for seed in range(4):
         made = chain(6 * largest, np.random.default_rng(seed)) if kind == HARD[0] else None
         program, value = made or CAMPAIGN.case(kind, seed, 11, largest)
@@ -253,7 +253,7 @@ def moved(program: QuadraticProgram, share: float) -> QuadraticProgram:
 
 
 def test_a_start_hides_no_proof_of_infeasibility() -> None:
-    """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is refused."""
+    """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is rejected."""
     program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
     z = np.zeros(3)
     outside = program.with_vectors(lower=np.full(program.n, 1e6), upper=np.full(program.n, 2e6))
@@ -382,7 +382,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
-    """Programs with a planted minimum have no proof that there is none, but for data rounded to few digits."""
+    """Programs with a planted minimum have no proof that there is none, except for data rounded to few digits."""
     case, _ = CAMPAIGN.case(kind, seed, 6, 10)
     assert case.facts.accepted_proof(1e-6) is None
     assert CAMPAIGN.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
@@ -488,7 +488,7 @@ def contradicting(n: int) -> QuadraticProgram:
 
 
 def falling(n: int) -> QuadraticProgram:
-    """A dense program with P of half the rank that falls without end along one direction."""
+    """A dense program with P of half the rank that falls indefinitely along one direction."""
     rng = np.random.default_rng(n)
     factor, G, d = (
         rng.standard_normal((n, n // 2)),
@@ -632,7 +632,7 @@ def test_data_of_single_precision_are_convex_enough() -> None:
 
 @pytest.mark.parametrize("name", NONCONVEX)
 def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
-    """A negative eigenvalue beyond rounding is refused with a value and advice."""
+    """A negative eigenvalue beyond rounding is rejected with a value and advice."""
     P, words = NONCONVEX[name]
     with pytest.raises(
         UnsupportedModel,
@@ -645,7 +645,7 @@ def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
 @pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9])
 @pytest.mark.parametrize("is_sparse", [False, True])
 def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool) -> None:
-    """A singular BᵀB computed in doubles, whose smallest eigenvalues are rounding of either sign, is accepted."""
+    """A singular BᵀB in double precision, whose smallest eigenvalues are rounding of either sign, is accepted."""
     for seed in range(10):
         rng = np.random.default_rng(seed)
         B = rng.standard_normal((rank, 12)) * np.where(rng.random(12) < 0.3, 1e-9, 1.0)
@@ -688,7 +688,7 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
 def test_an_exact_descent_counts_beside_its_own_costs(
     program: QuadraticProgram, along: Any
 ) -> None:
-    """However small a cost is beside the others: what falls for ever along it alone is unbounded, exactly."""
+    """However small a cost is beside the others: what falls indefinitely along it alone is unbounded, exactly."""
     point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
     proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
     assert proof.is_exact

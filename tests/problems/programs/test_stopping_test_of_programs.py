@@ -150,7 +150,7 @@ NEARLY_IDLE = QuadraticProgram(
 )
 LEVEL = QuadraticProgram(
     [[0.01, 0.03], [0.03, 0.09]], [-1.0, 0.0]
-)  # P d = 0 but for rounding, d = (3, −1)
+)  # P d = 0 except for rounding, d = (3, −1)
 FELL = {
     "a slack of cost 1e9": (ONE_ROW, [500, 0, 0], [1, 0, 0, 1e9 - 1, 0, 0, 0]),
     "its bounds hold all": (ONE_ROW, [500, 0, 0], [0, 1, 1, 1e9, 0, 0, 0]),
@@ -246,7 +246,7 @@ def test_a_minimum_at_0_has_multipliers() -> None:
 
 
 def test_an_objective_is_right_where_its_terms_cancel() -> None:
-    """½ xᵀP x + cᵀx of a singular P far out, by fractions: rounding of its terms was 378 times the value."""
+    """½ xᵀP x + cᵀx of a singular P of large norm, by fractions: rounding of its terms was 378 times the value."""
     P = np.array(
         [
             [13.0, 3.0, 6.0, -10.0],
@@ -427,7 +427,7 @@ def test_documented_limits_of_the_test() -> None:
 
 @pytest.mark.parametrize("value", [1e160, 1e308, np.nan, np.inf])
 def test_no_number_is_no_answer(value: float) -> None:
-    """NaN, ∞ and what overflows are refused as x and as multipliers."""
+    """NaN, ∞ and what overflows are rejected as x and as multipliers."""
     program = QuadraticProgram(np.eye(2), [-1, -2], [[1, 1]], [1])
     for x, y in (([value, 1.0], [1.0]), ([0.0, 1.0], [value])):
         assert not Errors.of(program, np.array(x), np.array(y)).meet(1e-6)

@@ -37,10 +37,10 @@ convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[g
 
 - Without an objective, bounds that a variable has of its own belong to its pair, stated there or not, as PATH and AMPL
   take them: at an upper one the row may be < 0. The message names such a bound where a variable stops at it.
-- Inequalities beside complementarities, and bounds of a variable that no pair holds, are looked at afterwards: where
-  one does not hold the answer is not optimal, and the message names it. A variable that stands in such inequalities
-  alone gets the value nearest to its own that they allow, where they are linear.
-- A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
+- Inequalities next to complementarities, and bounds of a variable that no pair holds, are checked at the solution of
+  the pairs. If one is violated, another solution of the pairs is searched, as with an objective; if none is found, the
+  message names what is violated.
+- A pair whose variable is fixed is checked in the same way, as that of a price which is the unit.
 - Refused in words: disjunctions, functions that are not smooth or that SCIP does not know; without complementarities
   integers, nonlinear rows beside an objective, objectives that are not convex.
 - Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on a range beside an expression, states another problem for a

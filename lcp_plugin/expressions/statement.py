@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..auto import solve_lcp
+from ..core.certificates.row_residuals import magnitude
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
@@ -28,6 +29,7 @@ from .substitution import Elimination, eliminate_definitions, matched_for_monoto
 
 BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
 MOST_NAMES = 5
+DISAGREEMENT = 1e-9  # relative to the terms of a row
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
 UNCERTAIN = (
     1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
@@ -89,6 +91,38 @@ class SquareModel:
     signs: FloatVector
     matched: Indices
     dropped: Indices
+
+    def first_mismatch(
+        self, z: FloatVector, w: FloatVector, values: FloatVector, slip: float = 0.0
+    ) -> tuple[int, float] | None:
+        """Return the first row that the language evaluates otherwise than it was computed, and the computed value.
+
+        Parameters
+        ----------
+        z, w : ndarray, shape (n,)
+            Solution of the problem.
+        values : ndarray
+            Rows of the pairs, then of the equations, as the language evaluates them.
+        slip : float
+            Difference that is allowed in addition to rounding.
+        """
+        expected, terms = np.zeros((2, values.size))
+        left = np.delete(np.arange(values.size), self.stored[0].shape[0] + self.elimination.rows)
+        left = left[self.places]
+        expected[left] = self.signs * w
+        if isinstance(self.problem, NonlinearProblem):
+            terms[left] = magnitude(self.problem.linearised(z), z)
+        else:
+            unknowns = np.abs(self.elimination.expand(z))
+            terms = np.concatenate([abs(matrix) @ unknowns for matrix in self.stored])
+        wrong = mismatches(values, expected, terms, slip)
+        return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None
+
+
+def mismatches(values: Any, expected: Any, terms: Any, slip: Any = 0.0) -> Indices:
+    """Return the rows whose values differ from the finite expected ones by more than rounding of terms of that size."""
+    allowed = DISAGREEMENT * (terms + np.abs(values) + np.abs(expected)) + slip
+    return np.flatnonzero(np.isfinite(expected) & ~(np.abs(values - expected) <= allowed))
 
 
 class Statement:

@@ -15,7 +15,6 @@ from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..core.certificates.row_residuals import magnitude
 from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
@@ -37,8 +36,6 @@ from .stated_terms import dense_value, sense_of, values_below
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side
-
-DISAGREEMENT = 1e-9  # of the terms of a row
 
 
 @dataclass(eq=False)
@@ -442,33 +439,23 @@ class Model:
         z, w : array, shape (n,)
             Variables have the values of z.
         """
-        square, problem = self.square, self.problem
-        stated, elimination = [*self.statement.pairs, *self.statement.rows], square.elimination
-        unknowns = elimination.expand(z)
+        square, stated = self.square, [*self.statement.pairs, *self.statement.rows]
+        unknowns = square.elimination.expand(z)
         with np.errstate(all="ignore"):
-            found = values_below([one.origin for one in stated])
-            values = [np.ravel(dense_value(found[id(one.origin)]), order="F") for one in stated]
+            below = values_below([one.origin for one in stated])
+            values = [np.ravel(dense_value(below[id(one.origin)]), order="F") for one in stated]
         for k, one in enumerate(stated):
             if one.slacks is not None:
                 values[k] = values[k] - unknowns[one.slacks]
         theirs = np.concatenate([*values, np.zeros(0)])
-        expected, terms = np.zeros((2, theirs.size))
-        left = np.delete(np.arange(theirs.size), square.stored[0].shape[0] + elimination.rows)
-        left = left[square.places]
-        expected[left] = square.signs * w
-        if isinstance(problem, NonlinearProblem):
-            terms[left] = magnitude(problem.linearised(z), z)
-        else:
-            terms = np.concatenate([abs(matrix) @ np.abs(unknowns) for matrix in square.stored])
-        allowed = DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected))
-        wrong = np.flatnonzero(np.isfinite(expected) & ~(np.abs(theirs - expected) <= allowed))
-        if not wrong.size:
+        if (found := square.first_mismatch(z, w, theirs)) is None:
             return None
-        owner = np.searchsorted(np.cumsum([one.size for one in values]), wrong[0], side="right")
+        row, expected = found
+        owner = np.searchsorted(np.cumsum([one.size for one in values]), row, side="right")
         less = " less its slack" if stated[owner].slacks is not None else ""
         return (
-            f"{name_of(stated[owner].origin)}{less} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
-            f"variables, and {expected[wrong[0]]:.9g} was computed"
+            f"{name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
+            f"variables, and {expected:.9g} was computed"
         )
 
 

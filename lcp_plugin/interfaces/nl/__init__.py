@@ -37,11 +37,11 @@ between. Its dual is its value. A dual of a program is the derivative of the obj
 Variables that only name the value of such a row, which Pyomo adds, are put in where all is affine. Equations without
 complementarities keep the bounds of variables; SOLVED means that they hold. Without an objective all bounds of a
 variable belong to its complementarity, as PATH and AMPL take them, and the message names one that the complementarity
-does not state where a variable stops at it. No unknown gives way to an inequality that has no partner, or to a bound of
-a variable without a complementarity: they are held against the answer, which is STALLED where one does not hold; a
-variable that stands in such inequalities alone gets the value nearest to its start that they allow. With an objective
-they are constraints like others, as are bounds that a complementarity does not state. Every answer is held against the
-rows as they stand in the file, by an evaluation of its own.
+does not state if a variable stops at it. Inequalities without a partner, and bounds of a variable without a
+complementarity, are checked at the solution of the complementarities. If one is violated, the model is solved as one
+with an objective: another solution is searched, or proved not to exist. With an objective they are constraints like
+others, as are bounds that a complementarity does not state. Every answer is compared with the rows of the file, which
+are evaluated apart from the problem.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, names from ``.col`` and ``.row``. What is

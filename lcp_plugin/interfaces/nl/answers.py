@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -11,20 +12,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.certificates.row_residuals import magnitude
 from ...core.checks import BoolVector, FloatVector
-from ...core.errors import InvalidOption
-from ...core.kernels.floats import EPSILON
+from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.representation import in_words
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
-from ...expressions.statement import SquareModel, solve_from
+from ...expressions.statement import SquareModel, mismatches, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
 from ...problems.programs.solving import QuadraticProgramResult, solve_program
-from .checks import FEASIBLE, Evaluation, SideConditions, contradiction, evaluated
+from .checks import FEASIBLE, SideConditions, evaluated, pair_bounds, sizes_of
 from .content import Indices, NLContent
 
 #: AMPL's numbers for the ways a run may end.
@@ -41,7 +40,7 @@ CODES = {
     Status.DIVERGED: 501,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
-ROUNDINGS = 100.0  # times what rounding alone leaves open
+MAX_SEARCH_NODES = 1000  # of a search that nobody asked for
 OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
 TAKEN = (
     "tolerance",
@@ -155,7 +154,11 @@ class ComplementarityModel(NLModel):
     constants : ndarray, shape (m,)
         The values of complementarity rows that hold no unknown and are left out.
     beside : SideConditions
-        What is held against the answer afterwards.
+        Conditions that are checked at the solution.
+    order : ndarray of int
+        Numbers of the rows as the arrangement has them: pairs, then equations; from m on, of defined variables.
+    search : callable
+        Returns the model of all conditions, which is solved if a solution violates some.
     """
 
     problem: LCP | NonlinearProblem
@@ -163,6 +166,8 @@ class ComplementarityModel(NLModel):
     pairs: Indices
     constants: FloatVector
     beside: SideConditions
+    order: Indices
+    search: Callable[[], EquilibriumModel]
 
     @property
     def start(self) -> FloatVector:
@@ -173,47 +178,66 @@ class ComplementarityModel(NLModel):
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
         start = self.start if self.content.has_start.any() else None
-        result = solve_from(self.problem, start, {"algorithm": algorithm, **options})
-        found = self._without_bounds(result, {"algorithm": algorithm, **options})
+        options = {"algorithm": algorithm, **options}
+        result = solve_from(self.problem, start, options)
+        found = self._without_bounds(result, options)
         x, duals = self.values(found.z, found.w)
-        x = self.beside.settled(x)
-        status, words = (
-            found.status,
-            STUCK if result.is_solved and not found.is_solved else found.status.name.lower(),
-        )
-        if status is Status.SOLVED and (wrong := self._wrong(x, duals, found, options)):
-            status, words = Status.STALLED, wrong
-        elif status is Status.SOLVED and (bound := self.beside.at_bounds_of_their_own(x)):
-            words = f"{words}; {bound}"
+        status, words = found.status, found.status.name.lower()
+        if result.is_solved and not found.is_solved:
+            words = STUCK
+        if status is Status.SOLVED:
+            rows = evaluated(self.content, x)[0]
+            wrong = self._misreading(rows, found)
+            tolerance = options.get("tolerance", Settings.tolerance)
+            if not wrong and (wrong := self.beside.violated(x, rows, tolerance)):
+                if (other := self._another(options, found)) is not None:
+                    why = f"; {wrong}" if other.result.has_no_solution else ""
+                    return replace(other, message=other.message + why)
+                wrong += ", and no other solution was found"
+            status, words = (Status.STALLED, wrong) if wrong else (status, words + self._remark(x))
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None, CODES[status])
 
-    def _wrong(
-        self, x: FloatVector, duals: FloatVector, result: Result, options: dict[str, Any]
-    ) -> str:
-        """Return what the rows of the file, evaluated as they stand, say against the answer; else nothing."""
-        values = evaluated(self.content, x)
-        tolerance = options.get("tolerance", Settings.tolerance)
-        return self._contradiction(duals, values, result) or self.beside.violated(
-            x, values.rows, tolerance
-        )
+    def _another(self, options: dict[str, Any], found: Result) -> NLAnswer | None:
+        """Return a solution of the pairs that meets all conditions, or a proof that there is none; else None."""
+        if (limit := options.get("max_seconds")) is not None:
+            limit = max(limit - found.seconds, 0.0)
+        try:
+            other = self.search().solve(max_iterations=MAX_SEARCH_NODES, max_seconds=limit)
+        except UnsupportedModel:
+            return None
+        return other if other.is_solved or other.result.has_no_solution else None
 
-    def _contradiction(self, duals: FloatVector, values: Evaluation, result: Result) -> str:
-        """Return what the values of the rows say against those computed; else nothing."""
-        content, widths = self.content, np.zeros(self._size)
-        if isinstance(self.problem, NonlinearProblem):
-            terms = magnitude(self.problem.linearised(result.z), result.z)
-            widths[self.unknowns[self.arrangement.elimination.kept]] = EPSILON * terms
-        is_pair = content.partners >= 0
-        is_equation = ~is_pair & (content.row_lower == content.row_upper)
-        at_equations = np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair)))
-        allowed = np.full(
-            duals.size, ROUNDINGS * widths.max(initial=0.0) + at_equations.max(initial=0.0)
+    def _remark(self, x: FloatVector) -> str:
+        """Return which variable is at a bound that its complementarity does not state; else ""."""
+        content, at = self.content, x[self.content.partners[self.pairs]]
+        both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
+        for word, own, stated in zip(("lower", "upper"), *both, strict=True):
+            is_near = np.abs(at - own) <= FEASIBLE * np.maximum(1.0, np.abs(own))
+            for k in self.pairs[is_near & (own != stated)][:1].tolist():
+                j = content.partners[k]
+                return (
+                    f"; {content.variable(j)} stops at its own {word} bound {x[j]:g}, which counts although "
+                    f"its complementarity, {content.row(k)}, does not state it"
+                )
+        return ""
+
+    def _misreading(self, rows: FloatVector, result: Result) -> str:
+        """Return which row of the file, evaluated as it stands there, is another than was computed; else ""."""
+        content, order = self.content, self.order
+        is_row = order < rows.size
+        limits, stated = (
+            np.where(content.partners >= 0, 0.0, content.row_lower),
+            np.zeros(order.size),
         )
-        allowed[is_pair] = ROUNDINGS * widths[content.partners[is_pair]]
-        expected = np.where(is_pair, duals, content.row_lower)
-        expected = np.where(is_pair | is_equation, expected, np.nan)
-        return contradiction(content, values, expected, allowed)
+        stated[is_row] = (rows - limits)[order[is_row]]
+        # Equations, also those of defined variables, may leave a residual.
+        slip = float(np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair))).max(initial=0.0))
+        found = self.arrangement.first_mismatch(result.z, result.w, stated, slip)
+        if found is None:
+            return ""
+        k = int(order[found[0]])
+        return _mismatch(content.row(k), rows[k], found[1] + limits[k])
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
@@ -279,28 +303,32 @@ class ProgramModel(NLModel):
         found = solve_program(self.problem, algorithm, **options)
         status = found.status
         x = self.variables(found.solution.x)
-        values = evaluated(self.content, x)
+        values, objectives = evaluated(self.content, x)
         # As the file states it: expanded, (x - 10⁶)² has lost ten digits.
-        objective = float(values.objectives[0]) if values.objectives.size else 0.0
-        words, code = "optimal" if found.is_solved else status.name.lower(), CODES[status]
-        if status is Status.SOLVED and (wrong := self._contradiction(values, found)):
-            status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
+        objective = float(objectives[0]) if objectives.size else 0.0
+        words = "optimal" if found.is_solved else status.name.lower()
+        if status is Status.SOLVED and (wrong := self._misreading(values, objective, found)):
+            status, words = Status.STALLED, wrong
         has_objective = found.proof is None
         words += f", objective {objective:.9g}" if has_objective else ""
         # The program's own residuals, which the status is made of, not those of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
-        return NLAnswer(
-            x, duals, status, message, found, objective if has_objective else None, code
-        )
+        told = objective if has_objective else None
+        return NLAnswer(x, duals, status, message, found, told, CODES[status])
 
-    def _contradiction(self, values: Evaluation, found: QuadraticProgramResult) -> str:
-        """Return which row, or the objective, is another in the file than in the program; else nothing."""
-        program, own = self.problem, np.abs(found.solution.x)
-        rows = self.matrix @ found.solution.x + self.offset
-        terms = own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)) + abs(self.constant)
-        objective = self.sign * found.solution.objective + self.constant, float(terms)
-        return contradiction(self.content, values, rows, objective=objective)
+    def _misreading(
+        self, values: FloatVector, objective: float, found: QuadraticProgramResult
+    ) -> str:
+        """Return which row, or the objective, is another in the file than in the program; else ""."""
+        x, offset = found.solution.x, self.offset
+        rows = self.matrix @ x + offset
+        for k in mismatches(values, rows, abs(self.matrix) @ np.abs(x) + np.abs(offset))[:1]:
+            return _mismatch(self.content.row(int(k)), values[k], rows[k])
+        computed = self.sign * found.solution.objective + self.constant
+        terms = _objective_terms(self.problem, x) + abs(self.constant)
+        is_wrong = mismatches(objective, computed, terms).size > 0
+        return _mismatch("the objective", objective, computed) if is_wrong else ""
 
 
 @dataclass(eq=False, repr=False)
@@ -324,9 +352,8 @@ class EquilibriumModel(NLModel):
         """Return the start in the unknowns of the problem; None where the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
         x[: self.unknowns.size] = self.content.start[self.unknowns]
-        x[self.columns] = evaluated(self.content, self.variables(x[: self.unknowns.size])).rows[
-            self.pairs
-        ]
+        rows = evaluated(self.content, self.variables(x[: self.unknowns.size]))[0]
+        x[self.columns] = rows[self.pairs]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
@@ -377,17 +404,32 @@ class EquilibriumModel(NLModel):
 
     def _as_stated(self, x: FloatVector, duals: FloatVector, value: float) -> tuple[float, str]:
         """Return the objective as the file states it, and what its rows say against the answer, if anything."""
-        content, values = self.content, evaluated(self.content, x)
-        within = np.clip(values.rows, content.row_lower, content.row_upper)
+        content, sign = self.content, self.sign
+        rows, objectives = evaluated(content, x)
+        objective = float(objectives[0]) if objectives.size else 0.0
+        sizes = sizes_of(content, x, np.arange(rows.size + objectives.size))
+        within = np.clip(rows, content.row_lower, content.row_upper)
         within[self.pairs] = duals[self.pairs]
-        objective = float(values.objectives[0]) if values.objectives.size else 0.0
-        bound = (
-            self.sign * value + 0.0,
-            (abs(value) + float(values.objective_sizes[:1].sum())) / OBJECTIVE,
+        terms = 1.0 + sizes[: rows.size] + np.abs(within)
+        for k in mismatches(rows, within, terms, FEASIBLE * terms)[:1]:
+            return objective, _mismatch(content.row(int(k)), rows[k], within[k])
+        own = _objective_terms(self.problem.program, x[self.unknowns]) + abs(self.problem.offset)
+        most = abs(value) + own + float(sizes[rows.size :].sum())
+        is_wrong = (
+            objectives.size and mismatches(objective, sign * value, 0.0, OBJECTIVE * most).size
         )
-        return objective, contradiction(
-            content, values, within, FEASIBLE, objective=bound, relative=FEASIBLE
-        )
+        return objective, _mismatch("the objective", objective, sign * value) if is_wrong else ""
+
+
+def _objective_terms(program: QuadraticProgram, x: FloatVector) -> float:
+    """Return the sum of the absolute values of the objective's terms at the leading unknowns x."""
+    own = np.zeros(program.n)
+    own[: x.size] = np.abs(x)
+    return float(own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)))
+
+
+def _mismatch(name: str, value: float, computed: float) -> str:
+    return f"{name} is {value:.9g} at the answer, where {computed:.9g} was computed"
 
 
 def _of_search(options: dict[str, Any]) -> dict[str, Any]:

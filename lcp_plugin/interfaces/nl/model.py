@@ -17,7 +17,7 @@ from ...expressions.rows import Rows
 from ...expressions.statement import Statement
 from ...problems.programs.program import QuadraticProgram
 from .answers import ComplementarityModel, EquilibriumModel, NLModel, ProgramModel
-from .checks import SideConditions, evaluated, pair_bounds
+from .checks import SideConditions, pair_bounds, sizes_of
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
@@ -73,7 +73,7 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
     if beside:
         raise UnsupportedModel(
             f"{path} states more than a complementarity problem: {beside[0]} stands beside the complementarities; "
-            "lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` hold it against the answer"
+            "lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` take it"
         )
     kind = KINDS.get(type(model.problem).__name__, "a nonlinear complementarity problem")
     raise UnsupportedModel(
@@ -235,9 +235,10 @@ class FileStatement:
             if part.size:
                 stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
         rows = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")]
+        as_stated = bool(self.has_objective() or content.is_integer.any())
         for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
             if part.size:
-                bounds = pair_bounds(content, part)
+                bounds = pair_bounds(content, part, as_stated=as_stated)
                 stated.complement(place[content.partners[part]], found.rows(part), *bounds)
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
@@ -287,14 +288,11 @@ class FileStatement:
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""
-        held, before = np.isnan(self.known), self.known
         if self.inequalities.size:
-            self.known = self._known(
-                self.says_nothing | np.isin(np.arange(self.m), self.inequalities)
-            )
-        self._free_what_equations_define()
-        if not np.array_equal(self.known, before, equal_nan=True):
+            is_inequality = np.isin(np.arange(self.m), self.inequalities)
+            self.known = self._known(self.says_nothing | is_inequality)
             self.expressions = Expressions(self.content, self.known)
+        self._free_what_equations_define()
         content, found = self.content, self.expressions
         pairs, equations = self.pairs, np.append(self.equations, found.definitions)
         shift = np.zeros(found.offset.size)
@@ -303,21 +301,25 @@ class FileStatement:
         equations = self._without_empty(equations)
         spare = self._spare(pairs, equations)
         pairs = np.setdiff1d(pairs, spare)
-        lone = np.flatnonzero(held & ~np.isnan(self.known))
-        beside = SideConditions(content, pairs, self.inequalities, spare, lone)
-        statement = self._statement(beside.bounded)
+        is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
+        is_bounded[content.partners[pairs]] = False
+        is_bounded &= bool(pairs.size)
+        beside = SideConditions(content, self.inequalities, spare, np.flatnonzero(is_bounded))
+        statement = self._statement(is_bounded)
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
         is_affine = found.is_affine()
-        for part in (pairs[is_affine[pairs]], pairs[~is_affine[pairs]]):
-            if part.size:
-                z = place[content.partners[part]]
-                bounds = statement.lower[z], statement.upper[z]
-                statement.complement(z, found.rows(part), *bounds)
-        for part in (equations[is_affine[equations]], equations[~is_affine[equations]]):
-            if part.size:
-                statement.constrain(found.rows(part))
-        # What is an array in the language of the model is not known: unknowns without a pair count as one variable.
+        order = []
+        for rows in (pairs, equations):
+            for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
+                order.append(part)
+                if part.size and rows is pairs:
+                    z = place[content.partners[part]]
+                    bounds = statement.lower[z], statement.upper[z]
+                    statement.complement(z, found.rows(part), *bounds)
+                elif part.size:
+                    statement.constrain(found.rows(part))
+        # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square(
             (~statement.is_paired).astype(np.int64), keeps_bounds=not pairs.size
         )
@@ -332,6 +334,8 @@ class FileStatement:
             pairs,
             constants,
             beside,
+            np.concatenate(order),
+            lambda: FileStatement(content).equilibrium_program(),
         )
 
     def _statement(self, is_free: BoolVector) -> Statement:
@@ -356,6 +360,7 @@ class FileStatement:
         equations = np.count_nonzero(np.diff(self.expressions.matrix.indptr)[self.equations])
         if 0 < equations - unknowns == np.count_nonzero(is_fixed):
             self.known = np.where(is_fixed, np.nan, self.known)
+            self.expressions = Expressions(content, self.known)
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
         """Return the complementarity rows that hold no unknown, where there are as many equations too many.
@@ -376,7 +381,7 @@ class FileStatement:
         empty: Indices = equations[is_empty]
         left: Indices = equations[~is_empty]
         if empty.size:
-            sizes = np.nan_to_num(evaluated(content, np.nan_to_num(self.known)).row_sizes[empty])
+            sizes = sizes_of(content, np.nan_to_num(self.known), empty)
             wrong = np.abs(found.offset[empty]) > ROUNDING * (sizes + np.abs(self.right[empty]))
             for row in empty[wrong][:1]:
                 raise UnsupportedModel(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -238,19 +237,3 @@ def test_without_h5py_the_words_say_what_to_install(tmp_path: Path) -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert "is read by h5py; install it with: pip install h5py" in found.stdout
-
-
-def test_the_command_hands_options_to_the_methods_of_cones(tmp_path: Path) -> None:
-    """An option of npgs counts, one that no method has is refused."""
-    path = str(local(tmp_path / "block.h5"))
-    works = []
-    for sweeps in (3, 50):
-        told = CliRunner().invoke(
-            app, ["solve", path, "--algorithm", "npgs", "--option", f"sweeps={sweeps}", "--json"]
-        )
-        works.append(json.loads(told.output)["work"])
-    assert works[0] < 10.0 < 50.0 < works[1]
-    for words in (["--algorithm", "npgs", "--option", "sweep=3"], ["--option", "sweeps=3"]):
-        refused = CliRunner().invoke(app, ["solve", path, *words])
-        assert refused.exit_code == 2
-        assert "has no option" in refused.output or "solve takes no sweeps" in refused.output

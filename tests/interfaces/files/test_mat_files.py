@@ -72,34 +72,12 @@ def test_what_matlab_wrote_is_what_scipy_reads(source: Path) -> None:
         np.testing.assert_array_equal(dense, expected)
 
 
-def test_most_matrices_of_matlab_are_read() -> None:
-    """Real matrices are not among what is refused."""
-    read = [
-        source.stem
-        for source in WRITTEN_BY_MATLAB
-        if source.stem.startswith(("testdouble", "testsparse_"))
-    ]
-    for source in WRITTEN_BY_MATLAB:
-        if source.stem in read:
-            assert read_mat(source, {source.stem.split("_")[0]})[0]
-
-
 def test_command_solves_a_mat_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``lcp-plugin solve p.mat``."""
     monkeypatch.chdir(tmp_path)
     Path("p.mat").write_bytes(WHOLE[0])
     done = lcp_plugin("solve", "p.mat", "--json")
     assert done.exit_code == 0, done.output
-
-
-@pytest.mark.parametrize("suffix", ["npz", "mat"])
-def test_dense_numbers_are_enough(suffix: str, tmp_path: Path) -> None:
-    """M and q as numpy or scipy write them, nothing else."""
-    path = tmp_path / f"p.{suffix}"
-    (np.savez if suffix == "npz" else lambda path, **content: savemat(path, content))(
-        path, M=M, q=-np.ones(3)
-    )
-    assert str(LCP.load(path)) == "LCP(n=3, nonzeros=7, bounds 0 ≤ z)"
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import doctest
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -124,26 +123,6 @@ def test_jacobians() -> None:
     assert not np.any(whole[1, :, 2])
 
 
-@pytest.mark.full
-def test_two_mapped_axes() -> None:
-    """One over M and, inside of it, one over q and one bound, are those of a batch; so are the gradients of the sum."""
-    M, q, lower, _ = planted(3, 5, 8)
-    M, q, lower = jnp.array(M[:2]), jnp.array(q), jnp.maximum(jnp.array(lower), -10.0)
-
-    def mapped(M: Any, q: Any, lower: Any) -> Any:
-        return jax.vmap(lambda M: jax.vmap(partial(lcp_layer, M))(q, lower))(M)
-
-    def batched(M: Any, q: Any, lower: Any) -> Any:
-        return lcp_layer(M[:, None], q, lower)
-
-    assert np.allclose(mapped(M, q, lower), batched(M, q, lower), rtol=1e-13, atol=1e-14)
-    ours, theirs = (
-        jax.grad(lambda *data, of=of: (of(*data) ** 2).sum(), argnums=(0, 1, 2))(M, q, lower)
-        for of in (mapped, batched)
-    )
-    assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
-
-
 @pytest.mark.parametrize(
     "second", [jax.hessian, lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum())]
 )
@@ -152,31 +131,6 @@ def test_second_derivatives_and_forward_mode_are_refused(second: Callable[..., A
     M, q = jnp.eye(2) * 2.0, -jnp.ones(2)
     with pytest.raises((TypeError, ValueError, NotImplementedError)):
         second(lambda q: (lcp_layer(M, q) ** 2).sum())(q)
-
-
-def test_first_derivatives_within_loops() -> None:
-    """The derivative stands within scan and checkpoint."""
-    M, q = jnp.array([[2.0, 1.0], [1.0, 2.0]]), jnp.array([-5.0, 1.0])
-    thrice = jax.grad(
-        lambda q: jax.lax.scan(lambda z, _: (lcp_layer(M, q - z), None), q, length=3)[0].sum()
-    )
-    assert np.allclose(
-        thrice(q), [-0.75, 0.0], atol=1e-12
-    )  # dz ← (dz − dq)/2 on the free row, and dz is dq at first
-    again = jax.grad(lambda q: jax.checkpoint(partial(lcp_layer, M))(q).sum())
-    assert np.allclose(again(q), [-0.5, 0.0], atol=1e-12)
-
-
-def test_what_the_loss_ignores_may_be_singular() -> None:
-    """A problem without derivative costs the others nothing."""
-    M, q = jnp.array([[[2.0]], [[0.0]]]), jnp.array([[-2.0], [0.0]])
-    assert jax.grad(lambda q: lcp_layer(M, q, -INF)[0].sum())(q).tolist() == [[-0.5], [0.0]]
-
-
-def test_lists_may_hold_what_is_differentiated() -> None:
-    """Numbers under a transformation, in a list beside others."""
-    M = jnp.array([[2.0, 1.0], [1.0, 2.0]])
-    assert jax.grad(lambda first: lcp_layer(M, [first, 1.0]).sum())(-5.0).item() == -0.5
 
 
 def test_a_sparse_matrix_is_a_constant() -> None:

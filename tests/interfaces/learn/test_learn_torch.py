@@ -60,13 +60,6 @@ def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> No
     assert torch.autograd.gradcheck(lcp_layer, data)
 
 
-def test_gradients_of_equal_bounds_move_together() -> None:
-    """Rows with lower = upper: what moves both has the gradient of differences."""
-    M, q, lower, _ = planted(3, 4, 2)
-    M, q, lower = leaves(M, q, np.where(lower > -INF, lower, 0.0))
-    assert torch.autograd.gradcheck(lambda M, q, both: lcp_layer(M, q, both, both), (M, q, lower))
-
-
 def test_gradients_are_those_of_each_problem() -> None:
     """What one Result's own derivative says, for a single problem without axes in front."""
     M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from binary_nl import write_form
-from fresh_process import printed_by
 from nl_content import content_of
 from sol_files import read_sol
 
@@ -260,28 +259,6 @@ def test_it_tells_what_it_is_asked(capsys: Any) -> None:
     assert mark.startswith("* not for an objective")
 
 
-@pytest.mark.full
-def test_a_call_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
-    """The version loads not even numpy; a linear problem no cvxpy, typer, rich or what other problems need."""
-    write_nl(SOLVABLE, tmp_path / "m.nl")
-    call = "import sys\nfrom lcp_plugin.commands.ampl import main\nmain([{}])\nprint(*{!r} & sys.modules.keys())"
-    assert printed_by(call.format("'-v'", {"numpy", "scipy", "numba", "cvxpy"})).splitlines()[
-        1:
-    ] in ([], [""])
-    heavy = {
-        "cvxpy",
-        "typer",
-        "rich",
-        "matplotlib",
-        "pyomo",
-        "hypothesis",
-        "scipy.special",
-        "scipy.sparse.csgraph",
-    }
-    assert printed_by(call.format(f"{str(tmp_path / 'm')!r}, '-AMPL'", heavy)) == ""
-    assert read_sol(tmp_path / "m.sol").code == 0
-
-
 def test_an_interrupt_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C before there is an answer gives a .sol of code 402; while a file is read, exit code 130."""
     from lcp_plugin.interfaces.nl import model, reading
@@ -318,16 +295,6 @@ def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:
         message := read_sol(tmp_path / "m.sol").message
     )
     assert "no z within" not in message
-
-
-def test_who_has_closed_standard_output_is_answered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A call without streams, as by a service, writes its .sol."""
-    write_nl(SOLVABLE, tmp_path / "m.nl")
-    monkeypatch.setattr(ampl.sys, "stdout", None)
-    assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
-    assert read_sol(tmp_path / "m.sol").code == 0
 
 
 @pytest.mark.full

@@ -79,16 +79,6 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
         assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_signs_of_zeros_are_kept(tmp_path: Path, form: str) -> None:
-    """Bounds −0 and 0 are read as they were written."""
-    content = replace(
-        read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0])
-    )
-    write_form(content, tmp_path / "m.nl", **FORMS[form])
-    assert difference(content, read_content(tmp_path / "m.nl")) == ""
-
-
 def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
     """Bounds, partners, linear terms, expressions and the start stand where the format has them."""
     content = read(tmp_path, SMALL)
@@ -284,20 +274,6 @@ def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
             )
 
 
-@pytest.mark.parametrize(
-    ("line", "word"), [(2, 0), (2, 1), (2, 2), (2, 5), (6, 1), (8, 0), (8, 1), (10, 0)]
-)
-def test_counts_that_a_long_file_could_hold_allocate_little(
-    tmp_path: Path, line: int, word: int
-) -> None:
-    """A file long by its comments announces as much as it has bytes: within ten times its size all the same."""
-    lines = SMALL.replace(b"C1\n", b"C1\t#" + b"x" * 200_000 + b"\n").split(b"\n")
-    words = lines[line - 1].split()
-    words[word] = b"190000"
-    lines[line - 1] = b" ".join(words)
-    require_refused_or_valid(tmp_path, b"\n".join(lines))
-
-
 @pytest.mark.parametrize("bits", [0x7FF0000000000001, 0x7FF8000000000000, 0x7FF0000000000000])
 def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int) -> None:
     """A NaN of either kind and an infinity in an expression are refused with their byte, without a warning."""
@@ -309,17 +285,6 @@ def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int)
         errors.UnreadableFile, match=rf"byte {data.index(old)}: a number is not finite"
     ):
         read(tmp_path, data.replace(old, b"n" + struct.pack("<Q", bits)))
-
-
-def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
-    """Strings may hold newlines, comment signs and letters of segments; the line of a fault behind them is right."""
-    text = SMALL.replace(b"0 0 0 1\n 0 0 0 0 0", b"0 1 0 1\n 0 0 0 0 0").replace(
-        b"C1\no2\nv0\nv1\n", b"F0 1 -1 f\nC1\nf0 2\nh9:a\n#b\nh2:c\nv1\n"
-    )
-    content = read(tmp_path, text)
-    assert (content.trees.strings, content.functions) == ((b"a\n#b\nh2:c",), ("f",))
-    with pytest.raises(errors.UnreadableFile, match=r"line 29 \('5 1 7'\)"):
-        read(tmp_path, text.replace(b"5 1 1", b"5 1 7"))
 
 
 @pytest.mark.parametrize("options", [(3, 1, 1, 0), (5, 0, 1, 0, 7, 2021), (3, 1, 3, 0)])

@@ -14,10 +14,8 @@ from qpsolvers import ParamError, Problem, ProblemError, solve_problem, solve_qp
 from qpsolvers import problems as published
 from scipy.optimize import nnls
 
-import lcp_plugin
-from lcp_plugin import Status, certify
+from lcp_plugin import Status
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
-from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.strategies import convex_qps
 
 register_with_qpsolvers()
@@ -88,12 +86,6 @@ def test_least_squares(sparse: bool | None) -> None:
     np.testing.assert_allclose(x, nnls(R, s)[0], atol=1e-9)
 
 
-def test_linear_and_unconstrained_programs() -> None:
-    """P = 0 within bounds, and a program without any constraint."""
-    assert solve_qp(0.0 * P, Q, lb=np.zeros(2), ub=np.ones(2), solver=NAME).tolist() == [1.0, 1.0]
-    assert solve_qp(P, Q, solver=NAME) == pytest.approx([1.0, 2.0], rel=1e-12)
-
-
 def test_infeasible_comes_with_a_proof() -> None:
     """None for x, INFEASIBLE in the extras, and a proof that verifies."""
     problem = Problem(P, Q, np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([1.0, -2.0]))
@@ -120,15 +112,6 @@ def test_a_limit_is_no_solution() -> None:
     )
     assert not solution.extras["result"].solution.is_optimal()
     assert solve_problem(problem, NAME).found
-
-
-def test_found_is_what_certify_proves() -> None:
-    """The extras hold an answer that `certify` takes, with its duals."""
-    solution = solve_problem(Problem(P, Q, G, H), NAME)
-    assert (
-        certify(QuadraticProgram(P, Q, G, H), solution.extras["result"].solution).verdict
-        == "proved"
-    )
 
 
 def test_initvals_start_a_program_with_bounds() -> None:
@@ -176,13 +159,6 @@ def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: s
     """Refusals are qpsolvers' own exceptions, in words."""
     with pytest.raises(error, match=words):
         solve_qp(**{"P": P, "q": Q, "solver": NAME, **given})
-
-
-def test_registering_twice_changes_nothing() -> None:
-    """The name stands once in each list; the other solvers are where they were."""
-    lcp_plugin.interfaces.qpsolvers.register_with_qpsolvers()
-    for names in (qpsolvers.available_solvers, qpsolvers.dense_solvers, qpsolvers.sparse_solvers):
-        assert names.count(NAME) == 1
 
 
 @pytest.mark.full

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import signal
-import subprocess
 import sys
 import weakref
 from pathlib import Path
@@ -189,37 +188,6 @@ def test_an_error_inside_scip_is_told_and_no_traceback(
         minimize_over_solutions(bilinear())
 
 
-@pytest.mark.full
-def test_a_machine_without_licences_needs_none(tmp_path: Path) -> None:
-    """With no variable of the environment but the path, and no home, SCIP solves."""
-    code = (
-        "import cvxpy as cp; from lcp_plugin import complements; x, y = cp.Variable(bounds=[0, 2]), cp.Variable(); "
-        "p = cp.Problem(cp.Maximize(x * y), [complements(y >= 0, y + x - 3 >= 0)]); p.solve(method='LCP'); "
-        "print(p.status, round(p.value, 6))"
-    )
-    bare = {"PATH": os.environ["PATH"], "HOME": str(tmp_path / "none")}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=bare, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ["optimal", "2.25"]
-
-
-def test_pyomo_hears_of_no_licence() -> None:
-    """The solver is available and needs none."""
-    solver = pe.SolverFactory("lcp_plugin")
-    assert solver.available()
-    assert solver.license_is_valid()
-
-
-def test_scip_prints_nothing(capfd: Any) -> None:
-    """Its linear solver warns of tolerances on stderr, whatever SCIP's output is set to; here nothing arrives."""
-    x, y = cp.Variable(), cp.Variable()
-    cp.Problem(cp.Maximize(cp.exp(x) + y), [complements(x >= 0, y - x >= 0)]).solve(method="LCP")
-    assert capfd.readouterr() == ("", "")
-    os.write(2, b"heard")
-    assert capfd.readouterr().err == "heard"
-
-
 # --- Limits and Ctrl-C ---
 
 
@@ -271,38 +239,6 @@ def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
 
     with pytest.raises(ZeroDivisionError, match="mine"):
         minimize_over_solutions(knapsack(), callback=fails)
-
-
-def test_ctrl_c_while_the_objective_falls_ends_the_search() -> None:
-    """No second search follows within a box, and a bound is not believed where the first relaxation has none."""
-    calls = []
-
-    def interrupt(search: Any) -> None:
-        calls.append(search.nodes)
-        if len(calls) == 2:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    _, result = Toll().solved(callback=interrupt)
-    assert (result.status, result.bound_by, result.x is None) == (Status.INTERRUPTED, None, False)
-    assert len(calls) <= 3
-
-
-def test_ctrl_c_through_cvxpy_and_pyomo_is_a_limit() -> None:
-    """The status in cvxpy is user_limit beside values; in Pyomo userInterrupt."""
-
-    def interrupt(search: Any) -> None:
-        if np.isfinite(search.value):
-            os.kill(os.getpid(), signal.SIGINT)
-
-    toll = Toll()
-    problem, result = toll.solved(callback=interrupt)
-    assert (problem.status, result.status) == (cp.settings.USER_LIMIT, Status.INTERRUPTED)
-    assert float(toll.toll.value * toll.flow.value[0]) == pytest.approx(problem.value)
-    solver = pe.SolverFactory("lcp_plugin")
-    m = toll_in_pyomo()
-    condition = solver.solve(m, options={"callback": interrupt}).solver.termination_condition
-    assert condition == pe.TerminationCondition.userInterrupt
-    assert m.toll.value is not None
 
 
 # --- What cannot be, or is not known ---
@@ -371,16 +307,6 @@ def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> Non
     found = answered_by_ampl(m, tmp_path)
     assert found.code == 500
     assert "bounds of the unknowns from above help" in found.message
-
-
-def test_bounds_that_are_missing_help() -> None:
-    """Nothing bounds the income after three nodes; with bounds, as rows, its bound is finite."""
-    bounds = []
-    for most in (None, 20.0):
-        _, result = Toll(most=most).solved(callback=lambda search: search.nodes >= 3)
-        bounds.append(result.lower_bound)
-    assert np.isinf(bounds[0])
-    assert np.isfinite(bounds[1])
 
 
 def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:

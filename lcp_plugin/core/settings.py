@@ -1,4 +1,4 @@
-"""What a caller may ask of a run, checked once, and the ways a run may end."""
+"""Options of a run, checked once, and its termination statuses."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; f
 
 
 class Status(Enum):
-    """Why a run ended, and what to do next, in words; `advice` of a result says more of the case at hand."""
+    """Termination status; its value is a text with the reason and the next step. `advice` of a result has details."""
 
     SOLVED = "the residual is within the tolerance, rounding included, as proved on your data"
     PRECISION_LIMIT = (
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
         "next: accept z, or rescale the data"
     )
-    MAX_ITERATIONS = "the iteration limit came first; next: raise max_iterations"
-    MAX_SECONDS = "the time limit came first; next: raise max_seconds"
+    MAX_ITERATIONS = "iteration limit reached; next: raise max_iterations"
+    MAX_SECONDS = "time limit reached; next: raise max_seconds"
     STALLED = "not solved, and nothing is proved: the residual no longer falls, or too slowly for max_iterations"
-    DIVERGED = "the iterates ran away: the residual grew by a factor of 10⁸, or is not finite"
+    DIVERGED = "the iterates diverged: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
-        "there is no solution, even with errors as large as the tolerance; next: check the data; "
-        "result.proof proves it"
+        "infeasible, even if every condition is relaxed by the tolerance; next: check the data "
+        "(proof: result.proof)"
     )
     NO_SOLUTION = (
-        "there is no solution: the inequalities can hold, complementarity cannot; every case was excluded exactly, by "
-        "more than the tolerance; next: check the data; result.proof proves it"
+        "no solution exists: the inequalities are feasible, but not with complementarity; every active set is "
+        "excluded exactly, by more than the tolerance; next: check the data (proof: result.proof)"
     )
     UNBOUNDED = (
-        "there is no best x: the objective falls without end; next: bound the unknowns where it falls; result.proof "
+        "the objective is unbounded; next: add bounds for the unknowns of the direction in result.proof, which "
         "proves it"
     )
     INTERRUPTED = (
-        "stopped from outside (Ctrl-C or the callback); next: go on from z, the best iterate so far"
+        "stopped by Ctrl-C or the callback; next: continue from z, the best iterate so far"
     )
 
 
@@ -56,7 +56,7 @@ PROVEN = (
 
 @dataclass(frozen=True)
 class Settings:
-    """Tolerance, limits and wishes of one run.
+    """Tolerance, limits and options of one run.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Settings:
     max_seconds : float or None
         In seconds; None means no limit.
     absolute_tolerance : float
-        ‖r(z)‖∞, in the unit of z, that is small enough whatever it is relative to; ≥ 0 and finite.
+        ‖r(z)‖∞, in the unit of z, that is accepted without a reference; ≥ 0 and finite.
     record, error_bound : bool
         Whether to keep samples, and whether to bound the error.
     threads : int or None
@@ -75,12 +75,12 @@ class Settings:
     verbose : bool
         Whether to print the run.
     prove_infeasibility : bool
-        Whether to look for a proof that there is no solution.
+        Whether to search for a proof that no solution exists.
 
     Raises
     ------
     InvalidOption
-        Where one of them is none of these.
+        If a value is invalid.
     """
 
     tolerance: Any = 1e-8
@@ -104,12 +104,12 @@ class Settings:
 
     @property
     def goal(self) -> float:
-        """What a residual beside the references, none of them less than `least_reference`, has to come down to."""
+        """Required ratio of residual to reference; references are at least `least_reference`."""
         return float(self.tolerance or (NOTHING if self.absolute_tolerance else 0.0))
 
     @property
     def least_reference(self) -> float:
-        """The reference beside which `goal` is the absolute tolerance."""
+        """Smallest reference: `goal` times it is the absolute tolerance."""
         return (
             min(self.absolute_tolerance / self.goal * BELOW, LARGEST)
             if self.absolute_tolerance
@@ -118,16 +118,16 @@ class Settings:
 
     @property
     def is_unobserved(self) -> bool:
-        """True where no more is wanted of the run than that it ends within the tolerance on the residual."""
+        """True if the run neither records nor prints, and computes no error bound."""
         return not (self.record or self.error_bound or self.verbose)
 
 
-BESIDE = ("z0", "callback")  # what else belongs to a run
-MOST = 2**53  # steps, nodes and threads that anybody counts
+BESIDE = ("z0", "callback")  # further options of a run
+MOST = 2**53  # limit of steps, nodes and threads
 OF_SOLVE = (
     *BESIDE,
     *(setting.name for setting in fields(Settings)),
-)  # what no algorithm has to offer
+)  # options of `solve`, not of an algorithm
 
 
 def _number(value: Any, name: str) -> float:
@@ -140,9 +140,9 @@ def _number(value: Any, name: str) -> float:
 
 def _relative(value: Any, name: str) -> float:
     if _number(value, name) >= 1.0:
-        what = "it is relative: the residual of the start itself is at 1"
         raise InvalidOption(
-            f"{name} must be less than 1, got {value!r}: {what}, and 1e-8 the default of most kinds"
+            f"{name} must be less than 1, got {value!r}: it is relative, and the start has residual 1; "
+            "use 1e-8, the default of most problem classes"
         )
     return float(value)
 
@@ -179,12 +179,12 @@ if hasattr(os, "register_at_fork"):
 
 
 def checked_threads(threads: Any, name: str = "threads") -> int:
-    """Return how many threads take part; all that the process may use for None.
+    """Return the number of threads; None means all that the process may use.
 
     Raises
     ------
     InvalidOption
-        Where it is no integer ≥ 1.
+        If `threads` is not an integer ≥ 1.
     """
     otherwise = ", or None for all that may be used"
     return _usable_threads() if threads is None else _whole_number(threads, name, 1, otherwise)
@@ -207,7 +207,7 @@ CHECKS_BESIDE_DEFAULTS = [(name, getattr(Settings, name), check) for name, check
 
 
 def checked_callback(callback: Any) -> Callable[..., Any] | None:
-    """Return the caller's function, or None where there is none."""
+    """Return the caller's function, or None."""
     if callback is not None and not callable(callback):
         raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
     return callback  # type: ignore[no-any-return]

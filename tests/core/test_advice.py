@@ -201,7 +201,7 @@ def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
     first = solve(problem, algorithm, max_iterations=1)
     assert first.status is Status.MAX_ITERATIONS
     assert "raise max_iterations" in first.advice
-    assert "go on from z0=result.z" in first.advice
+    assert "continue from z0=result.z" in first.advice
     assert ('algorithm="auto"' in first.advice) == (algorithm != "auto")
     whole, rest = solve(problem, algorithm), solve(problem, algorithm, z0=first.z)
     assert whole.is_solved
@@ -217,7 +217,7 @@ def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
     answer = solve(problem, algorithm, tolerance=1e-10)
     again = solve(problem, algorithm, z0=answer.z)
     assert again.iterations == 0
-    assert "where it begins the residual is within the tolerance already" in again.explain()
+    assert "the residual of the start is within the tolerance already" in again.explain()
     assert "0 iterations" in again.explain()
     assert "where it begins" not in answer.explain()
 
@@ -283,14 +283,14 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
     )
     first = bounded_least_squares(A, b, max_iterations=0)
     assert first.status is Status.MAX_ITERATIONS
-    assert "go on from x0=result.x" in first.advice
+    assert "continue from x0=result.x" in first.advice
     assert bounded_least_squares(A, b, x0=first.x).is_solved
 
 
 def test_words_lead_where_they_say() -> None:
     """INFEASIBLE names the proof that README names; a proof is told by its repr; a bound is advised once."""
     infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
-    assert "result.proof proves it" in infeasible.advice
+    assert "(proof: result.proof)" in infeasible.advice
     assert infeasible.proof.verify()
     assert "row 0 contradicts its bounds" in repr(infeasible.proof)
     stiff = LCP(np.diag([1.0, 1e12]) + np.array([[0.0, -1.0], [-3.0, 0.0]]), [-1.0, -1.0])

@@ -52,7 +52,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         lambda: solve(OBSTACLE, "psor", max_iterations=5),
         Status.MAX_ITERATIONS,
         "relative residual",
-        'next: try algorithm="auto", or raise max_iterations, or go on from z0=result.z',
+        'next: try algorithm="auto", or raise max_iterations, or continue from z0=result.z',
     ),
     "infeasible": (
         lambda: solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, -1.0])),
@@ -122,7 +122,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
     "contradiction": (
         lambda: solve(QuadraticProgram(np.eye(2), [0.0, 0.0], G=[[1.0, 1.0]], h=[-1.0], lower=0.0)),
         Status.INFEASIBLE,
-        "infeasible: 3 of its constraints contradict",
+        "infeasible: 3 of its constraints are inconsistent",
         "next: check the data",
     ),
     "least squares": (lambda: solve(FIT), Status.SOLVED, "optimality", ""),

@@ -12,10 +12,8 @@ from ..settings import Status
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
-TRIED = "auto has tried what suits this M"
-NOTHING_TO_DO = (
-    "where it begins the residual is within the tolerance already, and nothing was left to do"
-)
+TRIED = "auto has tried all methods that suit this matrix"
+NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 
 
 def advice_of_run(
@@ -25,7 +23,7 @@ def advice_of_run(
     words: Mapping[Status, str],
     left_out: Sequence[str] = (),
 ) -> dict[Status, str]:
-    """Return the advice of each status with which a run may have ended.
+    """Return the advice of each possible termination status of the run.
 
     Parameters
     ----------
@@ -35,19 +33,19 @@ def advice_of_run(
     stages : sequence of Stage
         The stages of the run.
     words : mapping from Status to str
-        What happened, if another sentence than the status's own is right.
+        Texts that replace the default text of a status.
     left_out : sequence of str
         The methods that auto did not try, and why.
 
     Examples
     --------
     >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", (), {})[Status.MAX_ITERATIONS]
-    'the iteration limit came first; next: raise max_iterations, or go on from z0=result.z'
+    'iteration limit reached; next: raise max_iterations, or continue from z0=result.z'
     """
     said = {status: words.get(status, status.value) for status in (*LIMITS, *WITHOUT_END)}
     other = 'algorithm="auto"' if isinstance(chosen, Algorithm) else ""
     for status in LIMITS:
-        said[status] += ", or go on from z0=result.z"
+        said[status] += ", or continue from z0=result.z"
         if other:
             said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
     but_not = f", but not {', nor '.join(left_out)}" if left_out else ""

@@ -1,4 +1,4 @@
-"""What every kind of problem is answered by."""
+"""The base class of all results."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ NEXT = "; next: "  # between what happened and what to do
 
 
 class Answer:
-    """The answer to a problem of any kind: all results have these attributes, and further ones of their own.
+    """Base class of all results; the result of each problem class has further attributes.
 
     Attributes
     ----------
     status : Status
-        SOLVED, or why not; what it rests on stands in the class of the result.
+        SOLVED, or the reason for termination; the class of the result documents the stopping criterion.
     x : ndarray, shape (n,), or None
-        The values of the unknowns; z of a complementarity problem. None where there are none to show.
+        The solution (z of a complementarity problem), or the best iterate; None if there is no point.
     objective : float or None
-        What was minimised, at x; None where nothing is.
+        Objective value at x; None if the problem has no objective.
     seconds : float
         Wall-clock seconds of the run.
     algorithm : str
-        What ran.
+        Name of the algorithm; for "auto" the chain of methods that ran.
     iterations : int
+        Number of iterations.
     begun : str
-        Where the run began, in words, where another than the caller chose that; else empty.
+        Description of the starting point, if the caller did not choose it; otherwise empty.
     """
 
     begun: str = ""
@@ -41,7 +42,7 @@ class Answer:
 
         @property
         def status(self) -> Status:
-            """SOLVED, or why not."""
+            """SOLVED, or the reason for termination."""
 
         @property
         def x(self) -> Any:
@@ -53,55 +54,55 @@ class Answer:
 
         @property
         def algorithm(self) -> str:
-            """What ran."""
+            """Name of the algorithm, or chain of methods."""
 
         @property
         def iterations(self) -> int:
-            """How many steps."""
+            """Number of iterations."""
 
     @property
     def objective(self) -> float | None:
-        """What was minimised, at x; None where nothing is."""
+        """Objective value at x; None if the problem has no objective."""
         return None
 
     @property
     def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
+        """True if the status is SOLVED."""
         return self.status is Status.SOLVED
 
     @property
     def has_no_solution(self) -> bool:
-        """True where a proof says that there is no answer: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
+        """True if a proof shows that no solution exists: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
         return self.status in PROVEN
 
     @property
     def proof(self) -> Any:
-        """What proves the status, an object with ``verify()``; None where nothing beside the residuals does."""
+        """Proof of the status, an object with ``verify()``; None if the status rests only on residuals."""
         return None
 
     @property
     def advice(self) -> str:
-        """What the status means for this run, and behind ``next:`` what to do."""
+        """Meaning of the status for this run, and the recommended next step after ``next:``."""
         return self.status.value
 
     def _of_which(self, what: str) -> list[str]:
-        """Return of which points a proof speaks that there is no answer, where it is not of all."""
+        """Return the restriction of a proof of infeasibility to points of bounded norm, if it has one."""
         words = (
             within(getattr(self.proof, "radius", math.inf), what) if self.has_no_solution else ""
         )
         return [f"{words[2:]}: a larger one is not excluded"] if words else []
 
     def reached(self) -> str:
-        """Return what was reached beside what was asked for."""
+        """Return the achieved accuracy next to the required one."""
         raise NotImplementedError
 
     @np.errstate(under="ignore")
     def explain(self) -> str:
-        """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
+        """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         return "\n".join([*self._verdict(), *self._course()])
 
     def _verdict(self) -> list[str]:
-        """Return what happened, how sure that is, what to do next, and what else is known, a line each."""
+        """Return lines with the event, its certainty, the next step, and further facts."""
         happened, _, to_do = self.advice.partition(NEXT)
         what, *why = happened.split("; ")
         sure, *more = self.reached().splitlines()
@@ -114,20 +115,20 @@ class Answer:
         ]
 
     def _course(self) -> list[str]:
-        """Return what ran, what it took, and where it began if somebody else chose that."""
+        """Return lines with the methods, their effort, and the starting point if the caller did not choose it."""
         return [self._effort(), *([self.begun] if self.begun else [])]
 
     def _effort(self) -> str:
-        """Return what ran, and what it took."""
+        """Return the name of the algorithm, its iterations and seconds."""
         return f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s"
 
     def require_solved(self) -> Self:
-        """Return this result, or raise where it is not solved.
+        """Return this result, or raise NotConverged if the status is not SOLVED.
 
         Raises
         ------
         NotConverged
-            With the status, what was reached and the advice.
+            The message has the status, the achieved accuracy and the advice.
         """
         if not self.is_solved:
             raise NotConverged(
@@ -141,7 +142,7 @@ class Answer:
         return json.dumps(self.to_content(), indent=2)
 
     def to_content(self) -> dict[str, Any]:
-        """Return what :meth:`to_json` writes, as a dictionary."""
+        """Return the content of :meth:`to_json` as a dictionary."""
         numbers = self._numbers() | {"seconds": self.seconds}
         return {
             "status": self.status.name,
@@ -153,17 +154,17 @@ class Answer:
         }
 
     def _numbers(self) -> dict[str, float]:
-        """Return the answer's other numbers."""
+        """Return the other numbers of the result."""
         return {} if self.objective is None else {"objective": self.objective}
 
     def plot(self, **how: Any) -> Any:
-        """Return matplotlib's axes with a picture of the answer; needs ``pip install 'lcp_plugin[report]'``.
+        """Return matplotlib's axes with a plot of the result; needs ``pip install 'lcp_plugin[report]'``.
 
         Parameters
         ----------
         **how
-            Of :func:`lcp_plugin.evidence.pictures.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns'
-            grid.
+            Options of :func:`lcp_plugin.evidence.pictures.plot_answer`: ``axes`` to draw into, ``shape`` of the
+            unknowns' grid.
         """
         from ...evidence.pictures import plot_answer
 

@@ -1,4 +1,4 @@
-"""What a run gives back: a status that is an advice, the answer, and the record of how it was found."""
+"""The result of a run: a status with advice, the solution, and the record of the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class BoundOrReason(NamedTuple):
-    """A bound of the error, or none and the reason."""
+    """A bound of the error, or None and the reason."""
 
     bound: ErrorBound | None = None
     reason: str = ""
@@ -38,7 +38,7 @@ def bound_or_reason(problem: LCP, z: FloatVector) -> BoundOrReason:
 
 
 class StageRecord(NamedTuple):
-    """One algorithm of a run: its name, why it came, its iterations, its work in passes over M, what it left open."""
+    """One algorithm of a run: name, reason of its choice, iterations, work in passes over M, remark for advice."""
 
     name: str
     because: str
@@ -48,7 +48,7 @@ class StageRecord(NamedTuple):
 
 
 def stage_lines(stages: Sequence[StageRecord]) -> list[str]:
-    """Return a line for each stage: what ran, for how long, and why; of one stage alone only where that says why."""
+    """Return a line per stage: method, iterations, share of the work, reason; a single stage only with a reason."""
     if len(stages) == 1:
         return [f"  {stages[0].name}: {stages[0].because}"] if stages[0].because else []
     total = sum(stage.work for stage in stages) or 1.0
@@ -66,15 +66,15 @@ class Sample:
     Attributes
     ----------
     iteration : int
-        0 is the projected start, after the set-up.
+        Number of the iteration; 0 is the projected start, after the set-up.
     work : float
         Matrix entries touched so far, divided by the nonzeros of M.
     seconds : float
-        Seconds of the algorithm so far, set-up included; the clock stands still while a sample is measured.
+        Seconds of the algorithm so far, set-up included; the clock stops while a sample is measured.
     residual : float or None
-        The relative one; None in a callback at a step where it was not measured.
+        Relative residual; None in a callback at a step at which it was not measured.
     label : str
-        The algorithm at work.
+        Name of the current algorithm.
     """
 
     iteration: int
@@ -86,32 +86,32 @@ class Sample:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Answer):
-    """The answer to a linear complementarity problem, with its residuals and how it was found.
+    """Result of a linear complementarity problem, with its residuals and the record of the run.
 
     Attributes
     ----------
     z, w : ndarray, shape (n,)
         The best iterate and its slack M z + q, read-only; `x` is z.
     status : Status
-        Derived from the certificate; where that does not pass, the reason why the run ended.
+        Derived from the certificate; if the certificate does not pass, the reason for termination.
     certificate : Certificate
-        All residuals of z on the caller's own data.
+        All residuals of z on the caller's data.
     algorithm : str
-        What ran; for ``auto`` the chain of what it chose.
+        Name of the algorithm; for ``auto`` the chain of methods that ran.
     iterations, work, seconds, setup_seconds
-        Of the whole run; see :class:`Sample` for the units.
+        Totals of the run; see :class:`Sample` for the units.
     tolerance, absolute_tolerance
-        As given to :func:`lcp_plugin.solve`.
+        The values passed to :func:`lcp_plugin.solve`.
     begun : str
-        Where the run began, in words, where another than the caller chose that; else empty.
+        Description of the starting point, if the caller did not choose it; otherwise empty.
     history : tuple of Sample
-        Empty unless asked for with ``record=True``.
+        Empty unless ``record=True``.
     stages : tuple of StageRecord
-        What ran, in order; more than one for ``auto``.
+        The methods that ran, in order; more than one for ``auto``.
     infeasibility : NoSolutionProof or None
-        A proof that the stored doubles have no solution, which can ``verify()`` itself on the problem's data. Its
-        ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION where
-        that exceeds the tolerance. With another status the contradiction is smaller: `advice` says by how much.
+        A proof that the problem in double precision has no solution; ``verify()`` checks it on the problem's data. Its
+        ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION if
+        the margin exceeds the tolerance. With another status the margin is smaller: `advice` reports it.
     """
 
     z: FloatVector = field(repr=False)
@@ -130,25 +130,25 @@ class Result(Answer):
     absolute_tolerance: float = 0.0
     begun: str = ""
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
-    # The error bound, or how it is computed once somebody looks at it.
+    # The error bound, or the function that computes it on first access.
     _bound: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
     _advice: Mapping[Status, str] = field(
         default_factory=dict, repr=False
-    )  # of a status, in place of its own
+    )  # advice of a status that replaces its default
 
     __setstate__ = restored
 
     @property
     def error_bound(self) -> ErrorBound | None:
-        """The bound of the error where asked for and where M allows one; the first look at it computes it.
+        """Bound of the error, if requested and if M allows one; computed on first access.
 
-        What that took stands in ``error_bound.seconds``, and not in the run's.
+        The time of its computation is ``error_bound.seconds``; the run's seconds do not include it.
         """
         return self._bound_or_reason.bound
 
     @property
     def no_error_bound(self) -> str:
-        """The reason where a bound was asked for and there is none."""
+        """The reason why a requested bound does not exist; otherwise empty."""
         return self._bound_or_reason.reason
 
     @cached_property
@@ -157,7 +157,7 @@ class Result(Answer):
 
     @cached_property
     def guarantee(self) -> Guarantee:
-        """What is proved about the convergence of what the caller chose, on this matrix; the first look computes it.
+        """Convergence theorem that covers the caller's choice of algorithm on this matrix; computed on first access.
 
         See :func:`lcp_plugin.proofs.guarantees.convergence_guarantee`.
         """
@@ -172,7 +172,7 @@ class Result(Answer):
 
     @property
     def proof(self) -> Any:
-        """The proof that there is no solution, `infeasibility`, where the status says so; otherwise None."""
+        """The proof `infeasibility` if the status is INFEASIBLE or NO_SOLUTION; otherwise None."""
         return self.infeasibility if self.has_no_solution else None
 
     @property
@@ -182,7 +182,7 @@ class Result(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means for this run, and behind ``next:`` what to do."""
+        """Meaning of the status for this run, and the recommended next step after ``next:``."""
         advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.has_no_solution:
             happened, begins, to_do = advice.partition(NEXT)
@@ -192,7 +192,7 @@ class Result(Answer):
         return "; ".join([happened, *remarks]) + begins + to_do
 
     def explain(self) -> str:
-        """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
+        """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         from ...proofs.misleading import what_may_mislead
 
         lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
@@ -212,7 +212,7 @@ class Result(Answer):
         )
 
     def reached(self) -> str:
-        """Return what was reached beside what was asked for, or what proves that there is no solution."""
+        """Return the relative residual next to the tolerance, or the proof that no solution exists."""
         if self.has_no_solution:
             return str(self.infeasibility)
         residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"

@@ -303,7 +303,9 @@ class Run:
             )
         if not settings.prove_infeasibility:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
-            words[Status.STALLED] = f"{stalled}; not proved infeasible: you asked for no proof"
+            words[Status.STALLED] = (
+                f"{stalled}; not proved infeasible, because prove_infeasibility=False"
+            )
         return words
 
 

@@ -63,8 +63,8 @@ NO_MORE = "no method reduces the residual further; next: try another start z0"
 WORDS = {
     Status.STALLED: NO_MORE,
     Status.INFEASIBLE: (
-        "no z in the cones has an M z + q in their duals, even with errors as large as the tolerance; "
-        "next: check the data; result.proof proves it"
+        "no z in the cones has M z + q in the dual cones, even if every condition is relaxed by the tolerance; "
+        "next: check the data (proof: result.proof)"
     ),
 }
 WORDS_OF_CONTACTS = {
@@ -72,11 +72,11 @@ WORDS_OF_CONTACTS = {
         f"{NO_MORE}, or less friction: a solution need not exist if friction is large or W is singular"
     ),
     Status.INFEASIBLE: (
-        "no impulses keep every contact from closing further, even with errors as large as the tolerance; "
-        "next: check the data; result.proof proves it"
+        "no impulses prevent penetration at every contact, even if every condition is relaxed by the tolerance; "
+        "next: check the data (proof: result.proof)"
     ),
 }
-NOT_ASKED = "; not proved infeasible: you asked for no proof"
+NOT_ASKED = "; not proved infeasible, because prove_infeasibility=False"
 NOTHING_TO_DO = "the residual of the start is within the tolerance already"
 SWEPT = "cheap sweeps over the blocks find most of the active set"
 FOLLOWS = "Newton's steps solve for the active set that the sweeps found"

@@ -28,28 +28,27 @@ WIDE = 0.1  # a gap
 GLOBAL = "pip install 'lcp_plugin[global]'"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
-    Status.INFEASIBLE: "the linear constraints contradict one another; next: check the data; result.proof proves it",
+    Status.INFEASIBLE: "the linear constraints are inconsistent; next: check the data (proof: result.proof)",
     Status.NO_SOLUTION: (
-        "every way to make the pairs complementary is infeasible; next: check the pairs and the constraints beside "
-        "them; result.proof proves it"
+        "every complementarity piece is infeasible; next: check the pairs and the linear constraints "
+        "(proof: result.proof)"
     ),
-    Status.MAX_ITERATIONS: "the limit of nodes came first; next: raise max_nodes",
-    Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds",
+    Status.MAX_ITERATIONS: "node limit reached; next: raise max_nodes",
+    Status.MAX_SECONDS: "time limit reached; next: raise max_seconds",
     Status.STALLED: (
-        "some way to make the pairs complementary could be neither solved nor proved infeasible; next: bound the "
-        "unknowns, or rescale the data"
+        "some complementarity piece was neither solved nor proved infeasible; next: bound the unknowns, or rescale the "
+        "data"
     ),
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 SAID = {
-    "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none, which INFEASIBLE "
-    "would say; next: check the data",
-    "unbounded": "SCIP, in floating point, says that the objective falls without end, and nothing proves it; next: "
-    "bound the variables",
-    "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least; next: bound "
-    "the variables",
-    CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore; next: rescale the data",
+    "infeasible": "SCIP, in floating point, finds no solution; this is not proved, so the status is not INFEASIBLE; "
+    "next: check the data",
+    "unbounded": "SCIP, in floating point, reports an unbounded objective; this is not proved; next: bound the "
+    "variables",
+    "inforunbd": "SCIP, in floating point, reports an infeasible or unbounded problem; next: bound the variables",
+    CONTRADICTED: "x is better than SCIP's bound, which is therefore ignored; next: rescale the data",
 }
 
 

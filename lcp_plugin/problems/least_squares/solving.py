@@ -384,8 +384,8 @@ ADVICE = {
         "the gradient no longer falls: A is too ill-conditioned, or its rows or bounds differ too much in size; next: "
         "add a ridge > 0, or rescale rows and columns"
     ),
-    Status.MAX_ITERATIONS: "the iteration limit came first; next: raise max_iterations, or go on from x0=result.x",
-    Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds, or go on from x0=result.x",
+    Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.x",
+    Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.x",
     Status.INTERRUPTED: "stopped by Ctrl-C; next: go on from x, the best point so far",
 }
 OF_OPERATORS = {

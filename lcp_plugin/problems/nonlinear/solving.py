@@ -195,8 +195,8 @@ class NonlinearJudge(Judge):
             "smooth here, or its jacobian is wrong; next: try another start x0"
         ),
         Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
-        Status.MAX_ITERATIONS: "the iteration limit came first; next: raise max_iterations, or go on from x0=result.z",
-        Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds, or go on from x0=result.z",
+        Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
+        Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
         Status.INTERRUPTED: Status.INTERRUPTED.value,
     }
 

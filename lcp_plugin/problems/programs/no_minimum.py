@@ -156,7 +156,7 @@ class QPInfeasibility:
 
     def __str__(self) -> str:
         how = f"multipliers checked exactly{within(self.radius, 'x')}"
-        return f"infeasible: {len(self._found.y)} of its constraints contradict one another, {self._named()} ({how})"
+        return f"infeasible: {len(self._found.y)} of its constraints are inconsistent, {self._named()} ({how})"
 
     def _named(self) -> str:
         """Return the constraints of the largest multipliers by name."""
@@ -326,7 +326,7 @@ class QPUnboundedness:
         along = f"a direction from a {missed if self.violation else 'feasible point'}"
         if self.is_free_motion:
             along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
-        return f"unbounded: the objective falls without end along {along} ({how})"
+        return f"unbounded below along {along} ({how})"
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
@@ -374,9 +374,9 @@ def proof_of_no_minimum(
     >>> from lcp_plugin import QuadraticProgram
     >>> program = QuadraticProgram([[0.0]], [1.0], G=[[1.0], [-1.0]], h=[0.0, -1.0])
     >>> print(proof_of_no_minimum(program))
-    infeasible: 2 of its constraints contradict one another, row 0 of G, row 1 of G (multipliers checked exactly)
+    infeasible: 2 of its constraints are inconsistent, row 0 of G, row 1 of G (multipliers checked exactly)
     >>> print(proof_of_no_minimum(QuadraticProgram([[0.0]], [1.0], upper=1.0)))
-    unbounded: the objective falls without end along a direction from a feasible point (checked exactly)
+    unbounded below along a direction from a feasible point (checked exactly)
     """
     folded = FoldedRows.of(program)
     row = contradictory_row(folded.reduced)

@@ -50,9 +50,9 @@ VECTORS = {"c", "h", "b", "lower", "upper"}
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
     Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance; next: rescale the data",
-    Status.INFEASIBLE: "no x meets all constraints; next: check the data; result.proof proves it",
+    Status.INFEASIBLE: "no x satisfies all constraints; next: check the data (proof: result.proof)",
     Status.STALLED: (
-        "no point passes the test, and no proof was found, or looked for, that the program has no minimum; "
+        "no point passes the test, and no proof of infeasibility or unboundedness was found or requested; "
         "next: check the data and their units"
     ),
 }
@@ -84,7 +84,7 @@ class QuadraticProgramResult(Answer):
     begun : str
         As of :class:`lcp_plugin.Result`.
     contradiction : str
-        Of an infeasible cvxpy problem: which of its constraints contradict one another.
+        Of an infeasible cvxpy problem: which of its constraints are inconsistent.
     """
 
     status: Status

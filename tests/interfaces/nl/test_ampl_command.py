@@ -137,15 +137,15 @@ def hard() -> NLContent:
     [
         (best([0.0, 1.0]), [], 0, "optimal; objective 0, none "),
         (best([0.0, 1.0], is_maximized=np.ones(1, dtype=bool)), [], 300, "unbounded; "),
-        (best([0.0, -1.0]), [], 300, "the objective falls without end"),
-        (best([0.0, 1.0], upper=np.full(2, 0.25)), [], 200, "the linear constraints contradict one another"),
-        (best([0.0, 1.0], 2.0), [], 200, "every way to make the pairs complementary is infeasible"),
+        (best([0.0, -1.0]), [], 300, "the objective is unbounded"),
+        (best([0.0, 1.0], upper=np.full(2, 0.25)), [], 200, "the linear constraints are inconsistent"),
+        (best([0.0, 1.0], 2.0), [], 200, "every complementarity piece is infeasible"),
         (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), [], 0, "bound by SCIP, in floating point"),
         (best([0.0, 1.0], objective_trees=EXPONENTIAL), [], 0, "optimal; objective 1, none "),
         (best([0.0, 1.0], names=["a", "b"], is_integer=np.array([False, True])), [], 0, "optimal; objective 0, none "),
         (best([0.0, 1.0], objective_trees=UNKNOWN), [], 500, "SCIP knows no atan"),
         (hard(), ["max_iterations=2"], 400, "limit of nodes came first"),
-        (hard(), ["max_seconds=1e-9"], 401, "the time limit came first; "),
+        (hard(), ["max_seconds=1e-9"], 401, "time limit reached; "),
         (best([0.0, 1.0]), ["threads=1", "algorithm=auto", "absolute_tolerance=0", "tolerance=1e-9"], 0, "optimal"),
         (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), ["prove=1"], 500, "not convex"),
         (best([0.0, 1.0]), ["algorithm=psor"], 500, "takes no algorithm, got 'psor'; leave it out"),
@@ -291,9 +291,7 @@ def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:
     """An unbounded program is not called infeasible in the same message; nothing else is said to check."""
     write_nl(UNBOUNDED, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
-    assert "unbounded: the objective falls without end" in (
-        message := read_sol(tmp_path / "m.sol").message
-    )
+    assert "unbounded below along" in (message := read_sol(tmp_path / "m.sol").message)
     assert "no z within" not in message
 
 

@@ -101,7 +101,7 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     result = solve(problem, name, prove_infeasibility=False)
     assert result.status is Status.STALLED
     assert result.infeasibility is None
-    assert "not proved infeasible: you asked for no proof" in result.advice
+    assert "not proved infeasible, because prove_infeasibility=False" in result.advice
 
 
 def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
@@ -111,7 +111,7 @@ def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     assert np.array_equal(result.z, solve(problem, prove_infeasibility=False).z)
     assert result.status is Status.STALLED
     assert result.stages[-1].name == "search"
-    assert "not proved infeasible: you asked for no proof" in result.advice
+    assert "not proved infeasible, because prove_infeasibility=False" in result.advice
 
 
 @pytest.mark.sampled(1)

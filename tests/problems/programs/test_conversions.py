@@ -415,7 +415,7 @@ REFUSED = {
     ),
     "program without a bound": (
         NotConverged,
-        "UNBOUNDED.*bound the unknowns where it falls",
+        "UNBOUNDED.*add bounds for the unknowns",
         lambda: solve(QP(None, [-1, 0], [[0, 1]], [1])).require_solved(),
     ),
     "bound a NaN": (

@@ -69,7 +69,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
     "unbounded": (
         lambda: solve(QuadraticProgram(np.diag([1.0, 0.0]), [0.0, -1.0], lower=0.0)),
         Status.UNBOUNDED,
-        "unbounded: the objective falls",
+        "unbounded below along",
         "next: bound the unknowns",
     ),
     "degenerate": (

@@ -76,8 +76,8 @@ def main(out: Path = Path()) -> None:
         contacts = near(at)
         free = velocities - np.tile([0.0, STEP * GRAVITY, 0.0], DISCS)
         gaps = np.array([max(gap, 0.0) for *_, gap in contacts])
-        problem = FrictionalContact.from_contacts(
-            (mass, *rows_of(contacts)), FRICTION, free, gaps=gaps, time_step=STEP
+        problem = FrictionalContact(
+            (mass, *rows_of(contacts)), free, FRICTION, gaps=gaps, time_step=STEP
         )
         start = np.concatenate([kept.get((i, j), np.zeros(2)) for i, j, *_ in contacts])
         began = time.perf_counter()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,12 +21,11 @@ from .checks import (
     restored,
     without_huge,
 )
-from .errors import InvalidProblem
 from .matrix.matrix import Matrix
 from .representation import described_lcp
 
 if TYPE_CHECKING:
-    from ..problems.cones.frictional_contact import FrictionalContact
+    pass
 
 
 class LCP:
@@ -264,7 +263,6 @@ class LCP:
 
         return lcp_from_bimatrix_game(A, B)
 
-    @overload
     @classmethod
     def from_contacts(
         cls,
@@ -275,38 +273,11 @@ class LCP:
         *,
         gaps: ArrayLike | None = None,
         time_step: float | None = None,
-        cone: Literal["pyramid"] = "pyramid",
-    ) -> LCP: ...
-    @overload
-    @classmethod
-    def from_contacts(
-        cls,
-        contacts: Any,
-        friction: ArrayLike,
-        velocities: ArrayLike,
-        directions: int = 4,
-        *,
-        gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-        cone: Literal["exact"],
-    ) -> FrictionalContact: ...
-    @classmethod
-    def from_contacts(
-        cls,
-        contacts: Any,
-        friction: ArrayLike,
-        velocities: ArrayLike,
-        directions: int = 4,
-        *,
-        gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-        cone: str = "pyramid",
-    ) -> LCP | FrictionalContact:
+    ) -> LCP:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
-        ``origin.start_from(before, same)`` is a start z0 from the answer of the step before, where contacts come and
-        go.
-        See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units, errors, and for batches.
+        See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units and errors. With
+        :class:`lcp_plugin.FrictionalContact` friction is as it is.
 
         Parameters
         ----------
@@ -320,25 +291,14 @@ class LCP:
             Distances at the beginning of the step, in m. Add none to `velocities`.
         time_step : float, optional
             In s, required with `gaps`: a contact may close by gap / time step.
-        cone : "pyramid" or "exact"
-            "exact" keeps the quadratic friction cone: a :class:`lcp_plugin.FrictionalContact` is returned, whose
-            result has the motion as ``result.motion``; `directions` is not used.
 
         Raises
         ------
         InvalidProblem
-            If `cone` is neither, and as `contact_data`.
+            As `contact_data`.
         """
         from ..problems.contact import lcp_from_contacts
 
-        if cone == "exact":
-            from ..problems.cones.frictional_contact import FrictionalContact
-
-            return FrictionalContact.from_contacts(
-                contacts, friction, velocities, gaps=gaps, time_step=time_step
-            )
-        if cone != "pyramid":
-            raise InvalidProblem(f'cone must be "pyramid" or "exact", got {cone!r}')
         return lcp_from_contacts(
             contacts, friction, velocities, directions, gaps=gaps, time_step=time_step
         )

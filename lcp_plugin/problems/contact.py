@@ -10,10 +10,10 @@ impulses, and those that the bodies would have without them, W = J m⁻¹ Jᵀ (
 tangents, m the mass matrix), and z = (p of all contacts, β contact by contact, λ of all). Of velocities J u with no gap
 there is a solution, and Lemke's path ends in one (Anitescu and Potra).
 
-A simulation takes a few calls a step; ``start_from`` begins the next solve from the answer before:
+A simulation takes a few calls per step:
 
     problem = LCP.from_contacts((mass, normals, tangents), friction, velocities, gaps=gaps, time_step=dt)
-    result = solve(problem, z0=problem.origin.start_from(before, same))
+    result = solve(problem)
     velocities = problem.origin.recover(result).body_velocities + dt * accelerations
 
 References
@@ -96,7 +96,7 @@ def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
 
 
 class Bodies(NamedTuple):
-    """The bodies behind contacts: mass, shape (v, v), rows J, (d k, v), and velocities, (v,) or None if not given."""
+    """The bodies behind contacts: mass, (v, v), and rows J, (d k, v), sparse; velocities, (v,), None if not given."""
 
     mass: Any
     rows: Any
@@ -104,17 +104,13 @@ class Bodies(NamedTuple):
 
     @property
     def by_impulse(self) -> Any:
-        """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, shape (v, d k); sparse where these are."""
-        if sp.issparse(self.mass):
-            return inverse_by_components(self.mass) @ self.rows.T
-        return np.asarray(
-            np.linalg.solve(self.mass, np.swapaxes(self.rows, -1, -2)), dtype=np.float64
-        )
+        """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, sparse, shape (v, d k)."""
+        return inverse_by_components(self.mass) @ self.rows.T
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """The contacts from which a problem was made; of a batch with an axis in front.
+    """The contacts from which a problem was made.
 
     Attributes
     ----------
@@ -125,10 +121,8 @@ class Contacts:
         Without the impulses, in m/s.
     edges : ndarray, shape (m, t)
         Those of the pyramids, by the tangents.
-    gaps : ndarray, shape (k,), or None
-        Distances at the beginning of the step, in m.
-    time_step : float or None
-        In s, where gaps are given.
+    closing : ndarray, shape (k,)
+        Normal velocities that close the gaps within the step, in m/s.
     bodies : Bodies or None
         Where W was made of a mass matrix, normals and tangents.
     """
@@ -137,151 +131,62 @@ class Contacts:
     friction: FloatArray
     velocities: FloatArray = field(repr=False)
     edges: FloatArray = field(repr=False)
-    gaps: FloatArray | None = field(default=None, repr=False)
-    time_step: float | None = None
+    closing: FloatArray = field(repr=False)
     bodies: Bodies | None = field(default=None, repr=False)
 
     @property
-    def count(self) -> int:
-        """The number of contacts, k."""
-        return int(self.velocities.shape[-2])
-
-    @property
     def arrays(self) -> tuple[FloatArray, FloatArray]:
-        """M, shape (n, n), and q, shape (n,), n = k (m + 2); of a batch (B, n, n) and (B, n)."""
-        k, m = self.count, len(self.edges)
-        M = self._in_matrix(self.W, self.friction)
-        steepest = k * (1 + m) + np.arange(k)
-        edge = (k + m * np.arange(k)[:, None]) + np.arange(m)
-        M[..., edge, steepest[:, None]], M[..., steepest[:, None], edge] = 1.0, -1.0
-        return M, self._in_vector(self.velocities, self.gaps)
-
-    @property
-    def _by_edges(self) -> FloatArray:
-        """The normals and edges by normals and tangents, shape (k (1 + m), k d)."""
-        k, m, d = self.count, len(self.edges), self.velocities.shape[-1]
+        """M, shape (n, n), and q, shape (n,), n = k (m + 2)."""
+        k, d, m = *self.velocities.shape, len(self.edges)
         rows, contact = np.zeros((k * (1 + m), k * d)), np.arange(k)
         rows[contact, d * contact] = 1.0
         for c in range(k):
             rows[k + m * c : k + m * (c + 1), d * c + 1 : d * (c + 1)] = self.edges
-        return rows
-
-    def _in_matrix(self, W: FloatArray, friction: FloatArray) -> FloatArray:
-        """Return what W and the coefficients, or changes of them, are in M, which is linear in them."""
-        k, rows = self.count, self._by_edges
-        pressing = len(rows)
-        M = np.zeros(
-            (*np.broadcast_shapes(W.shape[:-2], friction.shape[:-1]), pressing + k, pressing + k)
-        )
-        M[..., :pressing, :pressing] = rows @ W @ rows.T
-        M[..., pressing + np.arange(k), np.arange(k)] = friction
-        return M
-
-    def _in_vector(self, velocities: FloatArray, gaps: FloatArray | None) -> FloatArray:
-        """Return what velocities, shape (k, d), and gaps, or changes of them, are in q, which is linear in them."""
-        k, velocities = self.count, self.until_contact(velocities, gaps)
-        moving = velocities.reshape(*velocities.shape[:-2], -1) @ self._by_edges.T
-        return np.concatenate([moving, np.zeros((*moving.shape[:-1], k))], axis=-1)
-
-    def until_contact(self, velocities: FloatArray, gaps: FloatArray | None) -> FloatArray:
-        """Return velocities, shape (k, d), less those that close the gaps within the step, or changes of them."""
-        if gaps is None or self.time_step is None:
-            return velocities
-        closing = np.zeros((*gaps.shape, velocities.shape[-1]))
-        closing[..., 0] = gaps / self.time_step
-        return velocities + closing
+        pressing, n = len(rows), k * (m + 2)
+        M = np.zeros((n, n))
+        M[:pressing, :pressing] = rows @ self.W @ rows.T
+        M[pressing + contact, contact] = self.friction
+        edge = (k + m * contact[:, None]) + np.arange(m)
+        M[edge, (pressing + contact)[:, None]], M[(pressing + contact)[:, None], edge] = 1.0, -1.0
+        moving = self.velocities.copy()
+        moving[:, 0] += self.closing
+        return M, np.concatenate([rows @ moving.ravel(), np.zeros(k)])
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
 
         Parameters
         ----------
-        answer : Result or array, shape (n,); of a batch BatchResult or array, shape (B, n)
+        answer : Result or array, shape (n,)
             A Result of ``problem.with_q(q)`` has the velocities that its q stands for.
 
         Raises
         ------
         InvalidProblem
-            Where it is no array of that shape.
+            For another shape.
         """
-        k, m = self.count, len(self.edges)
-        z = self._checked(getattr(answer, "z", answer), k)
-        impulses = np.empty((*z.shape[:-1], *self.velocities.shape[-2:]))
-        impulses[..., 0] = z[..., :k]
-        impulses[..., 1:] = z[..., k:-k].reshape(*z.shape[:-1], k, m) @ self.edges
-        given, bodies = self._velocities_of(answer), self.bodies
-        moved = (self.W @ impulses.reshape(*z.shape[:-1], -1, 1)).reshape(impulses.shape) + given
-        after = None
+        k, m = len(self.velocities), len(self.edges)
+        need = f"z must have shape ({k * (m + 2)},), of one result at a time"
+        z = real_array(getattr(answer, "z", answer), need)
+        if z.shape != (k * (m + 2),):
+            raise InvalidProblem(f"{need}, got {z.shape}")
+        impulses = np.empty(self.velocities.shape)
+        impulses[:, 0] = z[:k]
+        impulses[:, 1:] = z[k : k * (1 + m)].reshape(k, m) @ self.edges
+        given, bodies, after = self._velocities_of(answer), self.bodies, None
+        moved = (self.W @ impulses.ravel()).reshape(impulses.shape) + given
         if bodies is not None and bodies.velocities is not None and given is self.velocities:
-            after = (
-                bodies.velocities
-                + (bodies.by_impulse @ impulses.reshape(*z.shape[:-1], -1, 1))[..., 0]
-            )
-        return motion_of(impulses, moved, given.reshape(*given.shape[:-2], -1), after)
+            after = bodies.velocities + bodies.by_impulse @ impulses.ravel()
+        return motion_of(impulses, moved, given.ravel(), after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
         """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
         problem = answer.certificate.problem if isinstance(answer, Result) else None
         if problem is None or problem.origin is self:
             return self.velocities
-        k, along_edges = self.count, np.linalg.pinv(self.edges)
+        k, along_edges = len(self.velocities), np.linalg.pinv(self.edges)
         tangential = problem.q[k : -k or None].reshape(k, -1) @ along_edges.T
-        normal = problem.q[:k]
-        if self.gaps is not None and self.time_step is not None:
-            normal = normal - self.gaps / self.time_step
-        return np.concatenate([normal[:, np.newaxis], tangential], axis=1)
-
-    def start_from(self, answer: Any, same: ArrayLike) -> FloatArray:
-        """Return a start z0, shape (n,), from the answer before, of contacts some of which have come or gone.
-
-        ``solve(problem, z0=problem.origin.start_from(before, same))`` begins there.
-
-        Parameters
-        ----------
-        answer : Result or array
-            Of a problem with as many edges a contact.
-        same : array of int, shape (k,)
-            Which contact of that problem each contact is, −1 for a new one.
-
-        Raises
-        ------
-        InvalidProblem
-            Where they do not fit together.
-        """
-        edges, which = len(self.edges), np.asarray(same)
-        z = np.asarray(getattr(answer, "z", answer), dtype=np.float64)
-        before = z.size // (edges + 2)
-        is_fit = (
-            z.shape == (before * (edges + 2),)
-            and which.shape == (self.count,)
-            and which.dtype.kind in "iu"
-        )
-        if not is_fit or which.max(initial=-1) >= before or which.min(initial=0) < -1:
-            raise InvalidProblem(
-                f"start_from needs an answer with {edges} edges a contact and {self.count} indices into its contacts, "
-                f"−1 for a new one, got z of shape {z.shape} and same = {which.tolist()}"
-            )
-        normal, edge, steepest = (
-            z[:before],
-            z[before : -before or None].reshape(before, edges),
-            z[z.size - before :],
-        )
-        kept, is_old = np.maximum(which, 0), which >= 0
-        parts = (
-            np.where(is_old.reshape(-1, *([1] * (part.ndim - 1))), part[kept], 0.0)
-            if before
-            else np.zeros((self.count, *part.shape[1:]))
-            for part in (normal, edge, steepest)
-        )
-        return np.concatenate([part.ravel() for part in parts])
-
-    def _checked(self, z: Any, k: int) -> FloatArray:
-        shape = (*self.velocities.shape[:-2], k * (len(self.edges) + 2))
-        need = f"z must have shape {shape}, of one result at a time where these are contacts of one problem"
-        array = real_array(z, need)
-        if array.shape != shape:
-            raise InvalidProblem(f"{need}, got {array.shape}")
-        return array
+        return np.column_stack([problem.q[:k] - self.closing, tangential])
 
 
 def lcp_from_contacts(
@@ -298,7 +203,7 @@ def lcp_from_contacts(
     Parameters
     ----------
     contacts, friction, velocities, directions, gaps, time_step
-        As in `contact_data`, without an axis in front.
+        As in `contact_data`.
 
     Returns
     -------
@@ -308,7 +213,7 @@ def lcp_from_contacts(
     Raises
     ------
     InvalidProblem
-        As `contact_data`, and for a batch.
+        As `contact_data`.
 
     Examples
     --------
@@ -334,13 +239,7 @@ def lcp_from_contacts(
     >>> motion.normal.round(6), motion.separation.round(6), motion.body_velocities.round(6)
     (array([1.2]), array([-0.4]), array([ 0. , -0.4]))
     """
-    given = checked_contacts(contacts, friction, velocities, directions, gaps, time_step)
-    if given.W.ndim != 2:
-        raise InvalidProblem(
-            "LCP.from_contacts makes one problem, got arrays of a batch; write contact_data(…) from "
-            "lcp_plugin.problems.contact, and solve_batch(*data.arrays)"
-        )
-    warn_of_much_friction(given.friction, 4)
+    given = contact_data(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
     problem = LCP(*given.arrays)
     problem.origin = given
     return problem
@@ -355,9 +254,7 @@ def contact_data(
     gaps: ArrayLike | None = None,
     time_step: float | None = None,
 ) -> Contacts:
-    """Return contacts with friction, checked; any array may have an axis in front, one item a problem of a batch.
-
-    ``solve_batch(*data.arrays)`` solves them all, and ``data.recover(batch)`` leads back.
+    """Return contacts with friction, checked; ``LCP(*data.arrays)`` is their problem, ``data.recover`` leads back.
 
     Parameters
     ----------
@@ -393,80 +290,39 @@ def contact_data(
 
     Examples
     --------
-    >>> from lcp_plugin import solve_batch
-    >>> data = contact_data(np.eye(3), 0.5, [[[-1.0, 0.3, 0.0]], [[-1.0, 0.9, 0.0]]])
-    >>> data.recover(solve_batch(*data.arrays)).tangential.round(6).tolist()
-    [[[-0.3, 0.0]], [[-0.5, 0.0]]]
+    >>> from lcp_plugin import solve
+    >>> data = contact_data(np.eye(3), 0.5, [[-1.0, 0.9, 0.0]])
+    >>> data.recover(solve(LCP(*data.arrays))).tangential.round(6).tolist()
+    [[-0.5, 0.0]]
     """
-    data = checked_contacts(contacts, friction, velocities, directions, gaps, time_step)
-    warn_of_much_friction(data.friction, 3)
-    return data
-
-
-def checked_contacts(
-    contacts: Any,
-    friction: ArrayLike,
-    velocities: ArrayLike,
-    directions: int = 4,
-    gaps: ArrayLike | None = None,
-    time_step: float | None = None,
-    *,
-    keeps_sparse: bool = False,
-) -> Contacts:
-    """Return what :func:`contact_data` does, without a warning; W is sparse where a part is and `keeps_sparse`."""
-    bodies = None
-    given = _array(
-        velocities,
-        "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane",
-    )
+    need = "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane"
+    given, bodies = _array(velocities, need), None
     if is_of_bodies(contacts):
-        is_sparse = keeps_sparse and any(map(sp.issparse, contacts))
-        W, given, bodies = (_of_sparse_bodies if is_sparse else _of_bodies)(tuple(contacts), given)
+        W, given, bodies = contacts_of_bodies(contacts, given)
+        W = W.toarray()
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         check_symmetric(W, "W")
-    if (
-        given.ndim not in (2, 3)
-        or given.shape[-1] not in (2, 3)
-        or given.shape[-2] * given.shape[-1] != W.shape[-1]
-    ):
-        _refuse_velocities(W.shape[-1], given)
-    edges, k = _edges(given.shape[-1] - 1, directions), given.shape[-2]
-    mu = checked_friction(friction, k)
-    distances = (
-        None if gaps is None and time_step is None else checked_distances(gaps, time_step, k)
-    )
-    several = (W, 3), (given, 3), (mu, 2), (np.empty(k) if distances is None else distances, 2)
-    counts = {part.shape[0] for part, ndim in several if part.ndim == ndim}
-    if len(counts) > 1:
-        raise InvalidProblem(
-            f"all arrays with an axis for the problems must be equally long, got {sorted(counts)}"
-        )
-    for count in counts:
-        W, given = (
-            np.broadcast_to(W, (count, *W.shape[-2:])),
-            np.broadcast_to(given, (count, *given.shape[-2:])),
-        )
-    mu = np.broadcast_to(mu, given.shape[:-1])
-    distances = None if distances is None else np.broadcast_to(distances, given.shape[:-1])
-    return Contacts(
-        W, mu, given, edges, distances, None if distances is None else time_step, bodies
-    )
+    if given.ndim != 2 or given.shape[1] not in (2, 3) or given.size != len(W):
+        _refuse_velocities(len(W), given)
+    k, d = given.shape
+    mu, edges = checked_friction(friction, k), _edges(d - 1, directions)
+    warn_of_much_friction(mu, 5)
+    return Contacts(W, mu, given, edges, closing_speeds(gaps, time_step, k), bodies)
 
 
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
-    """Return the coefficients of k contacts: a number, shape (k,), or with an axis in front."""
+    """Return the coefficients of k contacts, shape (k,), given so or as a number."""
     need = f"friction must be a number, or an array of shape ({k},): {need}"
     mu = _array(friction, need)
-    if mu.ndim and (mu.ndim > 2 or mu.shape[-1] != k):
+    if mu.shape not in ((), (k,)):
         raise InvalidProblem(f"{need}, got shape {mu.shape}")
     if mu.min(initial=0.0) < 0.0:
-        at = tuple(np.argwhere(mu < 0.0)[0].tolist())
-        where = f"friction{list(at)}" if at else "friction"
+        at = np.argwhere(mu < 0.0)[0].tolist()
         raise InvalidProblem(
-            f"friction must not be negative, but {where} = {mu[at]}; give μ ≥ 0, 0 for none"
+            f"friction must not be negative, but friction{at or ''} = {mu[tuple(at)]}; give μ ≥ 0, 0 for none"
         )
-    return mu
+    return np.broadcast_to(mu, k).copy()
 
 
 def is_of_bodies(contacts: Any) -> bool:
@@ -475,15 +331,10 @@ def is_of_bodies(contacts: Any) -> bool:
     return is_list or isinstance(contacts, tuple)
 
 
-def are_of_bodies(velocities: tuple[int, ...], normals: tuple[int, ...], d: int) -> bool:
-    """Return whether velocities of this shape, beside normals of that, are those of bodies, not (k, d) of contacts."""
-    return velocities[-1:] == normals[-1:] and (
-        len(velocities) == 1 or velocities[-2:] != (*normals[-2:-1], d)
-    )
-
-
-def checked_distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
-    """Return the gaps, checked with the time step."""
+def closing_speeds(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
+    """Return gaps / time_step, shape (k,); 0 without both."""
+    if gaps is None and time_step is None:
+        return np.zeros(k)
     if gaps is None or time_step is None:
         missing = "gaps" if gaps is None else "time_step"
         raise InvalidProblem(
@@ -493,13 +344,13 @@ def checked_distances(gaps: ArrayLike | None, time_step: float | None, k: int) -
         raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
     need = f"gaps must be a number, or a finite array of shape ({k},): one a contact"
     distances = _array(gaps, need)
-    if distances.ndim > 2 or (distances.ndim and distances.shape[-1] != k):
+    if distances.shape not in ((), (k,)):
         raise InvalidProblem(f"{need}, got shape {distances.shape}")
-    return distances
+    return np.broadcast_to(distances / time_step, k)
 
 
 def warn_of_much_friction(friction: FloatArray, level: int) -> None:
-    """Warn the caller so many frames up where a coefficient is larger than those of any material."""
+    """Warn the caller this many frames up if a coefficient is larger than those of any material."""
     if not friction.max(initial=0.0) > MOST_FRICTION:
         return
     at = np.unravel_index(int(friction.argmax()), friction.shape)
@@ -511,57 +362,17 @@ def warn_of_much_friction(friction: FloatArray, level: int) -> None:
     )
 
 
-def _product(x: FloatArray, A: FloatArray) -> FloatArray:
-    """Return xᵀA, of a batch one by one."""
-    product: FloatArray = (x[..., None, :] @ A)[..., 0, :]
-    return product
-
-
-def _of_bodies(
-    contacts: tuple[Any, ...], velocities: FloatArray
-) -> tuple[FloatArray, FloatArray, Bodies]:
-    """Return W, the contacts' velocities and the bodies from (mass matrix, normals, tangents) and velocities."""
-    _require_three(contacts)
-    mass = _array(contacts[0], "the mass matrix must be a finite array of shape (v, v)")
-    check_symmetric(mass, "the mass matrix")
-    v = mass.shape[-1]
-    normals = _array(
-        contacts[1],
-        f"normals must be a finite array of shape (k, {v}), {v} the size of the mass matrix",
-    )
-    need = (
-        f"tangents must be a finite array of shape (k, t, {v}), t = 2 in space and 1 in the plane"
-    )
-    tangents = _array(contacts[2], need)
-    _require_fit(normals.shape, v)
-    k = normals.shape[-2]
-    if tangents.ndim == normals.ndim and tangents.shape[-2] in (
-        k,
-        2 * k,
-    ):  # those of a contact one after the other
-        tangents = tangents.reshape(
-            *tangents.shape[:-2], k, tangents.shape[-2] // max(k, 1), -1 if k else v
-        )
-    is_fit = tangents.ndim == normals.ndim + 1 and tangents.shape[:-2] == normals.shape[:-1]
-    if not is_fit or tangents.shape[-2] not in (1, 2) or tangents.shape[-1] != v:
-        raise InvalidProblem(f"{need}, k = {k} as of the normals, got {tangents.shape}")
-    rows = np.concatenate([normals[..., None, :], tangents], axis=-2)
-    d = rows.shape[-2]
-    _check_directions(sp.csr_array(rows.reshape(-1, v)), sp.csr_array(mass.reshape(-1, v, v)[0]), d)
-    J = rows.reshape(*rows.shape[:-3], k * d, v)
-    try:
-        half = np.linalg.solve(np.linalg.cholesky(mass), np.swapaxes(J, -1, -2))
-    except np.linalg.LinAlgError as error:
-        raise InvalidProblem(NOT_DEFINITE) from error
-    W = np.swapaxes(half, -1, -2) @ half
-    return 0.5 * (W + np.swapaxes(W, -1, -2)), *_of_contacts(velocities, mass, J, k, d)
-
-
-def _of_sparse_bodies(
-    contacts: tuple[Any, ...], velocities: FloatArray
+def contacts_of_bodies(
+    contacts: Any, velocities: FloatArray
 ) -> tuple[sp.csr_array, FloatArray, Bodies]:
-    """Return the same, sparse; the mass matrix is inverted component by component, as body by body."""
-    _require_three(contacts)
+    """Return W, the contacts' velocities, shape (k, d), and the bodies, from (mass matrix, normals, tangents).
+
+    The mass matrix is inverted component by component. `velocities` has shape (v,), or (k, d) of the contacts.
+    """
+    if len(contacts) != 3:
+        raise InvalidProblem(
+            f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
+        )
     names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
@@ -569,23 +380,32 @@ def _of_sparse_bodies(
         canonical_csr(sp.csr_array(rectangular_matrix(part, name, None, None)), name)
         for part, name in zip(flat, names, strict=True)
     )
-    v = mass.shape[1]
+    v, k = mass.shape[1], normals.shape[0]
     check_symmetric(mass, "the mass matrix")
-    _require_fit(normals.shape, v)
-    k = normals.shape[0]
+    if normals.shape[1] != v:
+        raise InvalidProblem(
+            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
+        )
     t = tangents.shape[0] // max(k, 1)
     if (k and t not in (1, 2)) or tangents.shape != (t * k, v):
         raise InvalidProblem(
-            f"sparse tangents must have shape (t k, {v}), t = 2 in space and 1 in the plane, the t of a contact one "
-            f"after the other, k = {k} as of the normals; got {tangents.shape}"
+            f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
+            f"contact one after the other, k = {k} as of the normals; got {np.shape(contacts[2])}"
         )
-    order = np.concatenate(
-        [np.arange(k)[:, None], k + np.arange(t * k).reshape(k, t)], axis=1
-    ).ravel()
+    tangent = k + np.arange(t * k).reshape(k, t)
+    order = np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()
     J = sp.csr_array(sp.vstack([normals, tangents], format="csr")[order])
     _check_directions(J, mass, 1 + t)
-    W = J @ inverse_by_components(mass) @ J.T
-    return sp.csr_array(0.5 * (W + W.T)), *_of_contacts(velocities, mass, J, k, 1 + t)
+    W, own = J @ inverse_by_components(mass) @ J.T, None
+    if velocities.shape == (v,):
+        own, velocities = velocities, (J @ velocities).reshape(k, 1 + t)
+    elif velocities.ndim == 1:
+        raise InvalidProblem(
+            f"velocities must have shape ({v},), those of the bodies, or ({k}, {1 + t}), those of the contacts, got "
+            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
+            "matrix"
+        )
+    return sp.csr_array(0.5 * (W + W.T)), velocities, Bodies(mass, J, own)
 
 
 def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
@@ -617,40 +437,6 @@ def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
         where = np.repeat(rows, size, axis=1).ravel(), np.tile(rows, size).ravel()
         inverse.append(sp.csr_array((np.linalg.inv(blocks).ravel(), where), shape=mass.shape))
     return sp.csr_array(sum(inverse[1:], inverse[0]))
-
-
-def _require_three(contacts: tuple[Any, ...]) -> None:
-    if len(contacts) != 3:
-        raise InvalidProblem(
-            f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
-        )
-
-
-def _require_fit(normals: tuple[int, ...], v: int) -> None:
-    if len(normals) < 2 or normals[-1] != v:
-        raise InvalidProblem(
-            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals}"
-        )
-
-
-def _of_contacts(
-    velocities: FloatArray, mass: Any, J: Any, k: int, d: int
-) -> tuple[FloatArray, Bodies]:
-    """Return the contacts' velocities and the bodies, from the velocities of either."""
-    v, own = mass.shape[-1], None
-    if are_of_bodies(velocities.shape, (k, v), d):
-        own, velocities = (
-            velocities,
-            _product(velocities, J.T if sp.issparse(J) else np.swapaxes(J, -1, -2)),
-        )
-        velocities = velocities.reshape(*velocities.shape[:-1], k, d)
-    elif velocities.ndim == 1:
-        raise InvalidProblem(
-            f"velocities must have shape ({v},), those of the bodies, or ({k}, {d}), those of the contacts, got "
-            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
-            "matrix"
-        )
-    return velocities, Bodies(mass, J, own)
 
 
 def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
@@ -715,14 +501,13 @@ def _array(values: Any, need: str) -> FloatArray:
 
 def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
     """Refuse a matrix whose entries differ from those across the diagonal by more than that of the largest."""
-    if matrix.ndim not in (2, 3) or matrix.shape[-1] != matrix.shape[-2]:
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidProblem(
             f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)"
         )
-    other = matrix.T if sp.issparse(matrix) else np.swapaxes(matrix, -1, -2)
-    difference, largest = (
-        abs(part).max() if part.size else 0.0 for part in (matrix - other, matrix)
-    )
+    if not matrix.size:
+        return
+    difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > tolerance * largest:
         raise InvalidProblem(
             f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "

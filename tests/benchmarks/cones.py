@@ -186,7 +186,7 @@ class Pile:
         b[:, 0] += np.where(gaps > self.slop, gaps, 0.0) / self.step
         tangents = np.arange(J.shape[0]) % 3 > 0
         contacts = sp.csr_array(sp.diags_array(self.mass)), J[~tangents], J[tangents]
-        return FrictionalContact.from_contacts(contacts, 0.5, b), J, [*zip(one, other, strict=True)]
+        return FrictionalContact(contacts, b, 0.5), J, [*zip(one, other, strict=True)]
 
     def move(self, rows: Any, impulses: Any) -> None:
         """Take the step."""
@@ -201,7 +201,7 @@ def _batch(count: int) -> str:
     W, b = J @ np.swapaxes(J, 1, 2) + 0.05 * np.eye(12), rng.standard_normal((count, 12))
     b[:, ::3] -= 0.5
     mu = rng.uniform(0.0, 1.0, (count, 4))
-    problems, moved = FrictionalContact(W, b, mu), FrictionalContact(W, 1.001 * b, mu)
+    problems, moved = (FrictionalContact.worlds(W, t * b, mu) for t in (1.0, 1.001))
     start = solve_batch(problems).require_solved().z
     calls = {
         "from scratch": partial(solve_batch, problems, threads=1),

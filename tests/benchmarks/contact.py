@@ -83,11 +83,7 @@ def trajectory(
         without = (rows @ free).reshape(-1, 3)
         without[:, 0] += np.maximum(gap[closed], 0.0) / STEP
         problem = LCP.from_contacts((rows / mass) @ rows.T, FRICTION, without)
-        start = (
-            None
-            if before is None or not is_warm
-            else problem.origin.start_from(before, touched[closed])
-        )
+        start = None if before is None or not is_warm else _start(before, touched[closed])
         began = time.perf_counter()
         result = solve(problem, z0=start)
         yield problem, start, result, time.perf_counter() - began
@@ -98,6 +94,16 @@ def trajectory(
         gap = np.maximum(gap + STEP * (J[:, 0] @ velocity), 0.0)
         before, touched = result, np.full(4 * boxes, -1)
         touched[closed] = np.arange(closed.size)
+
+
+def _start(before: Any, same: Any) -> Any:
+    """Return a start from the result before: `same` is the earlier number of each contact, −1 for a new one."""
+    z, count = before.z, before.z.size // 6
+    parts = z[:count, None], z[count : 5 * count].reshape(count, 4), z[5 * count :, None]
+    if not count:
+        return None
+    is_old = (same >= 0)[:, None]
+    return np.concatenate([np.where(is_old, part[same], 0.0).ravel() for part in parts])
 
 
 def _trajectory(boxes: int, steps: int, *, is_warm: bool) -> str:

@@ -165,7 +165,7 @@ def by_batch(sample: Sample, folder: Path) -> None:
         batches.append(solve_batch(stack))
     if sample.kind == "FrictionalContact":
         one = sample.problem
-        worlds = FrictionalContact(
+        worlds = FrictionalContact.worlds(
             one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension
         )
         batches.append(solve_batch(worlds))
@@ -505,7 +505,9 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
 
 def test_worlds_with_contact_work_or_are_refused_in_words(tmp_path: Path) -> None:
     """A batch in arrays is solved, differentiated, pickled and saved; every other way names solve_batch."""
-    worlds = FrictionalContact(np.stack([np.eye(3)] * 2), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5)
+    worlds = FrictionalContact.worlds(
+        np.stack([np.eye(3)] * 2), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5
+    )
     worlds.save(tmp_path / "w.npz")
     for copy in (worlds, pickle.loads(pickle.dumps(worlds)), load_problem(tmp_path / "w.npz")):
         answers = solve_batch(copy).require_solved()

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
-from ...problems.cones.frictional_contact import FrictionalContactBatch
+from ...problems.cones.frictional_contact import FrictionalContact
 from ...problems.sensitivity import derivative
 from ...problems.sensitivity.batch_derivative import BatchDerivative
 from ...problems.sensitivity.contact_batch_derivative import ContactBatchDerivative
@@ -151,7 +151,7 @@ def contacts_solved(
     """
     of_worlds = {name: wishes.options[name] for name in ("contacts", "dimension")}
     others = {name: wish for name, wish in wishes.options.items() if name not in of_worlds}
-    worlds = FrictionalContactBatch(W, b, friction, **of_worlds)
+    worlds = FrictionalContact.worlds(W, b, friction, **of_worlds)
     found: ContactBatchDerivative = derivative(solve_batch(worlds, z0=z0, **others))
     if found.errors:
         is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())

@@ -35,7 +35,8 @@ def problem_of(content: Mapping[str, Any], source: str | PathLike[str]) -> Any:
             given = {name: content[name] for name in ("contacts", "dimension") if name in content}
             if "dimension" in given:
                 given["dimension"] = int(given["dimension"])
-            return FrictionalContact(M, q, friction, **given)
+            state = FrictionalContact.worlds if M.ndim == 3 else FrictionalContact
+            return state(M, q, friction, **given)
         M, first, cones = content["M"], 0, []
         kinds, sizes = (_whole_numbers(content[name], name) for name in ("cone_kinds", "cone_rows"))
         if kinds.shape != sizes.shape:

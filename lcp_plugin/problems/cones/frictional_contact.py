@@ -8,6 +8,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
@@ -23,11 +24,10 @@ from ...core.lcp import LCP
 from ...core.representation import in_words
 from ..contact import (
     Bodies,
-    are_of_bodies,
     check_symmetric,
-    checked_contacts,
-    checked_distances,
     checked_friction,
+    closing_speeds,
+    contacts_of_bodies,
     is_of_bodies,
     warn_of_much_friction,
 )
@@ -54,10 +54,7 @@ class FrictionalContact(Blocks):
     friction : number or array, shape (k,)
         Coefficients μ ≥ 0.
     gaps, time_step : optional
-        As for :meth:`lcp_plugin.LCP.from_contacts`.
-    contacts : array of int, shape (B,), optional
-        Of many worlds: how many contacts each has, the first of the k, all by default; what stands behind them is not
-        looked at.
+        As in :meth:`lcp_plugin.LCP.from_contacts`.
     dimension : int, optional
         d, where neither b nor `friction` tells it: 3 by default where the rows are a multiple of 3.
 
@@ -77,10 +74,7 @@ class FrictionalContact(Blocks):
     the impulses of the step before, ``solve(FrictionalContact(W, b, friction), z0=r)``, 0 for new contacts; those of
     one W are a :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
 
-    With an axis in front, W (B, d k, d k), b (B, d k) or (B, k, d), friction (B, k), any of these, it states B worlds:
-    :func:`lcp_plugin.solve_batch` and :func:`lcp_plugin.derivative` take them at once, ``worlds[i]`` is
-    the FrictionalContact of number i, and raises what is wrong with it. A contiguous W is read where it lies: leave its
-    entries as they are while you use the worlds.
+    :meth:`worlds` states many problems in arrays.
 
     Examples
     --------
@@ -91,33 +85,9 @@ class FrictionalContact(Blocks):
     >>> result.z.round(6), result.w.round(6), result.motion.sticks
     (array([ 1. , -0.3, -0.4]), array([0. , 2.7, 3.6]), array([False]))
 
-    Beside it a world in which friction holds it:
-
-    >>> from lcp_plugin import solve_batch
-    >>> batch = solve_batch(FrictionalContact(np.eye(3), [[[-1.0, 3.0, 4.0]], [[-1.0, 0.3, 0.0]]], 0.5))
-    >>> (batch.z.round(6) + 0.0).tolist(), batch.motion.sticks.ravel().tolist()
-    ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
     """
 
     bodies: Bodies | None = None
-
-    def __new__(
-        cls,
-        W: Any = None,
-        b: Any = None,
-        friction: Any = 0.0,
-        *,
-        gaps: Any = None,
-        time_step: float | None = None,
-        contacts: ArrayLike | None = None,
-        dimension: int | None = None,
-    ) -> Any:
-        """Return a FrictionalContactBatch where there are worlds, an object to be initialised where there are none."""
-        if contacts is None and not _has_worlds(W, b, friction, gaps):
-            return super().__new__(cls)
-        return FrictionalContactBatch(
-            W, b, friction, gaps=gaps, time_step=time_step, contacts=contacts, dimension=dimension
-        )
 
     def __init__(
         self,
@@ -127,16 +97,20 @@ class FrictionalContact(Blocks):
         *,
         gaps: ArrayLike | None = None,
         time_step: float | None = None,
-        contacts: None = None,
         dimension: int | None = None,
     ) -> None:
-        W, b, friction, self.bodies = _stated(W, b, friction, gaps, time_step, keeps_sparse=True)
         need = (
             "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
         )
         velocities = real_array(b, need)
+        if is_of_bodies(W):
+            is_sparse = any(map(sp.issparse, W))
+            W, velocities, self.bodies = contacts_of_bodies(W, velocities)
+            W = W if is_sparse else W.toarray()
         if velocities.ndim not in (1, 2):
-            raise InvalidProblem(f"{need}, got shape {velocities.shape}")
+            raise InvalidProblem(
+                f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
+            )
         if velocities.ndim == 2:
             if dimension not in (None, velocities.shape[1]):
                 raise InvalidProblem(
@@ -144,13 +118,11 @@ class FrictionalContact(Blocks):
                 )
             dimension = velocities.shape[1]
         offset = checked_vector(velocities.ravel(), "b", None)
-        d = dimension_of(dimension, _shape_of(friction), offset.size)
+        d = dimension_of(dimension, np.shape(friction), offset.size)
         k = offset.size // d
-        if self.bodies is None:
-            offset = _until_contact(offset, gaps, time_step, d)
-        mu = np.broadcast_to(
-            checked_friction(friction, k, f"one a contact of {d} rows"), (k,)
-        ).copy()
+        offset = offset.copy()
+        offset[::d] += closing_speeds(gaps, time_step, k)
+        mu = checked_friction(friction, k, f"one a contact of {d} rows")
         warn_of_much_friction(mu, 3)
         W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         check_symmetric(W, "W", NEARLY_SYMMETRIC)
@@ -160,30 +132,42 @@ class FrictionalContact(Blocks):
         )
         self.dimension = d
 
-    @classmethod
-    def from_contacts(
-        cls,
-        contacts: Any,
+    @staticmethod
+    def worlds(
+        W: Any,
+        b: ArrayLike,
         friction: ArrayLike,
-        velocities: ArrayLike,
         *,
-        gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-    ) -> FrictionalContact:
-        """Return contacts as :meth:`lcp_plugin.LCP.from_contacts` takes them, with cones for pyramids.
+        contacts: ArrayLike | None = None,
+        dimension: int | None = None,
+    ) -> FrictionalContactBatch:
+        """Return many problems of at most k contacts each, for solve_batch and derivative.
 
         Parameters
         ----------
-        contacts, friction, velocities, gaps, time_step
-            As there, without `directions`.
+        W, b, friction : array, shapes (B, d k, d k) or (d k, d k), (B, d k) or (B, k, d), and (B, k), (k,) or a number
+            A contiguous W is read where it lies: leave its entries as they are while you use the worlds.
+        contacts : array of int, shape (B,), optional
+            Number of contacts of each world, by default k. Later rows are ignored.
+        dimension : int, optional
+            As of :class:`FrictionalContact`.
 
         Raises
         ------
         InvalidProblem
-            As there.
+            If shapes do not fit together; ``worlds[i]`` raises what is wrong with world i.
+
+        Examples
+        --------
+        Friction holds the block in the second world:
+
+        >>> from lcp_plugin import solve_batch
+        >>> b = [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]]
+        >>> batch = solve_batch(FrictionalContact.worlds(np.eye(3), b, 0.5))
+        >>> (batch.z.round(6) + 0.0).tolist(), batch.motion.sticks.ravel().tolist()
+        ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
         """
-        bodies = tuple(contacts) if is_of_bodies(contacts) else contacts
-        return cls(bodies, velocities, friction, gaps=gaps, time_step=time_step)
+        return FrictionalContactBatch(W, b, friction, contacts=contacts, dimension=dimension)
 
     @property
     def W(self) -> Any:
@@ -219,20 +203,15 @@ class FrictionalContact(Blocks):
 
 
 class FrictionalContactBatch:
-    """Worlds of at most k contacts each: what :class:`FrictionalContact` returns of arrays with an axis in front.
+    """The worlds that :meth:`FrictionalContact.worlds` returns.
 
-    Parameters
+    Attributes
     ----------
-    W, b, friction : array, shapes (B, d k, d k), (B, d k) or (B, k, d), and (B, k)
-        As there; of the attributes of these names, contacts that are not there have 1 on the diagonal of W, 1 in b and
-        no friction.
-    gaps, time_step, contacts, dimension
-        As in :class:`FrictionalContact`.
-
-    Raises
-    ------
-    InvalidProblem
-        Where shapes do not fit together.
+    W, b, friction : array, shapes (B, d k, d k), (B, d k) and (B, k)
+        Contacts that are not there have 1 on the diagonal of W, 1 in b and no friction.
+    contacts : array of int, shape (B,)
+    dimension : int
+        d.
     """
 
     def __init__(
@@ -241,68 +220,48 @@ class FrictionalContactBatch:
         b: ArrayLike,
         friction: ArrayLike,
         *,
-        gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-        contacts: ArrayLike | None = None,
-        dimension: int | None = None,
+        contacts: ArrayLike | None,
+        dimension: int | None,
     ) -> None:
-        W, b, friction, bodies = _stated(W, b, friction, gaps, time_step, keeps_sparse=False)
         need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
         offsets = real_array(b, need)
-        if offsets.ndim not in (1, 2, 3):
+        if offsets.ndim not in (2, 3):
             raise InvalidProblem(f"{need}, got shape {offsets.shape}")
         if offsets.ndim == 3:
             dimension, offsets = offsets.shape[2], offsets.reshape(len(offsets), -1)
-        n, mu = (
-            offsets.shape[-1],
-            real_array(friction, "friction must be a number, or have shape (k,) or (B, k)"),
-        )
+        count, n = offsets.shape
+        mu = real_array(friction, "friction must be a number, or have shape (k,) or (B, k)")
         self.dimension = d = dimension_of(dimension, mu.shape[-1:], n)
-        if bodies is None:
-            offsets = _until_contact(offsets, gaps, time_step, d)
-        k = n // d
-        matrices = real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
-        if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (n, n):
+        k, matrices = n // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
+        if matrices.shape not in ((n, n), (count, n, n)):
             raise InvalidProblem(
-                f"W must have shape (B, {n}, {n}), {n} as b has, got {matrices.shape}"
+                f"W must have shape (B, {n}, {n}), B = {count} and {n} as b has, got {matrices.shape}"
             )
-        if mu.ndim > 2 or (mu.ndim and mu.shape[-1] != k):
+        if mu.shape not in ((), (k,), (count, k)):
             raise InvalidProblem(
-                f"friction must be a number, or have shape ({k},) or (B, {k}), got {mu.shape}"
+                f"friction must be a number, or have shape ({k},) or (B, {k}), B = {count}, got {mu.shape}"
             )
-        stacks = {"W": (matrices, 3), "b": (offsets, 2), "friction": (mu, 2)}
-        lengths = {name: len(array) for name, (array, ndim) in stacks.items() if array.ndim == ndim}
-        if contacts is not None and np.ndim(contacts) == 1:
-            lengths["contacts"] = len(np.asarray(contacts))
-        if len({*lengths.values()}) > 1:
-            given = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise InvalidProblem(
-                f"all arrays with an axis for the worlds must be equally long, got {given}"
-            )
-        count = next(iter(lengths.values()), 1)
         self.contacts = _checked_counts(contacts, count, k)
         shapes = (count, n, n), (count, n), (count, k)
-        own: Any = tuple(
+        own: list[Any] = [
             np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
             for array, shape in zip((matrices, offsets, mu), shapes, strict=True)
-        )
+        ]
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
-            own = _padded(own[0], own[1], own[2], is_there, d)
+            own = [one.copy() for one in own]
+            is_row = np.repeat(is_there, d, axis=1)
+            own[0][~(is_row[:, :, None] & is_row[:, None])] = 0.0
+            own[0][:, range(n), range(n)] = np.where(is_row, own[0][:, range(n), range(n)], 1.0)
+            own[1][~is_row], own[2][~is_there] = 1.0, 0.0
         self.W, self.b, self.friction = map(read_only, own)
         warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
         with np.errstate(invalid="ignore", over="ignore"):
-            difference = np.abs(self.W - self.W.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
-            largest = np.maximum(
-                self.W.max(axis=(1, 2), initial=0.0), -self.W.min(axis=(1, 2), initial=0.0)
-            )
-            self._is_stated = (
-                (difference <= NEARLY_SYMMETRIC * largest)
-                & (largest < np.inf)
-                & np.isfinite(self.b).all(axis=1)
-                & (self.friction >= 0.0).all(axis=1)
-                & (self.friction < np.inf).all(axis=1)
-            )
+            difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
+            largest = np.abs(self.W).max((1, 2), initial=0.0)
+        are_finite = (largest < np.inf) & np.isfinite(self.b).all(1)
+        are_coefficients = ((self.friction >= 0.0) & (self.friction < np.inf)).all(1)
+        self._is_stated = (difference <= NEARLY_SYMMETRIC * largest) & are_finite & are_coefficients
 
     @property
     def n(self) -> int:
@@ -364,60 +323,6 @@ class FrictionalContactBatch:
         return f"FrictionalContact({len(self)} worlds of up to {self.n // self.dimension} contacts in {where})"
 
 
-def _has_worlds(W: Any, b: Any, friction: Any, gaps: Any) -> bool:
-    """Return whether one of the arrays that state contacts has an axis for worlds."""
-    given = _shape_of(b)
-    if len(given) > 2 or len(_shape_of(friction)) > 1 or len(_shape_of(gaps)) > 1:
-        return True
-    if not isinstance(W, tuple):
-        matrix = _shape_of(W)
-        return len(matrix) > 2 or (
-            len(given) == 2 and (given[1] > 3 or (given[0] != 1 and given[1:] == matrix[-1:]))
-        )
-    mass, normals, tangents = map(_shape_of, W) if len(W) == 3 else ((), (), ())
-    d = 1 + math.prod(tangents) // max(math.prod(normals), 1)
-    return max(len(mass), len(normals)) > 2 or (
-        len(given) == 2 and are_of_bodies(given, normals, d)
-    )
-
-
-def _shape_of(given: Any) -> tuple[int, ...]:
-    """Return the shape of an array; that of a number for what is none, which is refused later."""
-    try:
-        return np.shape(given)
-    except ValueError:
-        return ()
-
-
-def _stated(
-    W: Any,
-    b: Any,
-    friction: Any,
-    gaps: ArrayLike | None,
-    time_step: float | None,
-    *,
-    keeps_sparse: bool,
-) -> tuple[Any, Any, Any, Bodies | None]:
-    """Return W, b, friction, and the bodies, of one problem or of many; b of bodies includes the gaps."""
-    if not isinstance(W, tuple):
-        return W, b, friction, None
-    data = checked_contacts(
-        W, friction, b, gaps=gaps, time_step=time_step, keeps_sparse=keeps_sparse
-    )
-    return data.W, data.until_contact(data.velocities, data.gaps), data.friction, data.bodies
-
-
-def _until_contact(b: FloatVector, gaps: ArrayLike | None, time_step: Any, d: int) -> FloatVector:
-    """Return velocities, shape (…, d k), plus those that close the gaps within the step."""
-    if gaps is None and time_step is None:
-        return b
-    distances = checked_distances(gaps, time_step, b.shape[-1] // d)
-    several = np.broadcast_shapes(b.shape[:-1], distances.shape[:-1])
-    found = np.array(np.broadcast_to(b, (*several, b.shape[-1])))
-    found[..., ::d] += distances / time_step
-    return found
-
-
 def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[np.int64]:
     if contacts is None:
         return np.full(count, k)
@@ -431,16 +336,6 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
             f"contacts must be {count} integers from 0 to {k}, one a world, got {contacts!r}"
         )
     return counts.astype(np.int64)
-
-
-def _padded(W: Any, b: Any, mu: Any, is_there: NDArray[np.bool_], d: int) -> tuple[Any, Any, Any]:
-    """Return copies in which contacts that are not there are open, each by itself."""
-    W, b, mu = W.copy(), b.copy(), mu.copy()
-    rows = np.repeat(is_there, d, axis=1)
-    W[~(rows[:, :, np.newaxis] & rows[:, np.newaxis])] = 0.0
-    world, row = np.nonzero(~rows)
-    W[world, row, row], b[~rows], mu[~is_there] = 1.0, 1.0, 0.0
-    return W, b, mu
 
 
 def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int:

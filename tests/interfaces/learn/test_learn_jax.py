@@ -224,7 +224,7 @@ def worlds(count: int) -> Any:
 def test_contact_has_the_gradients_of_its_derivative() -> None:
     """Compiled, mapped and at once."""
     W, b, friction = worlds(6)
-    gradient = derivative(solve_batch(FrictionalContact(W, b, friction))).vjp(np.ones(6))
+    gradient = derivative(solve_batch(FrictionalContact.worlds(W, b, friction))).vjp(np.ones(6))
 
     def loss(W: Any, b: Any, friction: Any) -> Any:
         return contact_layer(W, b, friction).sum()

@@ -195,9 +195,7 @@ def test_bodies_move_as_their_impulses_say() -> None:
 def test_a_gap_lets_a_contact_close() -> None:
     """As for pyramids: 4 mm in 0.01 s allow 0.4 m/s of the 1 m/s that it falls with."""
     block = 2.0 * np.eye(2), [[0.0, 1.0]], [[1.0, 0.0]]
-    result = solve(
-        FrictionalContact.from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01)
-    )
+    result = solve(FrictionalContact(block, [0.0, -1.0], 0.5, gaps=0.004, time_step=0.01))
     np.testing.assert_allclose(result.motion.normal, [1.2], atol=1e-8)
     assert result.motion.body_velocities is not None
     np.testing.assert_allclose(result.motion.body_velocities, [0.0, -0.4], atol=1e-8)
@@ -404,26 +402,23 @@ def test_a_result_tells_of_impulses_of_any_size(size: float) -> None:
     assert "z · w" in str(result.certificate)
 
 
-def test_from_contacts_states_pyramids_or_the_cone_itself() -> None:
-    """With cone="exact" bodies, gaps and all become a FrictionalContact; pyramids of many edges come near to it."""
-    data = (
+def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
+    """64 edges give bodies and gaps nearly the velocities of the cone."""
+    bodies, friction, velocities = (
         (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]),
         0.4,
         [1.0, 2.0, -3.0],
     )
-    exact = LCP.from_contacts(*data, gaps=0.01, time_step=0.1, cone="exact")
-    assert isinstance(exact, FrictionalContact)
+    exact = FrictionalContact(bodies, velocities, friction, gaps=0.01, time_step=0.1)
     moved = solve(exact, tolerance=1e-12).require_solved().motion.body_velocities
     speed = np.hypot(1.0, 2.0)
     np.testing.assert_allclose(
         moved[:2], np.array([1.0, 2.0]) * (1.0 - 0.4 * 2.9 / speed), atol=1e-9
     )
-    pyramid = LCP.from_contacts(*data, 64, gaps=0.01, time_step=0.1)
+    pyramid = LCP.from_contacts(bodies, friction, velocities, 64, gaps=0.01, time_step=0.1)
     assert isinstance(pyramid, LCP)
     near = pyramid.origin.recover(solve(pyramid).require_solved()).body_velocities
     assert 0.0 < np.abs(near - moved).max() < 0.1
-    with pytest.raises(InvalidProblem, match="cone must be"):
-        LCP.from_contacts(*data, cone="circle")
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -774,7 +769,7 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
             if result.is_solved:
                 assert np.isfinite(result.z).all()
                 assert exact_relative_residual(problem, result.z) <= 1e-8
-        worlds = solve_batch(FrictionalContact(W[None], b[None], 0.5), max_iterations=300)
+        worlds = solve_batch(FrictionalContact.worlds(W[None], b[None], 0.5), max_iterations=300)
         for result in worlds:
             assert not result.is_solved or exact_relative_residual(result.problem, result.z) <= 1e-8
 

@@ -30,7 +30,7 @@ def drawn(
 
 
 def derived(*data: Any, **wishes: Any) -> ContactBatchDerivative:
-    return derivative(solve_batch(FrictionalContact(*data), **wishes))
+    return derivative(solve_batch(FrictionalContact.worlds(*data), **wishes))
 
 
 def close(a: Any, b: Any, tolerance: float) -> bool:
@@ -125,7 +125,7 @@ def test_worlds_of_different_size() -> None:
     for k, count in enumerate(counts):
         for rows in (b, g, gw, dq):
             rows[k, 3 * count :] = np.nan
-    found = derivative(solve_batch(FrictionalContact(W, b, mu, contacts=counts)))
+    found = derivative(solve_batch(FrictionalContact.worlds(W, b, mu, contacts=counts)))
     gradient, dz = found.vjp(g, gw), found.jvp(dq=dq, dfriction=1.0)
     for k, count in enumerate(counts):
         own, one = slice(3 * count), found[k]
@@ -144,7 +144,9 @@ def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
     W, b = np.stack([np.eye(6)] * 4), np.tile([-1.0, 3.0, 4.0, -1.0, 0.1, 0.0], (4, 1))
     W[0], W[1, 0, 0] = coupled * scale * scale[:, np.newaxis], np.nan
     b[0], W[2, :3, :3] = b[0] * scale, np.diag([0.0, 1.0, 1.0])
-    batch = solve_batch(FrictionalContact(W, b, [[0.5, 0.5], [0.5, 0.5], [0.0, 0.0], [0.5, 0.5]]))
+    batch = solve_batch(
+        FrictionalContact.worlds(W, b, [[0.5, 0.5], [0.5, 0.5], [0.0, 0.0], [0.5, 0.5]])
+    )
     found = derivative(batch)
     assert batch.status[2] is Status.INFEASIBLE
     assert sorted(found.errors) == [1, 2]
@@ -192,4 +194,4 @@ def test_wrong_changes_are_refused_in_words(name: str) -> None:
     """With what they must be."""
     ask, error, words = REFUSED[name]
     with pytest.raises(error, match=words):
-        ask(derived(np.eye(3)[None], np.array([-1.0, 3.0, 4.0]), 0.5))
+        ask(derived(np.eye(3)[None], np.array([[-1.0, 3.0, 4.0]]), 0.5))

@@ -17,7 +17,7 @@ from lcp_plugin import (
     solve_batch,
 )
 
-ONE = np.eye(3)[None], [-1.0, 3.0, 4.0], 0.5
+ONE = np.eye(3)[None], [[-1.0, 3.0, 4.0]], 0.5
 
 
 def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
@@ -39,8 +39,8 @@ def test_worlds_are_answered_as_each_by_itself(
 ) -> None:
     """As solve to rounding, the same bits on any number of threads; residuals hold with 60 digits."""
     W, b, friction = arrays(100)
-    z0 = solve_batch(FrictionalContact(W, 1.01 * b, friction)).z if is_warm else None
-    worlds = FrictionalContact(W, b, friction)
+    z0 = solve_batch(FrictionalContact.worlds(W, 1.01 * b, friction)).z if is_warm else None
+    worlds = FrictionalContact.worlds(W, b, friction)
     with monkeypatch.context() as patch:
         patch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
         batch, other = (solve_batch(worlds, z0=z0, threads=threads) for threads in (1, 2))
@@ -68,7 +68,7 @@ def test_worlds_have_as_many_contacts_as_they_have() -> None:
     for i, count in enumerate(counts):
         W[i, 3 * count :], b[i, 3 * count :], friction[i, count:] = np.nan, np.nan, -1.0
     batch = solve_batch(
-        FrictionalContact(W, b.reshape(12, 4, 3), friction, contacts=counts)
+        FrictionalContact.worlds(W, b.reshape(12, 4, 3), friction, contacts=counts)
     ).require_solved()
     for i, count in enumerate(counts):
         own = slice(3 * count)
@@ -84,7 +84,7 @@ def test_one_world_harms_no_other() -> None:
     """NaN, a W that is not symmetric, no answer, mixed units: each is said of its own world."""
     W, b = np.stack([np.eye(3)] * 5), np.tile([-1.0, 3.0, 4.0], (5, 1))
     W[0, 0, 0], W[1, 0, 1], W[2] = np.nan, 1.0, np.diag([0.0, 1.0, 1.0])
-    batch = solve_batch(FrictionalContact(W, b, [[0.5], [0.5], [0.0], [-1.0], [0.5]]))
+    batch = solve_batch(FrictionalContact.worlds(W, b, [[0.5], [0.5], [0.0], [-1.0], [0.5]]))
     assert sorted(batch.errors) == [0, 1, 3]
     assert [batch.status[k] for k in (2, 4)] == [Status.INFEASIBLE, Status.SOLVED]
     assert np.isnan(batch.z[[0, 1, 3]]).all()
@@ -96,7 +96,7 @@ def test_one_world_harms_no_other() -> None:
 def test_in_the_plane_by_a_method_and_within_a_time() -> None:
     """One W for all, two rows a contact; a named method solves each; no time leaves the start."""
     W, b = np.array([[3.128, -2.472], [-2.472, 3.872]]), np.array([[-9.81e-5, -55.0], [-1.0, 0.1]])
-    worlds = FrictionalContact(W, b, 0.5, dimension=2)
+    worlds = FrictionalContact.worlds(W, b, 0.5, dimension=2)
     found, named = solve_batch(worlds), solve_batch(worlds, algorithm="newton")
     late = solve_batch(worlds, max_seconds=0.0)
     np.testing.assert_allclose(
@@ -110,20 +110,23 @@ def test_in_the_plane_by_a_method_and_within_a_time() -> None:
 TWO = np.zeros((2, 6))
 REFUSED: dict[str, tuple[Any, str]] = {
     "W of another size": (
-        lambda: FrictionalContact(np.eye(4), TWO, 0.5),
+        lambda: FrictionalContact.worlds(np.eye(4), TWO, 0.5),
         r"W must have shape \(B, 6, 6\)",
     ),
     "b a number": (
-        lambda: FrictionalContact(np.eye(3)[None], 1.0, 0.5),
+        lambda: FrictionalContact.worlds(np.eye(3)[None], 1.0, 0.5),
         r"b must have shape \(B, d k\)",
     ),
     "four coefficients": (
-        lambda: FrictionalContact(np.eye(6), TWO, np.ones(4)),
-        r"shape \(2,\) or \(B, 2\), got",
+        lambda: FrictionalContact.worlds(np.eye(6), TWO, np.ones(4)),
+        r"shape \(2,\) or \(B, 2\), B = 2, got",
     ),
-    "lengths that differ": (lambda: FrictionalContact(np.zeros((3, 6, 6)), TWO, 0.5), "W 3, b 2"),
+    "lengths that differ": (
+        lambda: FrictionalContact.worlds(np.zeros((3, 6, 6)), TWO, 0.5),
+        r"B = 2 and 6 as b has, got \(3, 6, 6\)",
+    ),
     "too many contacts": (
-        lambda: FrictionalContact(np.eye(6), TWO, 0.5, contacts=[1, 3]),
+        lambda: FrictionalContact.worlds(np.eye(6), TWO, 0.5, contacts=[1, 3]),
         "from 0 to 2",
     ),
 }
@@ -139,42 +142,28 @@ def test_wrong_arrays_are_refused_in_words(name: str) -> None:
 
 def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
     """A start of another shape, vectors beside the worlds, one solve."""
-    worlds = FrictionalContact(*ONE)
+    worlds = FrictionalContact.worlds(*ONE)
     with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
         solve_batch(worlds, z0=np.zeros(6))
     with pytest.raises(InvalidOption, match=r"FrictionalContact\(W, b, friction\)"):
         solve_batch(worlds, np.zeros(3))
     assert repr(worlds) == "FrictionalContact(1 worlds of up to 1 contacts in space)"
     assert len(list(worlds)) == len(solve_batch(worlds)) == 1
-    assert len(solve_batch(FrictionalContact(np.zeros((0, 3, 3)), np.zeros((0, 3)), 0.5))) == 0
-
-
-def test_gaps_and_bodies_state_worlds_too() -> None:
-    """Masses, or W, with a gap a contact and an axis for the worlds, are the worlds one by one."""
-    rng = np.random.default_rng(0)
-    normals, tangents = rng.standard_normal((2, 6)), rng.standard_normal((2, 2, 6))
-    bodies, gaps = (np.diag(np.arange(1.0, 7.0)), normals, tangents), [0.1, 0.2]
-    velocities = rng.standard_normal((5, 6))
-    worlds = FrictionalContact(bodies, velocities, 0.3, gaps=gaps, time_step=0.5)
-    assert repr(worlds) == "FrictionalContact(5 worlds of up to 2 contacts in space)"
-    for world, own in zip(worlds, velocities, strict=True):
-        alone = FrictionalContact(bodies, own, 0.3, gaps=gaps, time_step=0.5)
-        np.testing.assert_allclose(world.b, alone.b, atol=1e-14)
-        np.testing.assert_allclose(world.W, alone.W, atol=1e-14)
-        again = FrictionalContact.from_contacts(bodies, 0.3, own, gaps=gaps, time_step=0.5)
-        assert np.array_equal(alone.b, again.b)
+    assert (
+        len(solve_batch(FrictionalContact.worlds(np.zeros((0, 3, 3)), np.zeros((0, 3)), 0.5))) == 0
+    )
 
 
 @pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
 def test_worlds_are_taken_one_by_one(index: Any) -> None:
     """An index that is no integer is refused, with what to write."""
-    worlds: Any = FrictionalContact(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
+    worlds: Any = FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
     with pytest.raises(TypeError, match=r"worlds\[i\], i an integer"):
         worlds[index]
 
 
 def test_a_default_that_is_stated_is_no_other_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """absolute_tolerance=0.0 and an equal string for the algorithm leave the worlds in their stack."""
-    worlds = FrictionalContact(*arrays(10))
+    worlds = FrictionalContact.worlds(*arrays(10))
     monkeypatch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
     assert solve_batch(worlds, absolute_tolerance=0.0, algorithm="".join(["au", "to"])).all_solved

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from contact_families import rows_of_bodies
 
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP, FrictionalContact, solve
 from lcp_plugin.core.errors import InvalidProblem, ModelWarning
-from lcp_plugin.problems.contact import Contacts, contact_data
+from lcp_plugin.problems.contact import Contacts
 
 STEP, GRAVITY = 0.01, 9.81
 NAMES = ("friction", "velocities", "gaps", "mass")
@@ -112,8 +112,8 @@ def test_more_friction_than_any_material_has_is_warned_of() -> None:
     ) as told:
         LCP.from_contacts(np.eye(4), [0.5, 50.0], np.zeros((2, 2)))
     assert told[0].filename == __file__
-    with pytest.warns(ModelWarning, match=r"friction\[0, 0\] = 30") as told:
-        contact_data(np.eye(2), 30.0, np.zeros((4, 1, 2)))
+    with pytest.warns(ModelWarning, match=r"friction\[0\] = 30") as told:
+        FrictionalContact(np.eye(2), np.zeros((1, 2)), 30.0)
     assert told[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -88,21 +88,6 @@ def test_a_tower_of_ten_carries_its_weight() -> None:
     assert motion.sticks.all()
 
 
-def test_a_start_is_carried_over_to_contacts_that_stay() -> None:
-    """Of contacts that come and go, those that stay keep their part of z, and new ones begin at 0."""
-    W, velocities = contacts_of_bodies(4, 3, 1)
-    before = solve(LCP.from_contacts(W, 0.5, velocities))
-    kept = [3, -1, 0]
-    rows = np.ravel([[9, 10, 11], [3, 4, 5], [0, 1, 2]])
-    after = LCP.from_contacts(W[np.ix_(rows, rows)], 0.5, velocities[[3, 1, 0]])
-    start = after.origin.start_from(before, kept)
-    assert start.shape == (after.n,)
-    np.testing.assert_array_equal(start[:3], [before.z[3], 0.0, before.z[0]])
-    np.testing.assert_array_equal(start[3:15].reshape(3, 4)[0], before.z[16:20])
-    np.testing.assert_array_equal(start[15:], [before.z[23], 0.0, before.z[20]])
-    np.testing.assert_array_equal(after.origin.start_from(np.empty(0), [-1, -1, -1]), np.zeros(18))
-
-
 EYE, FALL = np.eye(3), [[-1.0, 0.0, 0.0]]
 BODY = (np.eye(3), [[0, 0, 1]], [[[1, 0, 0], [0, 1, 0]]])
 MISTAKES: dict[str, tuple[str, Any]] = {
@@ -140,8 +125,7 @@ MISTAKES: dict[str, tuple[str, Any]] = {
         ((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL),
     ),
     "odd directions": ("even number ≥ 4.*got 5", (EYE, 0.5, FALL, 5)),
-    "a batch": ("contact_data", (EYE, 0.5, [FALL, FALL])),
-    "batches of two lengths": ("equally long", (np.stack([EYE] * 3), 0.5, [FALL, FALL])),
+    "a batch": (r"must have shape \(1, 3\)", (EYE, 0.5, [FALL, FALL])),
 }
 
 

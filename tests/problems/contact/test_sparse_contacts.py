@@ -65,11 +65,9 @@ def test_sparse_and_dense_bodies_state_the_same_contacts() -> None:
 
 
 def test_gaps_and_pyramids_take_them_too() -> None:
-    """from_contacts over cones stays sparse, over pyramids it is what dense arrays give."""
+    """Gaps are added to normal velocities; pyramids of sparse arrays are those of dense ones."""
     mass, normals, tangents, velocities = scene(6, 8)
-    shut = FrictionalContact.from_contacts(
-        (mass, normals, tangents), 0.5, velocities, gaps=0.02, time_step=0.1
-    )
+    shut = FrictionalContact((mass, normals, tangents), velocities, 0.5, gaps=0.02, time_step=0.1)
     plain = FrictionalContact((mass, normals, tangents), velocities, 0.5)
     np.testing.assert_allclose((shut.b - plain.b).reshape(-1, 3), [[0.2, 0.0, 0.0]] * 8, atol=1e-12)
     pyramids = [
@@ -115,7 +113,7 @@ MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)
         (
             (MASS, NORMALS, TANGENTS[:7]),
             VELOCITIES,
-            "sparse tangents must have shape (t k, 24), t = 2 in space and 1 in",
+            "tangents must have shape (k, t, 24) or (t k, 24), t = 2 in space and 1 in",
         ),
         (
             (MASS, NORMALS[:, :9], TANGENTS),

@@ -30,7 +30,7 @@ from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures
 from ...proofs.exact.upward import quotient_above, sum_above
 from .convexity import refuse_nonconvex
-from .criterion import excused_rows
+from .criterion import excused_rows, least_size
 from .dual_bounds import DualBounds, implied_box
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
@@ -75,10 +75,11 @@ def certify(
         and of a result or a cvxpy problem what its status says.
     tolerance : float
         "proved" means that x has the optimal value f* and meets the constraints: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
-        + |xᵀP x|), and each c·x ≤ d or = d holds to tolerance · max(|d|, largest |c_j x_j|), or to rounding of the
-        unknowns that matter. If all terms are 0 the comparison is exact. x may still be far from the minimizer if the
-        objective is flat; `distance` bounds how far. "infeasible" is proved if every x violates a constraint by more
-        than the tolerance, in its own unit, so that no x can be proved to be optimal.
+        + |xᵀP x|), or 10⁻⁸ · tolerance of the rows' terms with their multipliers if that is more, and each c·x ≤ d or
+        = d holds to tolerance · max(|d|, largest |c_j x_j|), or to rounding of the unknowns that matter. If all terms
+        of the objective are 0 the comparison is exact. x may still be far from the minimizer if the objective is flat;
+        `distance` bounds how far. "infeasible" is proved if every x violates a constraint by more than the tolerance,
+        in its own unit, so that no x can be proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -370,11 +371,15 @@ class ProgramProofs:
         is_enough = found.is_proved() and not found.may_have_bought()
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
-            if lower < value[0] and size[1] == 0.0 and self.own_solution is not None:
-                own = self.own_solution  # the comparison is exact
-                lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
+            if (own := self.own_solution) is not None:
+                y = np.concatenate([own.inequality, own.equality])
+                if size[1] == 0.0:  # the comparison is exact
+                    lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
+                elif np.isfinite(y).all():
+                    least = least_size(program, x, y)
+                    size = max(size[0], least), max(size[1], least)
             points = self.upper(x, exactly=False) or self.upper(x, exactly=not violation.is_missed)
-            found = replace(found, lower=lower, points=points)
+            found = replace(found, lower=lower, points=points, size=size)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought

@@ -8,7 +8,7 @@ them: a wrong sign is 0, and a bound's multiplier is what the gradient r = P x +
   violation is rounding, 2⁻⁴⁴, of |c_ij| times the unknowns that matter in its component.
 - **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
   price of mending excused rows, relative to the objective's terms. reach_j is the distance to the bound that r_j pushes
-  to, at most 10⁴ times the size of x_j; blur_j is the rounding of r_j.
+  to, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted beyond |r_j| reach_j.
 
 So no row is off beyond rounding, and no unknown, moved to its bound or to 10⁴ times its size, gains more than the
 tolerance. Plain sums decide most points, because all sizes that they use are on the safe side; sums without rounding, a
@@ -118,13 +118,16 @@ def measures(
         every = np.full(y.size + x.size, np.inf)
         return every, np.full(program.matrices.components.number, np.inf), False
     point = Point(program, x, y, is_exact=False)
-    primal = point.row_errors()
-    gap = point.gaps(has_units=not np.isfinite(point.room).all())
-    if (primal <= ROWS).all() and not (gap <= tolerance).all():
-        gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
-    if not ((primal <= ROWS).all() and (gap <= tolerance).all()):
-        point = Point(program, x, y, is_exact=True)
-        primal, gap = point.row_errors(), point.gaps(has_units=True)
+    primal, gap = point.row_errors(), np.full(1, np.inf)
+    if (primal <= ROWS).all():
+        if np.isfinite(point.room).all():
+            gap = point.gaps(has_units=False)
+        if not (gap <= tolerance).all():
+            gap = np.minimum(gap, point.gaps(has_units=True))
+        if (gap <= tolerance).all():
+            return primal, gap, False
+    point = Point(program, x, y, is_exact=True)
+    primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
     primal, gap = (np.where(np.isnan(one), np.inf, one) for one in (primal, gap))
     return primal, gap, bool((point.over > ROWS * point.own).any())
 
@@ -147,39 +150,37 @@ class Point:
         self.program, self.matrices, self.is_exact = program, program.matrices, is_exact
         m = self.matrices.sizes[0]
         d, lower, upper = program.constraints.right, program.lower, program.upper
+        is_limit = np.isfinite(d)
+        sides = np.where(is_limit, d, 0.0)
         self.outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
         self.given, x = np.abs(x), np.minimum(np.maximum(x, lower), upper)
-        y = np.where(np.isfinite(d), y, 0.0)
-        y[:m] = np.maximum(y[:m], 0.0)
+        y = np.where(is_limit, y, 0.0)
+        np.maximum(y[:m], 0.0, out=y[:m])
         self.x, self.y, self.of_x, self.of_y = x, y, np.abs(x), np.abs(y)
         P, C, of_P, of_C, of_columns = self.matrices.measured
-        self.limits, self.cost = np.where(np.isfinite(d), np.abs(d), 0.0), np.abs(program.c)
+        self.limits, self.cost = np.abs(sides), np.abs(program.c)
         self.bend = of_P @ self.of_x
         terms = self.bend + self.cost + of_columns @ self.of_y
-        self.terms_of_rows = of_rows = of_C @ self.of_x + self.limits
+        self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
             self.product = sums_without_rounding(self.matrices.sparse_P, x)
             self.left = sums_without_rounding(
                 self.matrices.gradient, np.concatenate([x, y]), program.c
             )
-            excess = sums_without_rounding(self.matrices.rows, x, -self.limits * np.sign(d))
+            excess = sums_without_rounding(self.matrices.rows, x, -sides)
             self.doubt, row_doubt, self.product_doubt = 0.0, 0.0, 0.0
         else:
             in_rows, in_P = self.matrices.summands
-            rounding = (in_P + self.matrices.terms_of_columns(y) + 3.0) * UNIT
             self.product = P @ x
             self.left = self.product + program.c + C.T @ y
-            excess = C @ x - d
-            self.doubt, row_doubt = rounding * terms, (in_rows + 3.0) * UNIT * of_rows
+            self.doubt = (in_P + self.matrices.terms_of_columns(y) + 3.0) * UNIT * terms
+            excess, row_doubt = C @ x - sides, (in_rows + 3.0) * UNIT * self.terms_of_rows
             self.product_doubt = (in_P + 3.0) * UNIT * self.bend
-        self.excess = np.where(np.isfinite(d), excess, -np.inf)
-        missed = np.append(self.excess[:m], np.abs(self.excess[m:]))
+        self.excess = np.where(is_limit, excess, -np.inf)
+        missed = np.concatenate([self.excess[:m], np.abs(self.excess[m:])])
         self.over = np.maximum(missed + row_doubt, 0.0)
-        self.slack = np.where(self.y != 0.0, np.abs(self.excess) + row_doubt, 0.0)
+        self.slack = np.where(self.of_y > 0.0, np.abs(excess) + row_doubt, 0.0)
         self.blur = BLUR * terms
-        self.size_of_gradient = np.maximum(
-            np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
-        )
         self.own = np.maximum(largest(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0))
         if self.matrices.has_short_rows:
             self.own = np.maximum(self.own, self.matrices.sizes_without_entries)
@@ -188,14 +189,14 @@ class Point:
 
     def row_errors(self) -> FloatVector:
         """Return the error of each row and of each bound; rows are excused if sums are exact."""
-        own = self.own
+        own, of_bounds = self.own, self.outside
         if self.is_exact and (self.over > ROWS * own).any():
             own = np.maximum(own, EXCUSED / ROWS * self.reached)
-        lower, upper = self.program.lower, self.program.upper
-        bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
-        return np.concatenate(
-            [ratio(self.over, own), ratio(self.outside, np.maximum(bound, self.given))]
-        )
+        if of_bounds.any():
+            lower, upper = self.program.lower, self.program.upper
+            bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
+            of_bounds = ratio(of_bounds, np.maximum(bound, self.given))
+        return np.concatenate([ratio(self.over, own), of_bounds])
 
     @cached_property
     def reached(self) -> FloatVector:
@@ -210,49 +211,72 @@ class Point:
         )
 
     @cached_property
-    def price(self) -> FloatVector:
+    def price(self) -> FloatVector | None:
         """What mending a row costs that is excused only: its violation times the cheapest unknown's rest per entry.
 
-        Of unknowns with room in the direction that mends the row; if there are none, of all.
+        Of unknowns with room in the direction that mends the row; if there are none, of all. None of no such row.
         """
+        bad: Any = np.flatnonzero(self.over > ROWS * self.own) if self.is_exact else ()
+        if not len(bad):
+            return None
         price = np.zeros(self.over.size)
-        if not self.is_exact:
-            return price
-        bad = np.flatnonzero(self.over > ROWS * self.own)
-        if bad.size:
-            rows = self.matrices.rows[bad]
-            entries, columns = rows.data, rows.indices
-            counts = np.diff(rows.indptr)
-            mends = -np.sign(entries) * np.repeat(np.sign(self.excess[bad]), counts)
-            x, rest = self.x[columns], self.left[columns]
-            has_room = np.where(
-                mends > 0.0, x < self.program.upper[columns], x > self.program.lower[columns]
-            )
-            paid = np.maximum(mends * rest - self.blur[columns], 0.0) / np.abs(entries)
-            least = least_in_rows(rows, np.where(has_room, paid, np.inf))
-            otherwise = least_in_rows(rows, np.abs(rest) / np.abs(entries))
-            price[bad] = self.over[bad] * np.where(np.isfinite(least), least, otherwise)
+        rows = self.matrices.rows[bad]
+        entries, columns = rows.data, rows.indices
+        counts = np.diff(rows.indptr)
+        mends = -np.sign(entries) * np.repeat(np.sign(self.excess[bad]), counts)
+        x, rest = self.x[columns], self.left[columns]
+        has_room = np.where(
+            mends > 0.0, x < self.program.upper[columns], x > self.program.lower[columns]
+        )
+        paid = np.maximum(mends * rest - self.blur[columns], 0.0) / np.abs(entries)
+        least = least_in_rows(rows, np.where(has_room, paid, np.inf))
+        otherwise = least_in_rows(rows, np.abs(rest) / np.abs(entries))
+        price[bad] = self.over[bad] * np.where(np.isfinite(least), least, otherwise)
         return price
 
     # --- The gap -----------------------------------------------------------------------------------------------------
 
-    def gaps(self, has_units: bool) -> FloatVector:
-        """Return the gap of each component; without units, no distance to a bound is thought too large to matter."""
+    def gaps(self, has_units: bool, of_y: FloatVector | None = None) -> FloatVector:
+        """Return the gap of each component.
+
+        Parameters
+        ----------
+        has_units : bool
+            If not, no distance to a bound is thought too large to matter.
+        of_y : array, optional
+            Sizes of multipliers that are known to be needed; the gap is relative to the terms of the rows with them.
+        """
+        of = self.matrices.components.of_unknown
+        size, least = self._size(of_y)
         rest = np.maximum(np.abs(self.left) + self.doubt - self.blur, 0.0)
-        far: Any = np.inf
-        at_most: Any = np.inf
+        reach = shake = self.room
         if has_units:
             units = self.matrices.fit[0]
-            at_most = units * self._most(self.matters / units)[self.matrices.components.of_unknown]
-            part = self.matrices.components.of_unknown
-            by_terms = self.size[part] / np.maximum(self.size_of_gradient, TINY)
+            at_most = units * self._most(self.matters / units)[of]
+            by_terms = size[of] / np.maximum(self.size_of_gradient, TINY)
             far = REACH * np.maximum(np.maximum(self.of_x, by_terms), at_most)
-            far = np.where(self.objective[part] > 0.0, far, np.inf)
-        shake = np.maximum(self.of_x, np.minimum(self.room, at_most))
-        moves = np.where(rest > 0.0, rest * np.minimum(self.room, far), 0.0)
-        moves += np.where(self.blur > 0.0, self.blur * shake, 0.0)
-        held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0) + self.price
-        return ratio(self._sums(moves, held), self.size)
+            reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
+            shake = np.minimum(shake, at_most)
+        moves = np.where(rest > 0.0, rest * reach, 0.0)
+        shakes = np.where(self.blur > 0.0, self.blur * np.maximum(self.of_x, shake), 0.0)
+        if self.is_exact:  # a gradient that is 0 has no rounding in it
+            most = np.where(self.left != 0.0, np.abs(self.left) * reach, 0.0) - moves
+            shakes = np.where(most < shakes, most, shakes)
+        held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
+        return ratio(self._sums(moves, self.price), size) + ratio(
+            self._sums(shakes, held), np.maximum(size, least)
+        )
+
+    def gaps_without_rounding(self, tolerance: float) -> FloatVector:
+        """Return the gaps; multipliers of least norm are computed if the sizes that bound theirs do not decide."""
+        gap = self.gaps(has_units=True)
+        if not (gap <= tolerance).all():
+            least = self.gaps(has_units=True, of_y=self.of_y)
+            if (least <= max(tolerance, PROGRAM_TOLERANCE)).all():
+                of_y = np.minimum(self.of_y, self._least_norm)
+                return self.gaps(has_units=True, of_y=of_y)
+            gap = np.where(gap <= tolerance, gap, least)
+        return gap
 
     @cached_property
     def room(self) -> FloatVector:
@@ -263,6 +287,14 @@ class Point:
             is_pushed, np.where(self.left > 0.0, down, up), np.maximum(down, up)
         )
         return room
+
+    @cached_property
+    def size_of_gradient(self) -> FloatVector:
+        """The largest term of each unknown's gradient."""
+        of_P, _, of_columns = self.matrices.measured[2:]
+        return np.maximum(
+            np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
+        )
 
     @cached_property
     def curved(self) -> FloatVector:
@@ -284,31 +316,26 @@ class Point:
         part = self.objective[self.matrices.components.of_unknown]
         return np.where(self.size_of_gradient * self.of_x >= MATTERS * part, self.of_x, 0.0)
 
-    @cached_property
-    def size(self) -> FloatVector:
-        """What the gap of each component is relative to: the smaller of the objective's terms and of its dual's.
+    def _size(self, of_y: FloatVector | None) -> tuple[FloatVector, Any]:
+        """Return the size of the gap of each component, and the least size for its terms at rounding level.
 
-        Both are at least |cᵀx + xᵀP x|, which decides unless sums are exact.
+        The first is the smaller of the objective's terms and of its dual's, both at least |cᵀx + xᵀP x|. The second is
+        taken of the rows' terms with multipliers: no x of doubles makes |3 x - 0.3| zero.
         """
         value = np.abs(self._sums((self.program.c + self.product) * self.x))
         value -= LEAST_SIZE * self.objective + self._hidden
-        dual = np.maximum(self.curved - 2.0 * self._hidden, value)
-        if self.is_exact:
-            dual = np.maximum(dual, self._dual_terms)
-        size = np.minimum(self.objective, dual)
-        has_costs = self._sums(self.cost) > 0.0
-        least = self.objective + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
-        if self.is_exact:  # no double x makes |3 x - 0.3| zero
-            of_y = np.minimum(self.of_y, self._least_norm)
-            least = np.maximum(least, self._sums(0.0 * self.x, of_y * self.terms_of_rows))
-        return np.asarray(np.maximum(size, LEAST_SIZE * least))
-
-    @property
-    def _dual_terms(self) -> FloatVector:
-        """The terms of the dual objective with the multipliers, or, if these are less, with those of least norm."""
-        bound = np.where(self._distance <= self.of_x, np.abs(self._bound), 0.0)
-        of_rows = (self._sums(0.0 * self.x, y * self.limits) for y in (self.of_y, self._least_norm))
-        return self._sums(np.abs(self.left) * bound) + self.curved + np.minimum(*of_rows)
+        dual: Any = np.maximum(self.curved - 2.0 * self._hidden, value)
+        least: Any = 0.0
+        if of_y is not None:
+            bound = np.where(self._distance <= self.of_x, np.abs(self._bound), 0.0)
+            terms = self._sums(np.abs(self.left) * bound, of_y * self.limits) + self.curved
+            dual = np.maximum(dual, terms)
+            least = LEAST_SIZE * self._sums(0.0 * self.x, of_y * self.terms_of_rows)
+        own = self.objective
+        if not self.cost.all():
+            has_costs = self._sums(self.cost) > 0.0
+            own = own + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
+        return np.maximum(np.minimum(self.objective, dual), LEAST_SIZE * own), least
 
     @property
     def _bound(self) -> FloatVector:
@@ -319,25 +346,25 @@ class Point:
     def _distance(self) -> FloatVector:
         return np.abs(self.x - self._bound)
 
-    @cached_property
+    @property
     def _least_norm(self) -> FloatVector:
         """The sizes of the multipliers of least norm that pull as much at the unknowns that have room."""
         free, on = np.flatnonzero(self._distance > 0.0), np.flatnonzero(self.y)
         if not (free.size and on.size):
             return self.of_y
+        from scipy.sparse.linalg import lsmr
+
         units, row_units = self.matrices.fit
         T = sp.csr_array(self.matrices.rows[on].T)[free]
         pull, of_row = T @ self.y[on], self.matrices.components.of_row[on]
-        pull = pull * units[free]
+        pull, of_free = pull * units[free], self.matrices.components.of_unknown[free]
         part = np.zeros(self.matrices.components.number)
-        np.maximum.at(part, self.matrices.components.of_unknown[free], np.abs(pull))
+        np.maximum.at(part, of_free, np.abs(pull))
         part[part == 0.0] = 1.0
-        from scipy.sparse.linalg import lsmr
-
         scaled = sp.diags_array(units[free]) @ T @ sp.diags_array(row_units[on])
         found = lsmr(
             scaled,
-            pull / part[self.matrices.components.of_unknown[free]],
+            pull / part[of_free],
             atol=LEAST_NORM_TO,
             btol=LEAST_NORM_TO,
             maxiter=LEAST_NORM_STEPS,
@@ -349,18 +376,30 @@ class Point:
     def _sums(self, of_unknowns: FloatVector, of_rows: FloatVector | None = None) -> FloatVector:
         """Return the sums over each component."""
         parts = self.matrices.components
-        sums: Any = (
-            np.bincount(parts.of_unknown, of_unknowns, parts.number) + 0.0
-        )  # doubles, of none too
+        if parts.number == 1:
+            sums: Any = np.add.reduce(of_unknowns, keepdims=True)
+            return np.asarray(sums if of_rows is None else sums + np.add.reduce(of_rows))
+        sums = np.bincount(parts.of_unknown, of_unknowns, parts.number) + 0.0  # of none too
         if of_rows is not None:
-            sums = sums + np.bincount(parts.of_row, of_rows, parts.number)
+            sums += np.bincount(parts.of_row, of_rows, parts.number)
         return np.asarray(sums)
 
     def _most(self, sizes: FloatVector) -> FloatVector:
         """Return the largest size in each component."""
-        most = np.zeros(self.matrices.components.number)
-        np.maximum.at(most, self.matrices.components.of_unknown, sizes)
+        parts = self.matrices.components
+        if parts.number == 1:
+            return np.array([sizes.max(initial=0.0)])
+        most = np.zeros(parts.number)
+        np.maximum.at(most, parts.of_unknown, sizes)
         return most
+
+
+@np.errstate(all="ignore")
+def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> float:
+    """Return the size that a value at x has at least, 1e-8 of the rows' terms with the multipliers y."""
+    point = Point(program, x, y, is_exact=True)
+    of_y = np.minimum(point.of_y, point._least_norm)
+    return LEAST_SIZE * float(of_y @ point.terms_of_rows)
 
 
 @np.errstate(all="ignore")

@@ -133,7 +133,7 @@ def run_engine(
             rounds = 0 if says in NO_MINIMUM else ROUNDS
             for near in candidates(asked, point, rounds):
                 back = near if scaled is None else scaled.outward(near)
-                x = np.clip(back.x, reduced.lower, reduced.upper)
+                x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
                 y = np.concatenate(back.multipliers[:2])
                 found = Errors.of(reduced, x, y, tolerance)
                 is_better = found.largest < errors.largest or found.meet(tolerance)
@@ -164,10 +164,9 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
 
     If x fits the rows exactly, multipliers are noise, and if x is 0, all of x is, with multipliers or without.
     """
-    none = Multipliers(*(np.zeros_like(one) for one in point.multipliers))
-    lower, upper = statement.lower, statement.upper
     yield point
-    clean = quiet(point)
+    none = Multipliers(*(np.zeros_like(one) for one in point.multipliers))
+    lower, upper, clean = statement.lower, statement.upper, quiet(point)
     yield clean._replace(multipliers=none)
     yield clean
     yield point._replace(x=np.clip(0.0, lower, upper), multipliers=none)

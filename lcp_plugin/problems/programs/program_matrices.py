@@ -111,11 +111,19 @@ class ProgramMatrices:
     @cached_property
     def has_short_rows(self) -> bool:
         """Whether some row of G or A has no more than one entry."""
+        if self._is_full and self.P.shape[0] > 1:
+            return False
         counts = (
             np.diff(one.indptr) if sp.issparse(one) else (one != 0.0).sum(axis=1)
             for one in (self.G, self.A)
         )
         return any((count <= 1).any() for count in counts)
+
+    @cached_property
+    def _is_full(self) -> bool:
+        """Whether G and A are ndarrays without zeros, and one of them has rows."""
+        given = [one for one in (self.G, self.A) if one.shape[0]]
+        return bool(given) and all(isinstance(one, np.ndarray) and one.all() for one in given)
 
     @cached_property
     def is_dense(self) -> bool:
@@ -148,7 +156,7 @@ class ProgramMatrices:
         """The parts that P, G and A do not connect."""
         m, n = sum(self.sizes[:2]), self.P.shape[0]
         full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
-        if not n or any((one != 0.0).all(axis=1).any() for one in full):
+        if not n or self._is_full or any((one != 0.0).all(axis=1).any() for one in full):
             return Components(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
         from scipy.sparse.csgraph import connected_components
 
@@ -186,12 +194,8 @@ class ProgramMatrices:
         n, rows = self.P.shape[0], sum(self.sizes[:2])
         if n + rows > DENSE_FIT:
             return fitted_units(self.sparse_P, self.rows)
-        K = np.zeros((n + rows, n + rows))
-        K[:n, :n] = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
-        K[n:, :n] = self.dense_rows
-        K[:n, n:] = K[n:, :n].T
-        units = fitted_to(K)
-        return units[:n], units[n:]
+        P = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
+        return fitted_to(P, self.dense_rows)
 
     @cached_property
     def is_small(self) -> bool:
@@ -337,15 +341,32 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     return units[:n], units[n:]
 
 
-def fitted_to(K: FloatVector) -> FloatVector:
-    """Return the units that `fitted_units` fits, of dense symmetric matrices, shape (…, n, n); shape (…, n)."""
+def fitted_to(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return the units that `fitted_units` fits, of ndarrays or stacks of them, shapes (…, n, n) and (…, m, n).
+
+    If no entry is 0, the sums of the logarithms solve the normal equations.
+    """
+    (m, n), sizes = C.shape[-2:], (np.abs(P), np.abs(C))
+    if all(one.all() for one in sizes):
+        of_P, of_C = map(np.log2, sizes)
+        right = of_P.sum(axis=-1) + of_P.diagonal(axis1=-2, axis2=-1) + of_C.sum(axis=-2)
+        of_rows, count, each = of_C.sum(axis=-1), n + SINGULAR, n + m + 2.0 + SINGULAR
+        sums = of_rows.sum(axis=-1, keepdims=True)
+        of_units = (n * sums / count - right.sum(axis=-1, keepdims=True)) / (
+            each + n - n * m / count
+        )
+        both = of_units - (sums + m * of_units) / count
+        units = _powers(-np.concatenate([(right + both) / each, (of_rows + of_units) / count], -1))
+        return units[..., :n], units[..., n:]
+    K = np.zeros((max(len(one) for one in sizes),) * (P.ndim - 2) + (n + m, n + m))
+    K[..., :n, :n], K[..., n:, :n], K[..., :n, n:] = P, C, np.swapaxes(C, -1, -2)
     is_entry = K != 0.0
-    twice = is_entry * (1.0 + np.eye(K.shape[-1]))
-    right = np.log2(np.abs(K, where=is_entry, out=np.ones_like(K)))
-    counts = (twice.sum(axis=-1) + SINGULAR)[..., np.newaxis] * np.eye(K.shape[-1])
-    return _powers(
-        np.linalg.solve(twice + counts, -(right * twice).sum(axis=-1)[..., np.newaxis])[..., 0]
-    )
+    twice = is_entry * (1.0 + np.eye(n + m))
+    logarithms = np.log2(np.abs(K, where=is_entry, out=np.ones_like(K)))
+    counts = (twice.sum(axis=-1) + SINGULAR)[..., np.newaxis] * np.eye(n + m)
+    exponents = np.linalg.solve(twice + counts, -(logarithms * twice).sum(axis=-1)[..., np.newaxis])
+    units = _powers(exponents[..., 0])
+    return units[..., :n], units[..., n:]
 
 
 def _root(sizes: FloatVector) -> FloatVector:
@@ -354,8 +375,9 @@ def _root(sizes: FloatVector) -> FloatVector:
 
 
 def _powers(exponents: FloatVector) -> FloatVector:
-    known = np.clip(np.nan_to_num(exponents), -500.0, 500.0)
-    return np.asarray(np.ldexp(1.0, np.round(known).astype(int)))
+    """Return 2 to the rounded exponents, within the range of doubles; 1 for NaN."""
+    known = np.where(np.isnan(exponents), 0.0, exponents)
+    return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -500.0), 500.0)).astype(np.intc))
 
 
 def is_full(entries: int, shape: tuple[int, int]) -> bool:

@@ -199,6 +199,8 @@ class QPSolution:
 
 def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> None:
     """Raise InvalidProblem where the multiplier of a constraint is beyond the range of doubles."""
+    if np.isfinite(multipliers).all():
+        return
     for name, part in zip(
         ("G", "A", "lower", "upper"), program.constraints.split(multipliers), strict=True
     ):

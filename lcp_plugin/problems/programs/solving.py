@@ -390,11 +390,11 @@ class _ProgramRun:
 
     def _is_far(self, x: FloatVector) -> bool:
         """Return whether x is far beyond all limits, where a test of doubles may take a descent for a minimum."""
-        limits = np.concatenate(
-            [self.program.constraints.right, self.program.lower, self.program.upper]
-        )
-        limits = np.abs(limits[np.isfinite(limits)])
-        return bool(np.abs(x).max(initial=0.0) > FAR * max(1.0, limits.max(initial=0.0)))
+        size = np.abs(x).max(initial=0.0)
+        if size <= FAR:
+            return False
+        limits = np.abs(self.program.constraints.limit)
+        return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 
     def status(self) -> Status:
         """Return the proof's status, that of a point that passes, that of a limit, or how near the best point comes."""

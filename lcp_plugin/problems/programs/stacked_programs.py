@@ -233,12 +233,11 @@ def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> Qu
             for one in (P, C[:, :m], C[:, m:])
         )
     )
-    size, rows, n = max(len(P), len(C)), C.shape[1], P.shape[1]
-    K = np.zeros((size, n + rows, n + rows))
-    K[:, :n, :n], K[:, n:, :n], K[:, :n, n:] = P, C, C.transpose(0, 2, 1)
-    units = np.broadcast_to(fitted_to(K), (count, n + rows))
-    of_G, of_A = units[:, n : n + m], units[:, n + m :]
-    matrices.__dict__["fit"] = units[:, :n].ravel(), np.concatenate([of_G.ravel(), of_A.ravel()])
+    units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fitted_to(P, C))
+    matrices.__dict__["fit"] = (
+        units.ravel(),
+        np.concatenate([of_rows[:, :m].ravel(), of_rows[:, m:].ravel()]),
+    )
     h, b = d[:, :m].ravel(), d[:, m:].ravel()
     return QuadraticProgram.with_matrices(matrices, c.ravel(), h, b, lower.ravel(), upper.ravel())
 

@@ -799,3 +799,16 @@ def test_a_program_without_unknowns_is_judged() -> None:
     for h, verdict in ((1.0, "proved"), (-1.0, "disproved")):
         program = QuadraticProgram(empty, [], np.zeros((1, 0)), [h])
         assert certify(program, []).verdict == verdict
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_a_fit_without_an_error_is_proved(n: int) -> None:
+    """The least maximum norm of A x − b is 0; no x of doubles reaches it, and a residual of 1e-9 is disproved."""
+    rng = np.random.default_rng(n)
+    A, b = rng.normal(size=(n, n)), rng.normal(size=n)
+    rows = np.hstack([np.vstack([A, -A]), -np.ones((2 * n, 1))])
+    program = QuadraticProgram(None, np.append(np.zeros(n), 1.0), rows, np.append(b, -b))
+    x = np.linalg.solve(A, b)
+    t = np.abs(A @ x - b).max() + 1e-17
+    assert certify(program, np.append(x, t)).verdict == "proved"
+    assert certify(program, np.append(x, 1e-9)).verdict == "disproved"

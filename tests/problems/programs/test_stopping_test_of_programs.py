@@ -425,6 +425,22 @@ def test_documented_limits_of_the_test() -> None:
     assert solve(nearly).status is Status.SOLVED
 
 
+def test_an_objective_near_0_leaves_no_unknown_beyond_its_bound() -> None:
+    """The row x₁ + x₂ ≥ 1 has a multiplier of 1; x₂ is 1e-15 below its bound, which costs x₁ a thousand optima."""
+    program = QuadraticProgram(None, [1, 1e-18], [[-1, -1]], [-1], lower=0, upper=[10, 1])
+    assert not Errors.of(program, np.array([1e-15, 1 - 1e-15]), np.ones(1)).meet(1e-6)
+    assert Errors.of(program, np.array([0.0, 1.0]), np.ones(1)).meet(1e-6)
+
+
+def test_an_exact_minimizer_is_optimal_although_products_cancel() -> None:
+    """P x = 0 is the sum of terms of 1e12; the optimum of x₃ is 0."""
+    v = np.array([1e6, 1.0, -1.0])
+    program = QuadraticProgram(np.outer(v, v), [0, 0, 1], lower=[-10, -2e6, 0], upper=[10, 2e6, 1])
+    none = np.zeros(0)
+    assert Errors.of(program, np.array([1, -1e6, 0.0]), none).meet(1e-6)
+    assert not Errors.of(program, np.array([1, -1e6, 1e-9]), none).meet(1e-6)
+
+
 @pytest.mark.parametrize("value", [1e160, 1e308, np.nan, np.inf])
 def test_no_number_is_no_answer(value: float) -> None:
     """NaN, ∞ and what overflows are rejected as x and as multipliers."""

@@ -8,7 +8,7 @@ all nodes differ in these alone. The lower bound of a node is the rigorous one t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -26,10 +26,9 @@ from ..programs.solution import QPSolution
 from ..programs.solving import solve_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
-TINY = 1e-13  # of ‖x‖∞
+TINY = 1e-9  # of ‖x‖∞
 FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
-INSIDE = 1e-3  # beside the size of that box
 FAR = 1e4  # times the size of x that the data name: what is farther falls without end
 MOST_PROJECTIONS = 4  # onto the linearized rows of a piece
 
@@ -110,7 +109,9 @@ class Relaxations:
             enough = node.value - ENOUGH * self.tolerance * self.problem.objective_size(node.point)
             node.bound = self.bound(program, node.dual, enough)
             if node.bound == -math.inf:  # a vertex has more zeros than multipliers to mend them by
-                inside = run_engine(program, engine_class("clarabel")(), 0.0, GIVEN).solution
+                inside = run_engine(
+                    program, engine_class("clarabel")(), self.tolerance, GIVEN
+                ).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:
@@ -124,20 +125,22 @@ class Relaxations:
         if program is None:
             node.bound = math.inf
             return node
-        solution = self._solution(program)
-        proof = prove_infeasible(program) if solution is None else None
-        if proof is not None and proof.excludes(self.tolerance):
-            node.bound, node.proof = math.inf, proof
-            return node
-        if solution is None:
-            solution = self._within_a_box(program)
-        node.point = self._rounded(np.clip(solution.x, program.lower, program.upper), program)
-        misses = self.problem.excess_of_rows(node.point)
-        if (
-            solution.program is program and (misses <= FEASIBLE).all()
-        ):  # or it falls without end, or nothing is known
-            node.value = self.problem.objective(node.point)
-            node.dual = solution.x, np.concatenate([solution.inequality, solution.equality])
+        solution = _solution_of(program)
+        found = [solution]
+        if not solution.is_optimal():
+            proof = prove_infeasible(program)
+            if proof is not None and proof.excludes(self.tolerance):
+                node.bound, node.proof = math.inf, proof
+                return node
+            found.append(self._within_a_box(program))
+        for solution in found:
+            x = self._rounded(np.clip(solution.x, program.lower, program.upper), program)
+            value = self.problem.objective(x)
+            if node.point is None:
+                node.point = x
+            if (self.problem.excess_of_rows(x) <= FEASIBLE).all() and value < node.value:
+                node.point, node.value = x, value
+                node.dual = x, np.concatenate([solution.inequality, solution.equality])
         return node
 
     def _rounded(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
@@ -181,8 +184,8 @@ class Relaxations:
                 program = self.problem.program.with_vectors(lower=lower, upper=upper)
             else:
                 program = self._projection(x, lower, upper)
-            solution = self._solution(program)
-            if solution is None:
+            solution = _solution_of(program)
+            if not solution.is_optimal():
                 return node
             x = self._rounded(np.clip(solution.x, lower, upper), program)
             if self.problem.excess(x) <= FEASIBLE:
@@ -213,28 +216,16 @@ class Relaxations:
             upper,
         )
 
-    def _solution(self, program: QuadraticProgram) -> QPSolution | None:
-        """Return the solution of a program, None where a first try finds none: it may have none."""
-        solution = _solution_of(program)
-        return solution if solution.is_optimal() else None
-
     def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
-        """Return the solution of a program that a first try does not find, or else one within a large box.
-
-        Along what falls without end that one lies far out.
-        """
+        """Return the solution within a large box, at its edge where the objective is unbounded."""
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes
         far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))
-        within = program.with_vectors(
-            lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far)
+        return _solution_of(
+            program.with_vectors(
+                lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far)
+            )
         )
-        solution = _solution_of(within)
-        is_inside = (
-            bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE))
-            and solution.is_optimal()
-        )
-        return replace(solution, program=program) if is_inside else solution
 
 
 def _solution_of(program: QuadraticProgram) -> QPSolution:

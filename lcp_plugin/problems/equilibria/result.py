@@ -122,11 +122,6 @@ class EquilibriumResult(Answer):
         """The number of nodes."""
         return self.nodes
 
-    @property
-    def setup_seconds(self) -> float:
-        """0."""
-        return 0.0
-
     def verify(self) -> bool:
         """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf.
 

@@ -25,7 +25,6 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
-@pytest.mark.xfail(strict=False, reason="open: monteiro and qpec2 do not verify()")
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name: str) -> None:
@@ -78,7 +77,6 @@ def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
     np.testing.assert_allclose(result.x[:3], [1000003.0, 4e-7 / 15, 2e-8], rtol=1e-6)
 
 
-@pytest.mark.xfail(strict=False, reason="open: STALLED where a node gets no point")
 @pytest.mark.full
 def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], range]) -> None:
     """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""

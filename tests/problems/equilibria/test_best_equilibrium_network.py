@@ -19,12 +19,11 @@ def without_scip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
 
 
-@pytest.mark.xfail(strict=False, reason="open: no point is found without SCIP")
 @pytest.mark.full
 def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """SCIP closes the gap, which is said; without it the same point comes from followers at fixed leaders."""
+    """SCIP closes the gap, which is said; without it our own nodes find the same point and prove it."""
     problem, invested = network()
     problem.solve(method="LCP", max_seconds=600)
     result = problem.solver_stats.extra_stats
@@ -33,18 +32,19 @@ def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(
     assert result.problem.excess(result.x) <= 1e-7
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     alone, own = network()
-    alone.solve(method="LCP", max_nodes=0)
+    alone.solve(method="LCP")
+    assert alone.solver_stats.extra_stats.bound_by == "proof"
     assert alone.value == pytest.approx(problem.value, rel=1e-6)
     np.testing.assert_allclose(own.value, invested.value, atol=1e-4)
 
 
-@pytest.mark.xfail(strict=False, reason="open: no point is found without SCIP")
 @pytest.mark.full
-def test_where_an_equilibrium_is_known_one_is_returned(without_scip: None) -> None:
+def test_where_an_equilibrium_is_known_one_is_returned(monkeypatch: pytest.MonkeyPatch) -> None:
     """The variables hold an equilibrium: with no time at all the answer is no worse."""
     problem, _ = network()
-    problem.solve(method="LCP", max_nodes=0)
+    problem.solve(method="LCP")
     value = problem.value
+    monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     problem.solve(method="LCP", max_seconds=0)
     assert problem.status in (cp.OPTIMAL, cp.settings.USER_LIMIT)
     assert problem.value >= value - 1e-6 * abs(value)

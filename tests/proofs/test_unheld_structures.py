@@ -58,7 +58,7 @@ def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name: str) ->
 
 @pytest.mark.parametrize("name", HELD)
 def test_what_is_held_is_solved(name: str) -> None:
-    """The same structures pressed down, weakly held or balanced are SOLVED, and nothing is said of motions."""
+    """The same structures pressed down, weakly held or balanced are SOLVED; no message names a motion."""
     structure = HELD[name]()
     for result in (solve(structure.problem), solve(structure.program)):
         assert result.is_solved

@@ -48,7 +48,7 @@ DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 MOST_PASSES = (
     10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
 )
-EXACT_UP_TO = 150  # dependent equations that are solved in rationals: 100 of them take .4 s, 200 take 1.7 s
+EXACT_UP_TO = 150  # dependent equations in rationals: 100 of them take .4 s, 200 take 1.7 s
 Box = tuple[FloatVector, FloatVector]
 
 

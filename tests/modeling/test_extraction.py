@@ -1,10 +1,6 @@
 """An affine cvxpy expression and its matrices state the same map, whatever atoms it is written with."""
 
-import sys
-import time
-import tracemalloc
 import warnings
-from collections import Counter
 
 import cvxpy as cp
 import numpy as np
@@ -311,74 +307,6 @@ def test_values_of_variables_are_untouched():
     assert u.y.value is None
 
 
-def test_a_sparse_constant_is_not_copied_where_its_layout_fits():
-    """The block of x @ M shares its numbers with cvxpy's constant, through vec, real and multiplication by one."""
-    x = cp.Variable(4)
-    constant = cp.Constant(SPARSE)
-    F = cp.real(cp.vec(1 * (x @ constant), order="F")) + V
-    assert np.shares_memory(affine_map(F).blocks[x.id].data, constant.value.data)
-
-
-def test_the_identity_stores_nothing_until_the_end():
-    """A million-entry M @ x + q costs one conversion of M, not products with the identity."""
-    n = 200_000
-    M = sp.diags_array([-1.0, 4.0, -1.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
-    F = M @ cp.Variable(n) + np.ones(n)
-    tracemalloc.start()
-    start = time.process_time()
-    affine_map(F)
-    seconds = time.process_time() - start
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert seconds < 1.0
-    assert peak < 6 * M.data.nbytes
-
-
-def test_a_memo_gives_the_same_matrix_after_a_change_of_parameters():
-    """With a memo, another parameter value gives another offset and the same M; what it does not enter is not read."""
-    u = Unknowns()
-    for F in (S @ u.x + u.v, S @ (u.x + u.v), cp.hstack([u.x, u.v]), u.x + u.v):
-        memo = {}
-        u.v.value = V
-        first = affine_map(F, memo=memo)
-        u.v.value = 2 * V
-        second = affine_map(F, memo=memo)
-        np.testing.assert_array_equal(
-            second.blocks[u.x.id].toarray(), first.blocks[u.x.id].toarray()
-        )
-        np.testing.assert_array_equal(second.offset, 2 * first.offset)
-    F, memo = S @ u.x + u.v, {}
-    assert affine_map(F, memo=memo).blocks[u.x.id] is affine_map(F, memo=memo).blocks[u.x.id]
-
-
-@pytest.mark.parametrize(
-    ("form", "in_matrix", "in_offset"),
-    [
-        (lambda u: S @ u.x + V, False, False),
-        (lambda u: S @ u.x + u.v, False, True),
-        (lambda u: u.P @ u.x, True, False),
-        (lambda u: cp.vstack([u.x, u.v]), False, True),
-        (lambda u: S @ (cp.multiply(u.v, u.x) + u.y), True, False),
-        (lambda u: u.x / u.p, True, False),
-        (lambda u: cp.kron(u.P, u.X), True, False),
-    ],
-)
-def test_a_parameter_in_the_matrix_and_one_beside_it_are_told_apart(form, in_matrix, in_offset):
-    """With a memo the same matrices come again unless a parameter stands in them; the offset moves where one does."""
-    u, memo = Unknowns(), {}
-    F = form(u)
-    first = affine_map(F, memo=memo)
-    for parameter in F.parameters():
-        parameter.value = 2.0 * parameter.value
-    second = affine_map(F, memo=memo)
-    same = [
-        np.array_equal(first.blocks[key].toarray(), second.blocks[key].toarray())
-        for key in first.blocks
-    ]
-    assert in_matrix != all(same)
-    assert in_offset != np.array_equal(first.offset, second.offset)
-
-
 def test_a_sparse_parameter_stays_sparse():
     """A parameter with a sparsity pattern is read without becoming dense and without a warning."""
     pattern = (np.array([0, 1, 3]), np.array([1, 1, 0]))
@@ -409,34 +337,6 @@ def stacked(n, are_apart):
     return cp.hstack([2 * each[i] - each[i - 1] + i for i in range(n)]), scalars if are_apart else [
         x
     ]
-
-
-def calls_of(work):
-    """Return how many functions are called, compiled ones included."""
-    events = Counter()
-    before = sys.getprofile()
-    sys.setprofile(lambda frame, event, argument: events.update([event]))
-    try:
-        work()
-    finally:
-        sys.setprofile(before)
-    return events["call"] + events["c_call"]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("are_apart", [False, True], ids=["rows", "variables"])
-def test_each_of_many_scalar_expressions_costs_the_same(are_apart):
-    """Twice as many scalar rows, or scalar variables, take twice as many calls; 400 of them give the right matrix."""
-    (few, _), (many, variables) = (stacked(n, are_apart) for n in (200, 400))
-    affine_map(few)  # what is done once
-    assert calls_of(lambda: affine_map(many)) < 2.1 * calls_of(lambda: affine_map(few))
-    found = affine_map(many)
-    block = sp.hstack([found.blocks[variable.id] for variable in variables])
-    assert (
-        abs(block - 2 * sp.eye_array(400) + sp.csr_array(np.roll(np.eye(400), -1, axis=1))).max()
-        == 0.0
-    )
-    np.testing.assert_array_equal(found.offset, np.arange(400))
 
 
 def test_sparse_data_never_become_dense():
@@ -539,9 +439,3 @@ def test_what_is_no_affine_map_is_refused_by_name(form, message):
         affine_map(form(Unknowns()))
     assert ";" in str(caught.value) or ":" in str(caught.value)
     assert len(str(caught.value)) < 320
-
-
-def test_sign_and_bound_attributes_leave_the_map_alone():
-    """nonneg, nonpos and bounds say nothing about the columns."""
-    x = cp.Variable(4, nonneg=True) + cp.Variable(4, nonpos=True) + cp.Variable(4, bounds=[0, 1])
-    assert len(affine_map(x).blocks) == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -133,14 +132,6 @@ def test_the_order_of_the_sides_is_free() -> None:
         assert pair.violation() <= 1e-8
 
 
-def test_a_pair_over_cones_is_pickled_and_said() -> None:
-    """As other pairs are."""
-    r = cp.Variable(3, name="r")
-    pair = complements(friction_cone(r, 0.5), r - 1)
-    assert "friction_cone(r, 0.5)" in str(pair)
-    assert str(pickle.loads(pickle.dumps(pair))) == str(pair)
-
-
 t, x, y = cp.Variable(), cp.Variable(2), cp.Variable(3)
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "an inequality": (lambda: complements(cp.SOC(t, x), y >= 0), r"must be an expression F, or a cone like it"),
@@ -187,14 +178,6 @@ def test_what_is_no_model_over_cones_is_refused_in_words(name: str) -> None:
     call, words = REFUSED[name]
     with pytest.raises((LCPError, InvalidOption), match=words):
         call()
-
-
-def test_t_may_be_declared_nonnegative() -> None:
-    """The cone says so anyway."""
-    t, x = cp.Variable(nonneg=True), cp.Variable(2)
-    pair = complements(cp.SOC(t, x), cp.hstack([t, x]) - np.array([0.0, 2.0, 0.0]))
-    solved(pair, complements(box(y, 0, 1), y - 3))
-    np.testing.assert_allclose([t.value, *x.value], [1.0, 1.0, 0.0], atol=1e-7)
 
 
 def with_friction(rng: Any) -> tuple[Any, list[Any]]:

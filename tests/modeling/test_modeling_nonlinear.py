@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -264,17 +262,6 @@ def test_nothing_is_known_outside_a_domain() -> None:
     assert not np.isfinite(program.jacobian(np.array([0.0, 0.0, 0.0, 0.0])).data).any()
 
 
-def test_jacobians_keep_their_pattern_and_are_sparse() -> None:
-    """The pattern is the same everywhere, and holds no entry that is not on the stencil."""
-    n = 400
-    A = sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
-    x = cp.Variable(n)
-    program = compiled(A @ cp.power(1 + x**2, 0.7) + cp.multiply(x, cp.exp(-x)))
-    first, second = program.jacobian(np.zeros(n)), program.jacobian(np.ones(n))
-    assert first.nnz == 3 * n - 2
-    np.testing.assert_array_equal(first.indices, second.indices)
-
-
 def solved(constraints: list[Any], **options: Any) -> cp.Problem:
     problem = cp.Problem(cp.Minimize(0), constraints)
     assert is_complementarity_problem(problem)
@@ -326,26 +313,6 @@ def test_cournot_oligopoly_as_published() -> None:
     np.testing.assert_allclose(q.value, [36.9325, 41.8181, 43.7066, 42.6592, 39.1790], atol=2e-4)
 
 
-def test_total_quantity_may_be_a_variable_of_its_own() -> None:
-    """The same firms with their total as a variable and an equation: the same quantities, a sparse Jacobian."""
-    n, gamma = 60, 1.1
-    c = np.linspace(2.0, 10.0, n)
-    answers = []
-    for is_variable in (False, True):
-        q, total = cp.Variable(n), cp.Variable(pos=True)
-        Q = total if is_variable else cp.sum(q)
-        price = 5000 ** (1 / gamma) * cp.power(Q, -1 / gamma)
-        q.value, total.value = np.full(n, 3.0), 3.0 * n
-        F = c + cp.multiply(q, 0.2) - price + cp.multiply(q, price / Q) / gamma
-        solved([complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])])
-        answers.append(q.value)
-        jacobian = build(
-            [complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])]
-        ).problem.jacobian
-        assert jacobian(np.ones(n + is_variable)).nnz <= (4 * n + 1 if is_variable else n * n)
-    np.testing.assert_allclose(answers[0], answers[1], rtol=1e-7)
-
-
 def test_ces_exchange_economy_clears_its_markets() -> None:
     """Prices of an economy with CES demand: each market clears, and a good that nobody wants is free."""
     generator = np.random.default_rng(5)
@@ -377,39 +344,6 @@ def test_ces_exchange_economy_clears_its_markets() -> None:
         demand(p.value[:3], endowment @ p.value, np.power, np.multiply), supply[:3], rtol=1e-8
     )
     assert p.value[3] == 0.0
-
-
-def test_elastic_transport_equilibrium() -> None:
-    """Flows between factories and cities with power-law demand: as scipy finds them on the same active set."""
-    cost = np.array([[2.0, 4.0, 9.0], [5.0, 1.0, 3.0]])
-    flow, supply_price, demand_price = cp.Variable((2, 3)), cp.Variable(2), cp.Variable(3)
-    flow.value, supply_price.value, demand_price.value = (
-        np.ones((2, 3)),
-        np.ones(2),
-        np.full(3, 4.0),
-    )
-    sent = 0.5 * cp.power(supply_price, 1.5)
-    wanted = np.array([30.0, 40.0, 50.0])
-    bought = cp.multiply(wanted, cp.power(demand_price, -1.2))
-    margin = cp.vstack([supply_price[i] + cost[i] - demand_price for i in range(2)])
-    solved(
-        [
-            complements(flow >= 0, margin >= 0),
-            complements(supply_price >= 0, sent - cp.sum(flow, axis=1) >= 0),
-            complements(demand_price >= 0, cp.sum(flow, axis=0) - bought >= 0),
-        ]
-    )
-
-    def F(v: Any) -> Any:
-        f, s, d = v[:6].reshape((2, 3)), v[6:8], v[8:]
-        gap = s[:, None] + cost - d
-        return np.concatenate(
-            [gap.ravel(), 0.5 * s**1.5 - f.sum(axis=1), f.sum(axis=0) - wanted * d**-1.2]
-        )
-
-    agrees_with_scipy(
-        F, np.concatenate([flow.value.ravel(), supply_price.value, demand_price.value])
-    )
 
 
 def test_semilinear_obstacle() -> None:
@@ -469,14 +403,6 @@ def test_equations_pairs_and_slacks_may_be_nonlinear() -> None:
     np.testing.assert_allclose(w.value, [0.0, 2.0], atol=1e-8)
 
 
-def test_both_sides_without_a_variable_get_a_slack() -> None:
-    """G(x) ≥ 0 ⟂ F(x) ≥ 0 with both nonlinear."""
-    x = cp.Variable()
-    x.value = 2.0
-    solved([complements(x**2 - 1 >= 0, cp.exp(x) + x - 1 >= 0)])
-    assert x.value == pytest.approx(1.0)
-
-
 #: Sides with their zeros and whether they increase; of two that do, the larger zero solves the pair.
 SIDES: dict[str, tuple[Callable[[Any], Any], float, bool]] = {
     "exp": (lambda x: cp.exp(x) - 3, math.log(3.0), True),
@@ -526,15 +452,6 @@ def test_bounds_beside_two_expressions_hold_and_a_box_may_hold_an_expression() -
     assert float(pair.dual_value) == pytest.approx(math.log(2.0) - 3.0)
 
 
-def test_a_second_solve_of_two_expressions_starts_from_the_first() -> None:
-    """The unknown behind a side, affine or not, begins at the side's value: nothing is left to do."""
-    x = cp.Variable(2)
-    for first in (cp.exp(x) - 1, 3 * x + x[::-1] - 1):
-        problem = solved([complements(first >= 0, cp.exp(x) - 3 >= 0)])
-        problem.solve(method="LCP", tolerance=1e-11)
-        assert problem.solver_stats.num_iters == 0
-
-
 def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
     """S = p eˣ − 9 ⟂ F = eˣ − 1: p eˣ = 9, so that dx/dp = −1/p and dF/dp = −9/p²; so with the sides exchanged."""
     for swap in (False, True):
@@ -581,18 +498,6 @@ def test_parameters_are_read_at_every_solve() -> None:
         factor.value, exponent.value, bound.value = a, p, low
         problem.solve(method="LCP", tolerance=1e-12)
         assert x.value == pytest.approx(answer, abs=1e-9)
-
-
-def test_solved_problems_are_copied_and_pickled() -> None:
-    """A solved problem, with its result, can be pickled and copied, and the copy be solved."""
-    x = cp.Variable(2)
-    F = cp.exp(x) - cp.power(x + 1.0, 0.3) / (2.0 + cp.sqrt(x + 1.0)) - 2.0 + cp.square(x)
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, F >= 0)])
-    problem.solve(method="LCP")
-    for other in (pickle.loads(pickle.dumps(problem)), copy.deepcopy(problem)):
-        assert other.solver_stats.extra_stats.certificate.relative_residual <= 1e-8
-        other.solve(method="LCP")
-        np.testing.assert_array_equal(other.variables()[0].value, x.value)
 
 
 def test_violation_is_measured_on_the_expressions() -> None:

@@ -155,23 +155,6 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
                 np.testing.assert_allclose(ours.dual_value, theirs.dual_value, atol=1e-6)
 
 
-def test_a_limit_keeps_the_values_and_warns() -> None:
-    """max_iterations and max_seconds end as user_limit with values kept."""
-    for limit in ({"max_iterations": 0}, {"max_seconds": 0.0}):
-        problem, _ = isotonic()
-        with pytest.warns(UserWarning, match="inaccurate"):
-            problem.solve(solver=QPSolver, **limit)
-        assert problem.status == "user_limit"
-        assert problem.variables()[0].value is not None
-
-
-def test_unknown_options_are_refused() -> None:
-    """An option that neither solve nor the algorithm knows is refused with the right ones."""
-    problem, _ = nnls()
-    with pytest.raises(TypeError, match="relaxtion"):
-        problem.solve(solver=QPSolver, algorithm="psor", relaxtion=1.5)
-
-
 def test_cones_and_integers_are_cvxpy_s_to_refuse() -> None:
     """A second-order cone or an integer variable is refused before it reaches us."""
     x = cp.Variable(3)
@@ -206,14 +189,6 @@ def test_a_limit_is_never_called_optimal() -> None:
     with pytest.warns(UserWarning, match="inaccurate"):
         problem.solve(solver=QPSolver, algorithm="interior_point", max_iterations=1)
     assert problem.status == "user_limit"
-
-
-def test_a_saddle_is_not_a_minimum() -> None:
-    """An indefinite matrix that cvxpy was told to trust is refused."""
-    x = cp.Variable(2)
-    goal = cp.quad_form(x, cp.psd_wrap(np.array([[1.0, 2.0], [2.0, 1.0]])))
-    with pytest.raises(UnsupportedModel, match="not convex"):
-        cp.Problem(cp.Minimize(goal), [x >= -1, x <= 1]).solve(solver=QPSolver)
 
 
 def without_minimum(kind: str, n: int) -> Any:

@@ -1,4 +1,4 @@
-"""What solve promises for every problem class: data stay, bits repeat, watching changes nothing, errors arrive."""
+"""The guarantees of solve for every problem class: data stay, bits repeat, watching changes nothing, errors arrive."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ from the_command import lcp_plugin
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.commands.cli import run
 from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.problems.cones.methods import METHODS
 
@@ -119,20 +117,6 @@ def test_settings_reach_the_run() -> None:
     assert told["iterations"] == ours.iterations > 0
     assert told["relative_residual"] == ours.residual
     assert told["tolerance"] == 1e-4
-
-
-def test_words_among_the_options() -> None:
-    """none, true and auto are read as what they mean, numbers as numbers."""
-    assert (
-        lcp_plugin("solve", "half_active:n=4", "-a", "npsor", "-o", "scaling=none").exit_code == 0
-    )
-    assert (
-        lcp_plugin("solve", "half_active:n=4", "-a", "psor", "--relaxation", "auto").exit_code == 0
-    )
-    assert (
-        lcp_plugin("solve", "half_active:n=4", "-a", "psor", "-o", "relaxation=1.5").exit_code == 0
-    )
-    assert lcp_plugin("solve", "half_active:n=4", "-a", "mgs", "-o", "omega=0.5").exit_code == 0
 
 
 def test_scene_starts_where_its_source_starts() -> None:
@@ -255,46 +239,6 @@ def test_every_scene_has_a_picture(scene: str) -> None:
     assert list(Path().iterdir()) == [Path("out.png")]
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    "problem",
-    [
-        BOX,
-        LCP(np.zeros((0, 0)), []),
-        LCP([[2.0]], [-1.0], lower=-np.inf),
-        LCP([[2.0]], [-1.0], lower=-1.0, upper=1.0),
-    ],
-    ids=["box", "empty", "free", "one unknown in a box"],
-)
-def test_a_file_has_a_picture(problem: LCP) -> None:
-    """A problem from a file, of any size and bounds, is drawn over the index."""
-    problem.save("p.npz")
-    assert lcp_plugin("solve", "p.npz", "--plot", "out.png").exit_code == 0
-    assert Path("out.png").read_bytes().startswith(PNG)
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    ("name", "head"), [("out.pdf", b"%PDF"), ("out.svg", b"<?xml"), ("two words.png", PNG)]
-)
-def test_picture_formats(name: str, head: bytes) -> None:
-    """The ending of the file chooses the format."""
-    assert lcp_plugin("solve", "half_active:n=4", "--plot", name).exit_code == 0
-    assert Path(name).read_bytes().startswith(head)
-
-
-@pytest.mark.full
-def test_an_unsolved_run_has_a_picture() -> None:
-    """A run without success, and one with tolerance 0, are drawn too."""
-    for arguments in (("--max-iterations", "0"), ("--tolerance", "0", "--max-iterations", "5")):
-        assert (
-            lcp_plugin("solve", "obstacle_2d:size=6", *arguments, "--plot", "out.png").exit_code
-            == 1
-        )
-        assert Path("out.png").read_bytes().startswith(PNG)
-        Path("out.png").unlink()
-
-
 def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where matplotlib is missing, --plot is refused with the command to install it, before anything is solved."""
     for module in ("matplotlib", "matplotlib.figure"):
@@ -306,13 +250,6 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
         r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr
     )
     assert list(Path().iterdir()) == []
-
-
-@pytest.mark.parametrize("option", ["max_pivots=50", "restarts=1"])
-def test_options_that_count_take_whole_numbers(option: str) -> None:
-    """An integer on the command line is one for the algorithm, too."""
-    done = lcp_plugin("solve", "half_active:n=4", "-a", "lemke", "-o", option)
-    assert done.exit_code == 0, done.stderr
 
 
 # --- bad input -------------------------------------------------------------------------------------------------
@@ -601,26 +538,7 @@ def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
     assert f"{name} does not take omega" in refused.stderr
 
 
-@pytest.mark.parametrize("arguments", ["-h", "--help", "solve -h", "list --help", "compare -h"])
-def test_help_is_offered(arguments: str) -> None:
-    """Help goes to stdout with exit code 0."""
-    done = lcp_plugin(*arguments.split())
-    assert done.exit_code == 0
-    assert "Usage" in done.stdout
-
-
-def test_exit_codes_are_documented() -> None:
-    """The help of the command tells what the three exit codes mean."""
-    assert re.search(r"Exit codes: 0 .*1 .*2 ", " ".join(lcp_plugin("--help").stdout.split()))
-
-
 # --- as a process ----------------------------------------------------------------------------------------------
-
-
-def test_installed_command_is_this_one() -> None:
-    """The installed command ``lcp-plugin`` and ``python -m lcp_plugin`` run the same function."""
-    (command,) = entry_points(group="console_scripts", name="lcp-plugin")
-    assert command.load() is run
 
 
 @pytest.mark.full
@@ -631,19 +549,6 @@ def test_exit_codes_reach_the_shell() -> None:
     bad = in_a_process("solve", "half_activ")
     assert (bad.returncode, bad.stdout) == (2, b"")
     assert re.match(rb"lcp-plugin: .*did you mean 'half_active'\?", bad.stderr)
-
-
-@pytest.mark.full
-def test_terminal_without_unicode() -> None:
-    """Where ≤ and ω cannot be shown, something else is; nothing fails for it."""
-    solved = in_a_process("solve", "obstacle_2d:size=6", PYTHONIOENCODING="ascii")
-    listed = in_a_process("list", PYTHONIOENCODING="cp1252")
-    refused = in_a_process("solve", "obstacle_2d:size=0", PYTHONIOENCODING="ascii")
-    assert (solved.returncode, listed.returncode, refused.returncode) == (0, 0, 2)
-    assert b"SOLVED" in solved.stdout
-    assert b"npsplitting" in listed.stdout
-    assert refused.stderr.startswith(b"lcp-plugin: ")
-    assert b"Traceback" not in solved.stderr + listed.stderr + refused.stderr
 
 
 BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what is written fails late
@@ -665,23 +570,6 @@ def test_reader_that_has_gone(arguments: str) -> None:
     os.close(writer)
     assert done.stderr == b""
     assert done.returncode in {0, 1}
-
-
-@pytest.mark.full
-def test_full_device_is_told() -> None:
-    """Where stdout cannot be written, exit code 2 and one line say so."""
-    if not Path("/dev/full").exists():
-        pytest.skip("there is no device that is always full")
-    with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "lcp_plugin", "solve", "half_active:n=4"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            check=False,
-            env=BUFFERED,
-        )
-    assert done.returncode == 2
-    assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)
 
 
 @pytest.mark.full

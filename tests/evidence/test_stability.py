@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 from fractions import Fraction
-from itertools import islice
 from typing import Any
 
 import drawn_scaling
@@ -14,11 +11,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from exact_components import component_of_rows, relative_residual
-from families import BOUNDED, NEEDS_MONOTONE, SPLITTINGS
+from families import BOUNDED, NEEDS_MONOTONE
 from hypothesis import given, settings
 
 from lcp_plugin import LCP, Certificate, Result, Status, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.algorithms import REGISTRY, Step
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.strategies import solved_lcps
 
@@ -211,15 +208,6 @@ def test_q_without_negative_entries_needs_no_iteration(name: str, q: list[float]
 
 
 @EVERY_ALGORITHM
-@pytest.mark.parametrize("q", [[0.0, 0.0], [0.0, 3.0]], ids=["zero", "some zeros"])
-def test_q_without_negative_entries_is_solved_from_anywhere(name: str, q: list[float]) -> None:
-    """Also from a start elsewhere: the reference residual is 0, which says that z° = 0 is the answer."""
-    result = solve(LCP(TINY, q), name, z0=[1.0, 2.0])
-    assert result.status is Status.SOLVED
-    assert not result.z.any()
-
-
-@EVERY_ALGORITHM
 def test_zeros_in_q_are_nothing_special(name: str) -> None:
     """Where most of q is zero the solution is found as always."""
     scene = gallery.obstacle_2d(size=10)
@@ -274,23 +262,6 @@ def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
     assert_honest(result)
 
 
-@pytest.mark.sampled
-@EVERY_ALGORITHM
-@pytest.mark.parametrize("tolerance", [1e-300, 5e-324])
-def test_a_tolerance_out_of_reach_is_a_precision_limit(name: str, tolerance: float) -> None:
-    """A positive tolerance far below rounding ends like 0."""
-    result = solve(inexact(), name, tolerance=tolerance)
-    assert result.status in (Status.PRECISION_LIMIT, Status.SOLVED)
-    assert_honest(result)
-
-
-@EVERY_ALGORITHM
-def test_a_huge_tolerance_accepts_the_start(name: str) -> None:
-    """With an absolute tolerance of 1e300 the start is SOLVED after no iteration."""
-    result = solve(inexact(), name, absolute_tolerance=1e300)
-    assert (result.status, result.iterations) == (Status.SOLVED, 0)
-
-
 # --- Nearly singular ---------------------------------------------------------------------------------------
 
 
@@ -326,16 +297,6 @@ def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits:
     assert solve(problem, "pgs", max_iterations=5000).status is not Status.SOLVED
 
 
-def test_automatic_relaxation_goes_very_close_to_two() -> None:
-    """At ρ = 1 − 1e-6 the iteration itself converges within 5000 sweeps, where PGS would take ten million."""
-    problem, exact = nearly_singular(20)
-    for step in islice(create("psor", {}).iterates(problem, np.zeros(2)), 5001):
-        if Certificate.of(problem, step.z).relative_residual <= 1e-8:
-            break
-    assert Certificate.of(problem, step.z).relative_residual <= 1e-8
-    assert abs(step.z - exact).max() < 1e-8 * 2.0**20
-
-
 @EVERY_ALGORITHM
 def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> None:
     """At ρ = 1 − 1e-6 most runs cannot converge; whatever they end with is honest and says how far it came."""
@@ -345,145 +306,11 @@ def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> 
     assert result.status is not Status.SOLVED or abs(result.z - exact).max() < 1e-8 * 2.0**20
 
 
-# --- Limits ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", REGISTRY)
-@pytest.mark.parametrize("limit", [0, 1, 5, 9, 12])
-def test_a_limit_throws_no_work_away(name: str, limit: int) -> None:
-    """After max_iterations=k the z returned is no worse than iterate k, or the last there was, also in place."""
-    scene = gallery.paper_example_1(n=100)
-    result = solve(scene.problem, name, z0=scene.start, tolerance=1e-14, max_iterations=limit)
-    *_, last = islice(
-        create(name, {}).iterates(scene.problem, scene.start.copy()), result.iterations + 1
-    )
-    assert result.iterations == limit if name in SPLITTINGS else result.iterations <= limit
-    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (
-        1.0 + 1e-12
-    )
-
-
-@pytest.mark.parametrize("name", ["pgs", "npgs"])
-def test_an_interruption_throws_no_work_away(name: str) -> None:
-    """A callback that stops at step 7 gets an answer no worse than iterate 7."""
-    scene = gallery.paper_example_1(n=100)
-    result = solve(
-        scene.problem,
-        name,
-        z0=scene.start,
-        tolerance=1e-14,
-        callback=lambda sample, z: sample.iteration == 7,
-    )
-    *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), 8)
-    assert result.status is Status.INTERRUPTED
-    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (
-        1.0 + 1e-12
-    )
-
-
 # --- Algorithms that misbehave -----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scripted(Algorithm):
-    """Yields the given steps and then stops."""
-
-    name = "scripted"
-    steps: tuple[Step, ...] = field(default=())
-    after: Any = None
-
-    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        """Yield the script."""
-        yield from self.steps
-
-    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
-        """Return what the script says."""
-        return z if self.after is None else np.array(self.after)
-
-
-PROBLEM = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # z* = (2.5, 0)
-NAN = math.nan
 
 
 def steps(*points: list[float], **claims: Any) -> tuple[Step, ...]:
     return tuple(Step(np.array(point), **claims) for point in points)
-
-
-@pytest.mark.parametrize("bad", [NAN, math.inf, -math.inf])
-@pytest.mark.parametrize(
-    "claims", [{}, {"residual": NAN}, {"increment": NAN}, {"increment": math.inf}]
-)
-def test_a_nan_on_the_way_is_divergence(bad: float, claims: dict[str, float]) -> None:
-    """An iterate with NaN or ∞ ends the run as DIVERGED, and the best earlier iterate is returned."""
-    script = (
-        steps([0.0, 0.0], [2.0, 0.0], [1.0, 1.0]) + steps([bad, 0.0], **claims) + steps([2.5, 0.0])
-    )
-    result = solve(PROBLEM, Scripted(steps=script))
-    assert result.status is Status.DIVERGED
-    assert result.z.tolist() == [2.0, 0.0]
-
-
-def test_a_nan_that_comes_first_is_divergence() -> None:
-    """Where even the start is NaN nothing is solved, and no warning is raised."""
-    result = solve(PROBLEM, Scripted(steps=steps([NAN, 0.0], [NAN, NAN])))
-    assert result.status is Status.DIVERGED
-    assert not result.certificate.relative_residual <= 1e300
-
-
-@pytest.mark.parametrize("count", [1, 5, 400])
-def test_a_liar_is_never_solved(count: int) -> None:
-    """An algorithm that claims residual 0 at a wrong z gets any status but SOLVED."""
-    lies = steps(*[[1.0, 1.0]] * count, residual=0.0)
-    result = solve(PROBLEM, Scripted(steps=lies), max_iterations=300)
-    assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
-    assert result.residual > 0.1
-
-
-def test_a_lie_does_not_hide_the_solution_that_follows() -> None:
-    """A wrong claim of residual 0 is found out at once, and the run goes on to the true solution."""
-    script = steps([0.0, 0.0], residual=5.0) + steps([1.0, 1.0], [2.5, 0.0], residual=0.0)
-    result = solve(PROBLEM, Scripted(steps=script))
-    assert result.status is Status.SOLVED
-    assert result.z.tolist() == [2.5, 0.0]
-
-
-def test_a_liar_by_increments_is_never_solved() -> None:
-    """An algorithm that claims to stand still at a wrong z is measured, and is not SOLVED."""
-    result = solve(
-        PROBLEM, Scripted(steps=steps(*[[1.0, 1.0]] * 500, increment=0.0)), max_iterations=400
-    )
-    assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
-    assert result.residual > 0.1
-
-
-def test_a_pessimist_is_solved() -> None:
-    """An algorithm that claims a residual of 1 at the solution is SOLVED all the same: the certificate decides."""
-    script = steps([0.0, 0.0], residual=5.0) + steps([2.5, 0.0], residual=1.0)
-    result = solve(PROBLEM, Scripted(steps=script))
-    assert result.status is Status.SOLVED
-    assert result.z.tolist() == [2.5, 0.0]
-
-
-@pytest.mark.parametrize("after", [[NAN, NAN], [1e300, -1e300], [2.0, 0.0]])
-def test_a_spoiled_finish_is_not_taken(after: list[float]) -> None:
-    """What finish() returns is kept only where its certificate is no worse."""
-    result = solve(PROBLEM, Scripted(steps=steps([0.0, 0.0], [2.5, 0.0]), after=after))
-    assert result.status is Status.SOLVED
-    assert result.z.tolist() == [2.5, 0.0]
-
-
-def test_a_finish_that_solves_is_taken() -> None:
-    """A clean-up that reaches the solution makes the run SOLVED."""
-    result = solve(PROBLEM, Scripted(steps=steps([0.0, 0.0], [2.4, 0.0]), after=[2.5, 0.0]))
-    assert result.status is Status.SOLVED
-
-
-@pytest.mark.parametrize("script", [(), steps([1.0, 0.0])], ids=["no step", "one step"])
-def test_an_algorithm_that_gives_up_is_not_solved(script: tuple[Step, ...]) -> None:
-    """Where the iteration ends by itself without a solution, the status is STALLED and z the best there was."""
-    result = solve(PROBLEM, Scripted(steps=script), z0=[1.0, 0.0])
-    assert result.status is Status.STALLED
-    assert result.z.tolist() == [1.0, 0.0]
 
 
 # --- The automatic relaxation where a large one is a trap -------------------------------------------------------
@@ -495,12 +322,6 @@ def ring(n: int, weight: float) -> LCP:
     return LCP(M, -M @ np.arange(1.0, n + 1.0))
 
 
-def string(n: int) -> LCP:
-    """The README's string over an obstacle: the contraction of the first sweeps says nothing about the later ones."""
-    M = sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
-    return LCP(M, np.zeros(n), lower=np.where(abs(np.linspace(0, 1, n) - 0.5) < 0.1, 1.0, -1.0))
-
-
 @pytest.mark.parametrize("name", ["psor", "auto"])
 @pytest.mark.parametrize(("n", "weight"), [(3, 0.9), (3, 0.99), (9, 0.99), (100, 0.9), (100, 0.99)])
 def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> None:
@@ -509,23 +330,6 @@ def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> 
     result, plain = solve(problem, name), solve(problem, "pgs")
     assert result.status is plain.status is Status.SOLVED
     assert result.iterations <= 2 * plain.iterations + 40
-
-
-@pytest.mark.parametrize("name", ["psor", "auto"])
-@pytest.mark.parametrize("scene", ["diffusion=1e-6,discount=0", "diffusion=1e-4,discount=0.1"])
-def test_automatic_relaxation_solves_headwind(name: str, scene: str) -> None:
-    """Convection against the sweep direction is solved wherever PGS solves it."""
-    problem = gallery.parse(f"optimal_stopping:size=100,wind_x=-1,wind_y=-1,{scene}").problem
-    assert solve(problem, "pgs").status is Status.SOLVED
-    assert solve(problem, name).status is Status.SOLVED
-
-
-@pytest.mark.parametrize("name", ["psor", "auto"])
-def test_automatic_relaxation_does_not_give_up_on_a_long_string(name: str) -> None:
-    """A string of 1000 nodes needs about 1.5 n sweeps, where PGS needs more than 10⁵."""
-    result = solve(string(1000), name)
-    assert result.status is Status.SOLVED
-    assert result.iterations < 2500
 
 
 @pytest.mark.parametrize("name", ["pj", "mj"])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
-import itertools
 import math
 import signal
 import time
@@ -18,17 +16,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
-from fresh_process import printed_by
 from legends import hides_nothing
 
 from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step, create
 from lcp_plugin.core.matrix.matrix import Matrix, fact
-from lcp_plugin.evidence.measurement import POINT, Measurement
+from lcp_plugin.evidence.measurement import Measurement
 from lcp_plugin.evidence.methods import methods_of
 from lcp_plugin.evidence.pictures import draw
 from lcp_plugin.evidence.study import COLUMNS, Study, error_against_time, study
-from lcp_plugin.evidence.table import Table
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 
 NAP = 0.06
@@ -132,22 +128,6 @@ def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -
     assert row.seconds < 0.25 * NAP * len(calls)
 
 
-def test_facts_about_the_matrix_are_paid_in_every_run() -> None:
-    """No fact that one run keeps with the problem makes the set-up of the next one look cheaper."""
-    row = measured(scene(), Richardson(nap_about_matrix=NAP), repeats=3)
-    assert row.column("seconds_low")[0] >= NAP
-
-
-def test_seconds_rise_and_lie_between_their_quartiles() -> None:
-    """Along a run iterations and work rise; each median lies between its quartiles."""
-    for row in error_against_time(scene(), ["npsor", "psor"], repeats=3).rows:
-        low, middle, high = (row.column(f"seconds{end}") for end in ("_low", "", "_high"))
-        assert (low <= middle).all()
-        assert (middle <= high).all()
-        assert (np.diff(row.column("iteration")) > 0).all()
-        assert (np.diff(row.column("work")) >= 0).all()
-
-
 def test_ctrl_c_ends_a_study_with_what_there_is(tmp_path: Path) -> None:
     """Rows before Ctrl-C are kept, in memory and in the file; the handler of SIGINT is never touched."""
     before = signal.getsignal(signal.SIGINT)
@@ -183,13 +163,6 @@ def test_a_row_is_the_run_that_solve_makes() -> None:
         assert row.last("residual") == result.certificate.relative_residual
     assert found.rows[0].error == np.abs(solve(known.problem, "psor").z - known.exact).max()
     assert found.rows[0].column("error")[0] == np.abs(known.exact).max()  # z° = 0
-
-
-def test_points_are_geometric() -> None:
-    """Hundreds of iterations give some dozen points."""
-    row = measured(gallery.build("obstacle_2d", size=30), "gfp")
-    assert row.iterations > 500
-    assert len(row.points) < 80
 
 
 def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
@@ -253,14 +226,6 @@ def test_sizes_go_to_families_and_to_scenes_by_their_own_name() -> None:
     assert found.row("psor", "obstacle_2d", 9).n == 81
 
 
-def test_problems_of_one_name_are_told_apart() -> None:
-    """Two scenes of one kind, two functions without a name: none takes the other's place."""
-    scenes = [gallery.build("half_active", n=n) for n in (4, 9)]
-    assert [row.n for row in study(scenes, ["psor"], repeats=1).rows] == [4, 9]
-    families = [lambda n: chain(n), lambda n: chain(n + 1)]
-    assert [row.n for row in study(families, ["psor"], [4], repeats=1).rows] == [4, 5]
-
-
 def test_refusals_and_errors_are_rows_with_their_reason(tmp_path: Path) -> None:
     """A refused size, a refused matrix, a method that raises: each is a row, and the others are measured."""
     found = study([even, "half_active"], ["psor"], [4, 5], repeats=1)
@@ -293,21 +258,6 @@ def test_references_are_rows_of_symmetric_problems() -> None:
     assert any("no convex solver, M is not symmetric" in note for note in found.notes)
 
 
-LAZY = """
-import sys
-from lcp_plugin import gallery, error_against_time
-error_against_time(gallery.parse({scene!r}), ["pgs"], repeats=1)
-print([name for name in {names!r} if name in sys.modules])
-"""
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("text", ["random_h_plus:n=20", "optimal_stopping:size=4"])
-def test_nothing_heavy_loads_without_need(text: str) -> None:
-    """No convex solver without a reference, no picture unless drawn."""
-    assert printed_by(LAZY.format(scene=text, names=["cvxpy", "matplotlib", "rich"])) == "[]"
-
-
 # --- Views ----------------------------------------------------------------------------------------------------
 
 
@@ -332,23 +282,6 @@ def test_tables_tell_how_a_run_ended_without_a_result() -> None:
     assert [list(row) for row in table.rows] == [["a", 7], ["b", "stalled"]]
     assert table.to_markdown().splitlines()[2:] == ["| a | 7 |", "| b | stalled |"]
     assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
-
-
-TABLE = Table(
-    "t",
-    ("method", "n", "Res"),
-    [("p&q", 100, 1.5e-6), ("p&q", 20_000, 2.5e-7), ("r", None, -3.0)],
-)
-
-
-def test_numbers_are_shown_with_three_digits_and_kept_with_all() -> None:
-    """Markdown shows a column alike, with a dash for nothing; CSV keeps every digit."""
-    assert TABLE.to_markdown().splitlines()[2:] == [
-        "| p&q | 100 | 1.5e-6 |",
-        "| p&q | 20000 | 2.5e-7 |",
-        "| r | – | -3.0e0 |",
-    ]
-    assert TABLE.to_csv().splitlines()[1] == "p&q,100,1.5e-06"
 
 
 def test_profile_is_that_of_dolan_and_more() -> None:
@@ -376,12 +309,6 @@ def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
     assert axes.get_position().height > 0.4
     found.save(tmp_path / "curves.svg", against="work")
     assert (tmp_path / "curves.svg").stat().st_size > 1000
-
-
-def test_no_two_curves_look_alike_in_grey() -> None:
-    """Each of twelve curves has a marker of its own."""
-    figure = made(*[("p", n, str(k), 1.0 + k) for n in (4, 9) for k in range(12)]).plot("work")
-    assert len({line.get_marker() for line in figure.axes[0].lines}) == 12
 
 
 @pytest.mark.full
@@ -490,28 +417,3 @@ def test_views_and_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
 def test_methods_are_named_by_label_or_by_their_options(given: Any, labels: list[str]) -> None:
     """A name with its options is a method, alone, in a list, and under a label."""
     assert [one.label for one in methods_of(given)] == labels
-
-
-def test_two_methods_of_one_label_are_refused() -> None:
-    """A method of the user that is called as one of ours takes no other's place."""
-
-    class Psor(Richardson):
-        name = "psor"
-
-    with pytest.raises(InvalidOption, match="two methods are called 'psor'"):
-        methods_of([Psor(), "psor"])
-
-
-def test_the_default_comparison_holds_the_promise() -> None:
-    """The paper's methods are there with its settings and with ours, next to modulus, fixed point and relaxation."""
-    labels = {one.label for one in methods_of(None)}
-    paper = {"NPGS paper", "NPSOR paper", "MGS paper", "MSOR paper"}
-    assert labels >= paper | {"NPGS", "NPSOR", "NPAOR", "GFP", "PGS", "PSOR", "auto"}
-
-
-def test_points_have_the_documented_columns() -> None:
-    """Seven columns, as the docstring of Measurement lists them."""
-    row = measured(scene(), "pgs")
-    assert row.points.shape[1] == len(POINT) == 7
-    assert all(before < after for before, after in itertools.pairwise(row.column("iteration")))
-    assert dataclasses.is_dataclass(row)

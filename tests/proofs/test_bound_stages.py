@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import LCP, Certificate
-from lcp_plugin.core.certificates.row_residuals import ratio
+from lcp_plugin import LCP
 from lcp_plugin.core.kernels.floats import UNIT
 from lcp_plugin.core.rounding import gamma
-from lcp_plugin.proofs.bounds import row_inequality, solution_bounds
+from lcp_plugin.proofs.bounds import solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
-from lcp_plugin.proofs.bounds.row_inequality import RowInequality
-from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, smallest_eigenvalue_bound
 from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
-from lcp_plugin.systems import factors, free_systems
 from lcp_plugin.systems.equilibration import unit_diagonal
 from lcp_plugin.systems.factors import positive_factor
 
@@ -91,113 +87,7 @@ def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
     assert (longest + 2) * UNIT * size <= bound <= (longest + 2 + 5) * UNIT * size
 
 
-@pytest.mark.parametrize("kind", ["dense", "sparse"])
-def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> None:
-    """Where the estimate is above the eigenvalue, smaller shares of it are tried."""
-    n = 250 if kind == "sparse" else 30
-    least = 4.0 * np.sin(np.pi / (2 * (n + 1))) ** 2
-    for factor, share in ((1.5, 0.5), (5.0, 0.1)):
-        monkeypatch.setattr(
-            solution_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong
-        )
-        bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)).matrix)
-        assert bound.value == pytest.approx(share * factor * least)
-
-
-def test_what_a_sparse_factor_errs_is_taken_off(monkeypatch) -> None:
-    """The proven eigenvalue is lower by the error of the factor."""
-    M = chain(250, 4.0)
-    before = smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value
-    monkeypatch.setattr(solution_bounds, "_factor_error", lambda _: 0.25)
-    assert smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value == pytest.approx(
-        before - 0.25, rel=1e-9
-    )
-
-
-def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
-    """LAPACK factorises dense matrices and small ones, SuperLU the others."""
-    used = []
-    monkeypatch.setattr(
-        solution_bounds,
-        "_proven_bound",
-        lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0,
-    )
-    for M in (np.eye(300) + 1.0, chain(200), chain(201)):
-        smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
-    assert used == ["dense", "dense", "sparse"]
-
-
-def test_a_nonpositive_diagonal_has_no_eigenvalue_bound() -> None:
-    """Nor has a problem without rows."""
-    assert smallest_eigenvalue_bound(LCP([[1.0, 0.0], [0.0, 0.0]], [0.0, 0.0]).matrix) is None
-    assert smallest_eigenvalue_bound(LCP(np.zeros((0, 0)), []).matrix) is None
-    assert isinstance(smallest_eigenvalue_bound(LCP(CIRCULANT, [0.0] * 3).matrix), EigenvalueBound)
-
-
 # --- The stages for H₊-matrices -----------------------------------------------------------------------------
-
-
-def test_steps_that_lead_astray_lead_home() -> None:
-    """From points far away, where the first guess of the active set is poor, the bound ends at the error itself."""
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        M = chain(40, 2.0).toarray() * np.exp(rng.standard_normal(40))[:, None] + 1e-3 * np.eye(40)
-        exact = np.maximum(rng.standard_normal(40), 0.0)
-        problem = LCP(M, np.where(exact > 0.0, 0.0, rng.random(40)) - M @ exact)
-        z = 10.0 * np.abs(rng.standard_normal(40))
-        bound = error_bound(problem, z)
-        assert (bound.proven_active | bound.proven_inactive).all()
-        assert (
-            np.abs(z - exact).max() * (1.0 - 1e-9)
-            <= bound.infinity
-            <= 1.01 * np.abs(z - exact).max()
-        )
-
-
-@pytest.mark.parametrize(
-    ("limits", "sign"), [((1000, 0), -1), ((1000, 64), -1), ((0, 0), -1), ((0, 0), 1)]
-)
-def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
-    """SuperLU, LAPACK's band and Krylov steps on the grids: some steps of the active-set method end near the solution.
-
-    With couplings of the other sign the grids are of no use, and a factor takes over.
-    """
-    monkeypatch.setattr(free_systems, "DIRECT_UP_TO", limits[0])
-    monkeypatch.setattr(free_systems, "BANDED_UP_TO", limits[1])
-    monkeypatch.setattr(factors, "BANDED_UP_TO", limits[1])
-    M = chain(600, 2.5) + (1.0 + sign) * sp.eye_array(600, k=1)
-    exact = np.maximum(np.sin(np.arange(600)), 0.0)
-    problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
-    steps = row_inequality.ActiveSetSteps(problem, 1.0 / problem.residual_scale)
-    with np.errstate(all="ignore"):
-        point = RowInequality.at(problem, exact * (1.0 + 1e-3))
-        for _ in range(5):
-            point = steps.next_point(point)
-    assert np.abs(point.high + point.low - exact).max() <= 1e-9
-
-
-def test_a_singular_factor_ends_the_steps(monkeypatch) -> None:
-    """Where LAPACK finds a zero pivot there is no next point."""
-    monkeypatch.setattr(free_systems, "factorise", lambda *_, **__: None)
-    problem = LCP(chain(4), -np.ones(4))
-    with np.errstate(all="ignore"):
-        at = RowInequality.at(problem, np.ones(4))
-        assert row_inequality.ActiveSetSteps(problem, np.ones(4)).next_point(at) is None
-
-
-def test_the_least_bound_names_its_method() -> None:
-    """The stage that gave the bound is named, the v-certificate where nothing else was asked."""
-    rng = np.random.default_rng(0)
-    M = np.eye(20) + 0.04 * rng.standard_normal((20, 20))
-    problem = LCP(M, rng.standard_normal(20))
-    z = rng.standard_normal(20)
-    plain, sharp = error_bound(problem, z, sharp=False), error_bound(problem, z)
-    assert plain.method == "v-certificate"
-    assert sharp.method == "reference point"
-    assert sharp.infinity < plain.infinity
-    assert "(reference point)" in str(sharp)
-    assert "‖z − z*‖∞ ≤ " in str(sharp)
-    assert "array" not in repr(sharp)
 
 
 @pytest.mark.parametrize("sharp", [True, False])
@@ -238,42 +128,3 @@ def test_small_diagonals_are_h_plus_too() -> None:
             LCP(unit * chain(4).toarray(), -unit * np.ones(4)), np.ones(4), sharp=False
         )
         assert bound.method == "v-certificate"
-
-
-# --- Residuals ----------------------------------------------------------------------------------------------
-
-
-def test_a_certificate_is_of_an_lcp() -> None:
-    """Anything else is refused by its name."""
-    with pytest.raises(Exception, match=r"Certificate\.of needs an LCP, got list"):
-        Certificate.of([[1.0]], [0.0])  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("numerator", "denominator", "expected"),
-    [
-        (0.0, 0.0, 0.0),
-        (0.0, 2.0, 0.0),
-        (1.0, 2.0, 0.5),
-        (3.0, 2.0, 1.5),
-        (1.0, 0.0, np.inf),
-        (np.nan, 0.0, np.nan),
-        (np.nan, 1.0, np.nan),
-        (1.0, np.inf, np.nan),
-        (0.0, np.inf, np.nan),
-        (np.inf, 1.0, np.inf),
-    ],
-)
-def test_ratios_of_residuals(numerator: float, denominator: float, expected: float) -> None:
-    """0/0 is 0, a positive residual over none is ∞, and nothing can be measured against ∞."""
-    np.testing.assert_equal(ratio(numerator, denominator), expected)
-
-
-def test_rounding_level_ends_at_four_floors() -> None:
-    """A residual of three floors is explained by rounding, one of four and a half is not."""
-    problem = LCP([[1.0]], [-1.0])
-    floor = float(Certificate.of(problem, [1.0]).rounding_floor[0])
-    for factor, expected in ((3.0, True), (4.5, False)):
-        certificate = Certificate.of(problem, [1.0 + factor * floor])
-        assert certificate.scaled_residual == pytest.approx(factor * floor, rel=0.1)
-        assert certificate.is_at_rounding_level is expected

@@ -18,24 +18,20 @@ import scipy.sparse as sp
 from campaigns.graded_matrices import run_case
 
 from lcp_plugin import LCP, Certificate, error_bound
-from lcp_plugin.core.errors import InvalidProblem, UnsuitableMatrix
+from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix.symmetry import is_nearly_symmetric
 from lcp_plugin.methods.direct import _seems_monotone
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.verdicts import (
-    MatrixReport,
     analyze,
     comparison_certificate,
     h_verdict,
-    verdicts,
 )
 from lcp_plugin.proofs.verdicts.h_matrix import decide
 from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.systems.comparison import ComparisonMatrix
 from lcp_plugin.systems.definiteness import (
     is_positive_definite,
     is_semidefinite_to_rounding,
-    symmetric_part,
 )
 from lcp_plugin.systems.factors import factor_fits
 
@@ -252,15 +248,6 @@ def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
     )
 
 
-def test_symmetric_part_is_rounded_once() -> None:
-    """The symmetric part is exactly symmetric, and M itself where M is symmetric."""
-    M = np.random.default_rng(0).normal(size=(5, 5))
-    part = symmetric_part(M)
-    np.testing.assert_array_equal(part, part.T)
-    np.testing.assert_array_equal(symmetric_part(part), part)
-    assert is_positive_definite(np.array([[1e-320, 0.0], [0.0, 1.0]])) is True
-
-
 # --- What other subpackages use -----------------------------------------------------------------------------------
 
 
@@ -302,30 +289,6 @@ def test_grids_are_factorised() -> None:
     arrow.setdiag(5000.0)
     for matrix in (chain, shuffled, laplacian(400), sp.csr_array(arrow)):
         assert factor_fits(matrix)
-
-
-def test_evidence_cannot_be_written_to() -> None:
-    """What a report hands out is shared by all who ask, and read-only."""
-    no = analyze([[1.0, 2.0], [2.0, 1.0]])
-    yes = analyze(laplacian(5))
-    certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)).matrix)
-    proof = decide(sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]]))).certificate
-    arrays = [no.not_h_vector, yes.v, yes.margin, yes.row_excess_signs, yes.block_labels]
-    arrays += [certificate.v, certificate.margin, proof.v, proof.margin, yes.diagonal, yes.csr.data]
-    for array in arrays:
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = -1.0
-    with pytest.raises(TypeError):
-        yes.scale_spread["entries"] = 0.0
-
-
-def test_ragged_rows_are_refused_as_by_lcp() -> None:
-    """Rows of unequal length are no matrix, and analyze says so in the words of LCP."""
-    with pytest.raises(InvalidProblem) as by_lcp:
-        LCP([[1, 2], [3]], [0, 0])
-    with pytest.raises(InvalidProblem) as by_analyze:
-        analyze([[1, 2], [3]])
-    assert str(by_analyze.value) == str(by_lcp.value)
 
 
 def test_the_empty_matrix_is_everything() -> None:
@@ -373,41 +336,11 @@ def test_p_at_the_ends_of_the_range(M: list[list[float]], is_p: bool) -> None:
     assert lemke.is_guaranteed == is_p
 
 
-def test_certificate_is_shared() -> None:
-    """Problems with the same matrix share the certificate and the report, and the diagonal's sign is not its matter."""
-    problem = LCP([[-3, 1], [1, 3]], [1, 1])
-    certificate = comparison_certificate(problem.matrix)
-    assert comparison_certificate(problem.with_q([0, 0]).matrix) is certificate
-    assert analyze(problem) is analyze(problem.with_q([5, 5]))
-    assert analyze(problem).is_h_matrix
-    assert not analyze(problem).is_h_plus
-    np.testing.assert_array_equal(certificate.margin, [2.0, 2.0])
-
-
 def test_m_matrix_proofs() -> None:
     """Solves settle what row sums leave open, on both sides of singular."""
     assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 4.0]]))).is_h is True
     assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 1.0]]))).is_h is False
     assert decide(laplacian(30)).certificate is not None
-
-
-@pytest.mark.parametrize("m", [6, 40, 90])
-@pytest.mark.parametrize("contrast", [1.0, 1e9])
-def test_comparison_solves(m: int, contrast: float) -> None:
-    """Solutions meet the tolerance, by LAPACK, LU and multigrid, in any unit of the rows."""
-    grid = laplacian(m)
-    n = m * m
-    units = np.where(np.arange(n) % 7 == 0, contrast, 1.0)
-    M = sp.csr_array(sp.diags_array(units) @ abs(grid))
-    system, rhs = ComparisonMatrix(M), np.random.default_rng(0).random(n)
-    x = system.to_caller(system.solve(system.diagonal * rhs, tolerance=1e-6))
-    right = rhs * grid.diagonal()
-    assert np.linalg.norm(grid @ x - right) <= 3e-6 * np.linalg.norm(right)
-
-
-def test_a_singular_comparison_matrix_has_no_solution() -> None:
-    """None, where a factor meets a pivot of 0."""
-    assert ComparisonMatrix(sp.csr_array(np.ones((2, 2)))).solve(np.ones(2)) is None
 
 
 # --- The report ---------------------------------------------------------------------------------------------
@@ -428,15 +361,6 @@ def test_report_prints_and_survives_json() -> None:
         report.verdict("is_nice")
 
 
-def test_nothing_is_computed_before_it_is_asked() -> None:
-    """Making a report computes no verdict, and one verdict does not compute all."""
-    report = analyze(laplacian(4))
-    decided = [verdicts.symmetric, verdicts.h_matrix, verdicts.positive_definite]
-    assert not any(verdict.is_known(report.matrix) for verdict in decided)
-    assert report.is_symmetric
-    assert [verdict.is_known(report.matrix) for verdict in decided] == [True, False, False]
-
-
 @pytest.mark.parametrize(
     ("form", "M"),
     [
@@ -451,13 +375,6 @@ def test_triangular_forms(form: str | None, M: object) -> None:
     report = analyze(M)
     assert report.triangular_form == form
     assert report.is_triangular is (form is not None)
-
-
-@pytest.mark.parametrize("M", [[1.0, 2.0], [[1.0, 2.0]], [[np.inf]], 3.0])
-def test_no_matrix(M: object) -> None:
-    """What is no finite square matrix is refused as a problem would refuse it."""
-    with pytest.raises(InvalidProblem):
-        analyze(M)
 
 
 @pytest.mark.full
@@ -508,13 +425,3 @@ def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
     M[0, 1] = M[1, 0] = np.finfo(np.float64).max
     assert analyze(M).is_positive_definite is None
     assert "ends of the range" in analyze(M).evidence["is_positive_semidefinite"]
-
-
-def test_a_report_takes_what_analyze_takes() -> None:
-    """``MatrixReport`` of a problem, an array or a list says what ``analyze`` says."""
-    M = [[2.0, -1.0], [-1.0, 2.0]]
-    for given in (LCP(M, [0.0, 0.0]), M, np.array(M), sp.csr_array(M)):
-        assert MatrixReport(given).is_m_matrix is True
-        assert str(MatrixReport(given)) == str(analyze(given))
-    with pytest.raises(InvalidProblem):
-        MatrixReport("a matrix")

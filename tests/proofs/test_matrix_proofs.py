@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP
-from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.scaling import scaled
 from lcp_plugin.core.matrix.symmetry import (
     ROUNDED,
     is_symmetric_to_rounding,
@@ -26,22 +24,16 @@ from lcp_plugin.proofs.exact.linear_systems import (
     has_positive_minors,
     has_positive_pivots,
 )
-from lcp_plugin.proofs.verdicts import analyze, h_matrix, h_verdict, verdicts
-from lcp_plugin.proofs.verdicts.h_matrix import _centred, is_nonpositive, positive_margin
+from lcp_plugin.proofs.verdicts import analyze, h_matrix, h_verdict
+from lcp_plugin.proofs.verdicts.h_matrix import is_nonpositive, positive_margin
 from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.systems.comparison import KRYLOV_STEPS, ComparisonMatrix
 from lcp_plugin.systems.comparison_sums import comparison_product, exact_comparison_row
 from lcp_plugin.systems.definiteness import (
     is_positive_definite,
     is_semidefinite_to_rounding,
-    positive_definite_solver,
     symmetric_part,
 )
-from lcp_plugin.systems.equilibration import scaling_exponents
-from lcp_plugin.systems.factors import positive_factor, sparse_lu
-from lcp_plugin.systems.graph import row_excess_signs, scale_spread
-from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
-from lcp_plugin.systems.symmetry import asymmetry
+from lcp_plugin.systems.graph import row_excess_signs
 
 # --- Small matrices in rational arithmetic ------------------------------------------------------------------
 
@@ -139,17 +131,6 @@ def test_no_proof_from_a_vector_that_is_none(v: list[float]) -> None:
     assert not is_nonpositive(sp.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
 
 
-def test_centred_vectors_keep_their_direction() -> None:
-    """A vector is multiplied by one power of two that brings its ends around 1; without a positive entry it stays."""
-    v = np.array([2.0**-900, 3.0 * 2.0**-700, 0.0])
-    centred = _centred(v)
-    factor = centred[0] / v[0]
-    np.testing.assert_array_equal(centred, v * factor)
-    assert 0.25 <= np.sqrt(centred[0] * centred[1]) <= 4.0
-    for other in (np.zeros(2), np.array([1.0, np.inf])):
-        np.testing.assert_array_equal(_centred(other), other)
-
-
 @pytest.mark.parametrize("n", [3, 12])
 @pytest.mark.parametrize("decades", [0.0, 2.0])
 @pytest.mark.parametrize("radius", [0.3, 0.999, 1.001, 3.0])
@@ -180,37 +161,6 @@ def test_symmetric_part_of_the_smallest_and_largest_entries(build: type) -> None
         np.testing.assert_array_equal(
             part.toarray() if sp.issparse(part) else part, [[4.0, entry], [entry, 4.0]]
         )
-
-
-@pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
-@pytest.mark.parametrize("diagonal_only", [True, False])
-def test_solvers_take_vectors_and_matrices(build: type, diagonal_only: bool) -> None:
-    """P⁻¹ rhs of one right-hand side and of several at once, in any unit of the rows."""
-    D = np.array([1e-5, 1.0, 1e5])
-    unit = np.eye(3) if diagonal_only else np.eye(3) + 0.25 - 0.25 * np.eye(3)
-    P = D[:, None] * unit * D
-    solve = positive_definite_solver(build(P))
-    X = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]) / D[:, None]
-    np.testing.assert_allclose(solve(P @ X), X, rtol=1e-12)
-    np.testing.assert_allclose(solve(P @ X[:, 0]), X[:, 0], rtol=1e-12)
-
-
-@pytest.mark.parametrize("first", [1.0, 26.0])
-def test_pivots_stay_on_the_diagonal(first: float) -> None:
-    """A definite matrix is factorised without exchanges, also where a pivot is smaller than what stands beside it."""
-    factor = positive_factor(sp.csc_array([[first, 5.0], [5.0, 27.0 - first]]))
-    assert factor is not None
-    assert positive_factor(sp.csc_array([[first, 5.5], [5.5, 27.0 - first]])) is None
-
-
-def test_explicit_zeros_do_not_count_for_the_rank() -> None:
-    """A stored zero puts nothing on the diagonal, and the matrix given is not changed by looking."""
-    M = sp.csc_array(
-        (np.array([0.0, 0.0, 1.0]), (np.array([0, 1, 1]), np.array([0, 0, 1]))), shape=(2, 2)
-    )
-    with pytest.raises(RuntimeError, match="no order of the rows"):
-        sparse_lu(M)
-    assert M.nnz == 3
 
 
 @pytest.mark.parametrize("eigenvalue", [1e-9, 0.0, -1e-9])
@@ -305,13 +255,6 @@ def test_symmetry_to_rounding_is_its_definition(i: int, j: int) -> None:
     assert mismatch(sp.csr_array(M), unit**2, ROUNDED) == (0.0, None)
 
 
-def test_asymmetry_of_an_entry() -> None:
-    """The largest relative difference, over entries that are stored on one side only too."""
-    assert asymmetry(Matrix([[1.0, 3.0], [3.0, 1.0]])) == 0.0
-    assert asymmetry(Matrix([[1.0, 3.0, 0.0], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 0.25
-    assert asymmetry(Matrix([[1.0, 3.0, 1e-9], [4.0, 1.0, 0.0], [0.0, 0.0, 1.0]])) == 1.0
-
-
 @settings.get_profile("many")
 @given(st.lists(st.integers(-3, 3), min_size=9, max_size=9))
 def test_pairs_are_the_two_by_two_minors(entries: list[int]) -> None:
@@ -350,104 +293,7 @@ def test_evidence_names_the_row() -> None:
     assert analyze(np.diag([0.0, 1.0, -2.0])).negative_diagonal.tolist() == [2]
 
 
-def test_the_symmetric_part_is_shared_and_read_only() -> None:
-    """There is one symmetric part, and nobody can write to it."""
-    matrix = Matrix([[1.0, 2.0], [0.0, 1.0]])
-    assert verdicts.sparse_symmetric_part(matrix) is verdicts.sparse_symmetric_part(matrix)
-    np.testing.assert_array_equal(verdicts.symmetric_part_of(matrix), [[1.0, 1.0], [1.0, 1.0]])
-    with pytest.raises(ValueError, match="read-only"):
-        verdicts.sparse_symmetric_part(matrix).data[0] = 5.0
-
-
-def test_scale_spread_is_of_entries_rows_columns_and_diagonal() -> None:
-    """Decades between the largest and the smallest nonzero magnitude, each of its own kind."""
-    spread = scale_spread(Matrix([[1e3, 0.0, 1e-2], [0.0, -1e1, 0.0], [0.0, 1e4, 0.0]]))
-    assert spread == pytest.approx({"entries": 6.0, "rows": 3.0, "columns": 6.0, "diagonal": 2.0})
-
-
-@pytest.mark.parametrize("M", [np.ones(2), np.ones((2, 3)), np.array(1.0)])
-def test_arrays_that_are_no_matrix(M: np.ndarray) -> None:
-    """Vectors, numbers and rectangles are refused in the words of a problem."""
-    with pytest.raises(InvalidProblem, match="square"):
-        analyze(M)
-
-
-@pytest.mark.parametrize("is_symmetric", [True, False])
-def test_krylov_meets_its_tolerance_or_says_no(
-    is_symmetric: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """‖rhs − M x‖₂ ≤ tolerance ‖rhs‖₂ where a solution is returned; None after the steps granted, and no more."""
-    n = 200
-    below = -1.0 if is_symmetric else -1.5
-    M = sp.csr_array(sp.diags_array([below, 1.0 - below, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
-    rhs = np.random.default_rng(0).random(n)
-    system = ComparisonMatrix(M)
-    assert system.is_symmetric is is_symmetric
-    x = system.iterated(rhs, 1e-3)
-    assert np.linalg.norm(rhs - M @ x) <= 1.01e-3 * np.linalg.norm(rhs)
-    steps: list[int] = []
-    monkeypatch.setattr(KrylovCorrection, "step", lambda _: steps.append(1) or True)
-    assert system.iterated(rhs, 1e-3) is None
-    assert len(steps) == KRYLOV_STEPS
-
-
 # --- Equilibration ------------------------------------------------------------------------------------------
-
-
-def equilibrated(M: np.ndarray, *, is_symmetric: bool = False) -> np.ndarray | None:
-    """M scaled by its powers of two, or None where it needs none."""
-    sparse = sp.csr_array(M)
-    exponents = scaling_exponents(sparse, is_symmetric)
-    return None if exponents is None else scaled(sparse, exponents).toarray()
-
-
-def test_moderate_matrices_are_not_scaled() -> None:
-    """Up to 2²⁰ between pivots and 2¹⁰ beside a pivot nothing is scaled, however an entry compares with other rows."""
-    M = np.array([[1.0, 2.0**9], [2.0**19, 2.0**19]])
-    assert equilibrated(M) is None
-    for i, j, entry in ((0, 1, 2.0**11), (1, 1, 2.0**21), (0, 0, -(2.0**-2))):
-        other = M.copy()
-        other[i, j] = entry
-        assert equilibrated(other) is not None
-
-
-@pytest.mark.parametrize("n", [20, 400])
-def test_scaling_undoes_units(n: int) -> None:
-    """Rows and columns in units of 2^±200 come back to a balanced matrix with a diagonal near 1, without rounding."""
-    rng = np.random.default_rng(n)
-    plain = np.where(rng.random((n, n)) < 40.0 / n, rng.uniform(0.5, 1.0, (n, n)), 0.0)
-    np.fill_diagonal(plain, rng.uniform(0.5, 1.0, n))
-    row, column = np.exp2(rng.integers(-200, 200, n)), np.exp2(rng.integers(-200, 200, n))
-    found = equilibrated(row[:, None] * plain * column)
-    mirrored = plain + plain.T
-    mirrored[::2, ::2] += np.diag(mirrored.diagonal()[::2])
-    symmetric = equilibrated(row[:, None] * mirrored * row, is_symmetric=True)
-    np.testing.assert_array_equal(symmetric, symmetric.T)
-    for matrix, original in ((found, plain), (symmetric, mirrored)):
-        np.testing.assert_array_equal(np.frexp(matrix)[0], np.frexp(original)[0])
-        assert 0.45 <= matrix.diagonal().min() <= matrix.diagonal().max() <= 2.2
-        assert matrix.max() <= 16.0
-
-
-def test_balancing_goes_beyond_a_similarity() -> None:
-    """Where no similarity makes all entries alike, rows and columns end up with sums of like size."""
-    rng = np.random.default_rng(0)
-    M = np.exp2(rng.uniform(-30.0, 30.0, (6, 6)))
-    np.fill_diagonal(M, 1.0)
-    off = equilibrated(M) * (1.0 - np.eye(6))
-    assert np.abs(np.log2(off.sum(axis=0) / off.sum(axis=1))).max() <= 1.5
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_irreducible_means_one_block(count: int) -> None:
-    """A block diagonal or triangular matrix of two blocks is reducible, and its report counts them."""
-    block = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    M = np.kron(np.eye(count), block)
-    for matrix in (M, M + np.triu(np.ones(M.shape), 2) * (count > 1)):
-        report = analyze(matrix)
-        assert report.blocks == count
-        assert report.is_irreducible is (count == 1)
-    assert analyze(M).components == count
 
 
 def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:

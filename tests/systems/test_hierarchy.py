@@ -8,9 +8,8 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, gallery
+from lcp_plugin import gallery
 from lcp_plugin.core.checks import read_only
-from lcp_plugin.core.matrix.symmetry import is_symmetric_to_rounding
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.systems.hierarchy import coarsening, galerkin, levels, sweeps, vectors
 from lcp_plugin.systems.hierarchy.grids import Hierarchy, Operator, RowBlocks
@@ -116,59 +115,6 @@ def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: flo
     )
 
 
-def test_a_product_that_outgrows_its_capacity() -> None:
-    """A coarse matrix with many more entries than the fine one is complete."""
-    n = 400
-    M = sp.csr_array(sp.eye_array(n, format="csr"))
-    P = sp.csr_array(np.random.default_rng(0).random((n, 200)))
-    p = P.indptr, P.indices, P.data
-    c = galerkin.galerkin_product(
-        (M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p), 200
-    )
-    np.testing.assert_allclose(as_scipy(Operator(*c), 200).toarray(), P.T @ P.toarray(), rtol=1e-12)
-
-
-@given(
-    st.integers(0, 10**6),
-    st.integers(1, 12),
-    st.floats(0.05, 1.0),
-    st.sampled_from(["as is", "mirrored", "bent"]),
-)
-def test_symmetry_is_found_exactly(seed: int, n: int, density: float, kind: str) -> None:
-    """`is_symmetric_to_rounding` says what the dense matrix says, for any pattern."""
-    dense = random_matrix(seed, n, density).toarray()
-    if kind != "as is":
-        dense = dense + dense.T
-    if kind == "bent":
-        dense[0, -1] *= 1.0 + 1e-6
-    M = sp.csr_array(dense)
-    assert is_symmetric_to_rounding(M) == np.array_equal(dense, dense.T)
-
-
-@pytest.mark.full
-def test_wide_indices_give_the_same_hierarchy() -> None:
-    """64-bit indices lead to the same grids, bit for bit."""
-    M = gallery.build("coefficient_jumps", size=30).problem.csr
-    wide = sp.csr_array(M)
-    wide.indices, wide.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
-    narrow_grids, wide_grids = build_hierarchy(M).grids, build_hierarchy(wide).grids
-    assert len(narrow_grids) == len(wide_grids) > 2
-    for one, other in zip(narrow_grids, wide_grids, strict=True):
-        assert other.matrix.indices.dtype == np.int64
-        assert np.array_equal(one.matrix.data, other.matrix.data)
-
-
-@pytest.mark.full
-def test_a_huge_matrix_is_counted_with_wide_indices(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where coarser matrices could have more entries than 32 bits count, all grids have 64-bit indices."""
-    M = gallery.build("obstacle_2d", size=20).problem.csr
-    usual = build_hierarchy(M)
-    monkeypatch.setattr(levels, "LARGEST_NARROW", 100)
-    for one, other in zip(usual.grids, build_hierarchy(M).grids, strict=True):
-        assert (one.matrix.indices.dtype, other.matrix.indices.dtype) == (np.int32, np.int64)
-        assert np.array_equal(one.matrix.data, other.matrix.data)
-
-
 @pytest.mark.parametrize("decades", [3, 6, 10])
 def test_interpolation_reaches_through_fine_unknowns(decades: int) -> None:
     """Where couplings jump from edge to edge few rows have a coarse one near: still every fine row interpolates."""
@@ -185,14 +131,6 @@ def test_interpolation_reaches_through_fine_unknowns(decades: int) -> None:
     for _ in range(16):
         assert correction.step()
     assert np.linalg.norm(correction.residual) <= 1e-6 * begun
-
-
-@pytest.mark.parametrize("text", SCENES)
-def test_scenes_keep_their_units(text: str) -> None:
-    """No other units are tried where rows do not sum to less than zero."""
-    M = gallery.parse(text).problem.csr
-    _, _, lacking = coarsening.couplings_by_sign(M.indptr, M.indices, M.data)
-    assert vectors.scaling_of_unknowns(M, lacking) == (None, 0.0)
 
 
 @pytest.mark.parametrize("is_symmetric", [True, False])
@@ -224,41 +162,6 @@ def test_positive_couplings_raise_the_strength() -> None:
     )
     sizes = [[grid.n for grid in h.grids] for h in (chosen, stronger, usual)]
     assert sizes[0] == sizes[1] != sizes[2]
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("entries", [4, 7, 20])
-def test_a_matrix_without_geometry_is_noticed_early(entries: int) -> None:
-    """A random sparse matrix gets no coarser grids, for no more than 40 passes over it."""
-    n = 20_000
-    generator = np.random.default_rng(entries)
-    B = sp.csr_array(
-        (
-            generator.random(n * entries),
-            (np.repeat(np.arange(n), entries), generator.integers(0, n, n * entries)),
-        ),
-        shape=(n, n),
-    )
-    M = LCP(sp.diags_array(B.sum(axis=1) + 1e-3) - B, np.zeros(n)).csr
-    hierarchy = build_hierarchy(M)
-    assert not hierarchy.is_helpful
-    assert len(hierarchy.grids) == 1
-    assert hierarchy.work <= 40 * M.nnz
-
-
-@pytest.mark.parametrize("density", [0.02, 0.3, 1.0])
-def test_a_dense_matrix_costs_little(density: float) -> None:
-    """A hierarchy of a small matrix with many entries a row costs no more than 40 passes over it either."""
-    M = random_matrix(1, 600, density)
-    assert build_hierarchy(M).work <= 40 * M.nnz
-
-
-def test_nothing_coupled_needs_no_coarser_grid() -> None:
-    """A diagonal matrix, and one with positive couplings only, is its own coarsest grid."""
-    for M in (sp.eye_array(100, format="csr"), sp.csr_array(np.eye(100) + 0.001)):
-        hierarchy = build_hierarchy(sp.csr_array(M))
-        assert len(hierarchy.grids) == 1
-        assert hierarchy.is_helpful
 
 
 def test_extreme_entries_do_not_break_the_set_up() -> None:
@@ -330,15 +233,6 @@ def test_an_update_equals_a_computation_from_scratch(text: str) -> None:
             assert np.array_equal(level.inverse > 0.0, free)
 
 
-def test_an_update_without_a_change_touches_little() -> None:
-    """Where nothing changed, an update reads the finest grid once and computes nothing."""
-    hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=40).problem.csr)
-    truncation = Truncation(hierarchy)
-    truncation.update()
-    grid, transfer = hierarchy.grids[0], hierarchy.transfers[0]
-    assert truncation.take_work() == grid.matrix.data.size + transfer.restriction.data.size
-
-
 def test_release_undoes_truncation() -> None:
     """A truncation that starts afresh has the hierarchy's own values again."""
     hierarchy = build_hierarchy(gallery.build("obstacle_2d", size=20).problem.csr, coarsest=3)
@@ -395,18 +289,6 @@ def test_the_coarsest_grid_is_solved(text: str) -> None:
         expected = np.zeros(top.b.size)
         expected[free] = np.linalg.solve(M.toarray()[np.ix_(free, free)], top.b[free])
         np.testing.assert_allclose(top.x, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-
-
-def test_a_coarsest_grid_without_unknowns_is_solved_in_silence(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    """A rank may have no unknowns left there: LAPACK is not asked, and does not print."""
-    truncation = Truncation(build_hierarchy(sp.csr_array((0, 0))))
-    truncation.correct(0)
-    factor, work = truncation.grids[0].factor()
-    assert factor is not None
-    assert factor.solve(np.empty(0)).size == work == 0
-    assert capfd.readouterr() == ("", "")
 
 
 def test_sweeps_agree_with_triangular_solves() -> None:
@@ -468,47 +350,3 @@ def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(
         w = (M[[i]] @ expected)[0] - b[i]
         expected[i] = np.clip(expected[i] - w / M[i, i], -0.1, 0.2)
     np.testing.assert_allclose(z, expected, rtol=0, atol=1e-12)
-
-
-def test_blocks_of_one_kind_do_not_meet() -> None:
-    """No row of a block has an entry in the next block but one; nonsymmetric matrices and short ones have one block."""
-    hierarchy = levels.build_hierarchy(gallery.parse("obstacle_2d:size=300").problem.csr)
-    several = [grid for grid in hierarchy.grids if grid.blocks.edges.size > 2]
-    assert several
-    for grid in several:
-        edges, indptr, indices, _ = grid.blocks.edges, *grid.matrix.arrays
-        block = np.searchsorted(edges, np.arange(grid.n), side="right") - 1
-        rows = np.repeat(np.arange(grid.n), np.diff(indptr))
-        assert np.abs(block[rows] - block[indices]).max() == 1
-        assert grid.blocks.count(0) == grid.blocks.count(1) >= 2
-    wind = gallery.parse("convection_diffusion:size=300").problem.csr
-    for matrix, scales_rows in (
-        (wind, True),
-        (gallery.parse("obstacle_2d:size=100").problem.csr, False),
-    ):
-        assert (
-            levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
-        )
-
-
-def test_asymmetry_of_a_grid_is_seen() -> None:
-    """An entry without its mirror, left or right of the diagonal, or one that differs is found."""
-    M = gallery.build("obstacle_2d", size=230).problem.csr
-    row = M.shape[0] // 3
-    left, right = int(M.indptr[row]), int(M.indptr[row + 1]) - 1
-    assert is_symmetric_to_rounding(M)
-    for k in (left, right):
-        other = M.copy()
-        other.data[k] *= 1.0 + 1e-9
-        assert not is_symmetric_to_rounding(other)
-        keep = np.arange(M.nnz) != k
-        indptr = np.append(0, np.cumsum(keep))[M.indptr]
-        without = sp.csr_array(
-            (M.data[keep], M.indices[keep], indptr.astype(M.indptr.dtype)), shape=M.shape
-        )
-        assert not is_symmetric_to_rounding(without)
-        transposed = galerkin.transposed(M.shape[0], without.indptr, without.indices, without.data)
-        expected = without.T.tocsr()
-        assert all(
-            map(np.array_equal, transposed, (expected.indptr, expected.indices, expected.data))
-        )

@@ -105,20 +105,3 @@ def test_a_full_matrix_and_a_diagonal_one_are_counted_exactly(n: int) -> None:
         n * (n + 1) * (2 * n + 1) / 6,
     )
     assert factor_sizes(sp.csr_array(sp.eye_array(n))) == (n, n)
-
-
-def test_a_count_ends_at_its_limits() -> None:
-    """Where one of them is exceeded nobody wants to know by how much."""
-    assert factor_sizes(grid(40, 2), most_entries=1000.0) == (np.inf, np.inf)
-    assert factor_sizes(grid(40, 2), most_operations=1000.0) == (np.inf, np.inf)
-
-
-def test_the_pattern_is_left_as_it_is() -> None:
-    """Nothing that is handed over is written to."""
-    A = sp.csr_array(grid(20, 2))
-    before = A.indptr.copy(), A.indices.copy(), A.data.copy()
-    factor_sizes(A)
-    assert all(
-        np.array_equal(one, two)
-        for one, two in zip(before, (A.indptr, A.indices, A.data), strict=True)
-    )

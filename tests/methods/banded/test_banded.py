@@ -12,10 +12,7 @@ from exact import exact_solution
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Status, UnsuitableMatrix, gallery, prepare, solve
-from lcp_plugin.algorithms import Step
-from lcp_plugin.methods.banded import Banded
-from lcp_plugin.systems.factors import bands
+from lcp_plugin import LCP, Status, gallery, prepare, solve
 
 Generator = np.random.Generator
 MANY = 10_000
@@ -114,12 +111,6 @@ def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(
     )
 
 
-def band_of(M: Any) -> Any:
-    found = bands(LCP(sp.csr_array(M), np.zeros(M.shape[0])).matrix)
-    assert found is not None
-    return found
-
-
 @pytest.mark.parametrize("upside_down", [False, True])
 def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
     """Of 10 000 rows with thousands of contact intervals, whichever side the bounds are on: O(n)."""
@@ -216,14 +207,6 @@ def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool)
         assert result.iterations <= 200
 
 
-@pytest.mark.parametrize(("M", "q"), [(2.0, -3.0), (2.0, 3.0), (-2.0, 3.0)])
-def test_one_row_is_a_band(M: float, q: float) -> None:
-    """A matrix of one row is solved, whatever its sign."""
-    result = solve(LCP([[M]], [q], upper=5.0), "banded").require_solved()
-    w = M * result.z[0] + q
-    assert w == 0.0 or (result.z[0] == 0.0 and w > 0.0) or (result.z[0] == 5.0 and w < 0.0)
-
-
 def test_a_beam_over_an_obstacle() -> None:
     """The biharmonic operator, condition 1e9, two bands on either side: few rounds."""
     n = 400
@@ -234,29 +217,6 @@ def test_a_beam_over_an_obstacle() -> None:
     assert np.abs(result.z - z).max() <= 1e-3 * np.abs(z).max()
 
 
-def test_the_band_is_solved_without_its_zeros_being_kept() -> None:
-    """A factor that would be too large is refused, with what to do."""
-    n = 300_000
-    M = sp.csr_array(sp.eye_array(n) + sp.coo_array(([0.5], ([0], [n - 1])), shape=(n, n)))
-    with pytest.raises(
-        UnsuitableMatrix, match=r'banded needs a narrow band.*300000 rows.*try algorithm="auto"'
-    ):
-        solve(LCP(M, -np.ones(n)), "banded")
-
-
-def test_a_start_says_which_bounds_hold() -> None:
-    """From the answer of a near problem two rounds fewer are needed than from nowhere; from the answer itself none."""
-    rng = np.random.default_rng(2)
-    warm, cold = [], []
-    for _ in range(50):
-        problem, z = planted(dominant(200, 2, 2, rng), rng, boxes=True)
-        near = problem.with_q(problem.q + 1e-3 * rng.normal(size=200))
-        assert solve(problem, "banded", z0=z).iterations == 0
-        cold.append(solve(near, "banded").require_solved().iterations)
-        warm.append(solve(near, "banded", z0=z).require_solved().iterations)
-    assert np.mean(warm) < np.mean(cold)
-
-
 # --- All rounds at once ---------------------------------------------------------------------------------------
 
 
@@ -265,34 +225,6 @@ def problems(boxes: bool) -> list[LCP]:
     made = [planted(tridiagonal_m(50, rng), rng, boxes=boxes)[0] for _ in range(20)]
     matrices = [make(60, 2, 3, rng) for make in (dominant, definite) for _ in range(10)]
     return made + [planted(M, rng, boxes=boxes)[0] for M in matrices]
-
-
-def test_steps_are_within_the_bounds_and_know_their_residual() -> None:
-    """As the driver asks: z is never outside, and the residual that goes with it is that of this z."""
-    for problem in problems(True):
-        steps: list[Step] = []
-        for step in Banded().iterates(problem, problem.nearest_to_zero.copy()):
-            assert np.array_equal(step.z, np.clip(step.z, problem.lower, problem.upper))
-            r = step.z - np.clip(
-                step.z - problem.slack(step.z) / problem.residual_scale,
-                problem.lower,
-                problem.upper,
-            )
-            assert step.residual == pytest.approx(
-                np.abs(r).max(), abs=1e-9 * (1.0 + np.abs(problem.q).max())
-            )
-            steps.append(step)
-        assert len(steps) >= 2
-
-
-def test_a_limit_of_iterations_holds_for_all_rounds_at_once() -> None:
-    """Where more rounds are needed than allowed, the run ends after those, solved by its last linear system or not."""
-    for problem in problems(True):
-        needed = solve(problem, "banded").iterations
-        if needed > 1:
-            result = solve(problem, "banded", max_iterations=needed - 1)
-            assert result.iterations == needed - 1
-            assert result.is_solved or result.status is Status.MAX_ITERATIONS
 
 
 # --- Marches in time ------------------------------------------------------------------------------------------

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
-from campaigns import small_lcps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithm import Step
-from lcp_plugin.core.errors import InvalidOption, UnsuitableProblem
+from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.methods.lemke.games import bimatrix_players
@@ -158,15 +156,6 @@ def test_random_games(degenerate: bool) -> None:
         assert len(found) <= 3  # the start, and two of the first label
 
 
-@pytest.mark.parametrize("name", GAMES)
-def test_auto_begins_a_game_with_the_path_of_a_label(name: str) -> None:
-    """No sweep, round or path from r > 0 comes before it: each would be in vain."""
-    result = solve(lcp_from_bimatrix_game(*GAMES[name]))
-    assert result.is_solved
-    assert result.algorithm.startswith("auto: game")
-    assert solve(lcp_from_bimatrix_game(*GAMES[name]), "lemke").is_solved
-
-
 def test_games_have_no_path_from_a_positive_covering_vector() -> None:
     """On a game every covering vector r > 0 ends on its first ray, and every label of Lemke–Howson in a solution."""
     problem = lcp_from_bimatrix_game(*GAMES["battle of the sexes"])
@@ -291,14 +280,6 @@ def test_a_finite_box_always_has_an_answer(n: int, seed: int) -> None:
 # --- the contract -----------------------------------------------------------------------------------------------
 
 
-def test_empty_and_scalar() -> None:
-    """With n = 0 the run ends after its start, and n = 1 is right for either sign of M."""
-    assert len(steps(LCP(np.zeros((0, 0)), []))) == 1
-    assert best(LCP([[4.0]], [-2.0])).z.tolist() == [0.5]
-    assert best(LCP([[-4.0]], [2.0])).relative_residual == 0.0
-    assert best(LCP([[0.0]], [-2.0], upper=3.0)).z.tolist() == [3.0]
-
-
 def test_no_false_success() -> None:
     """Without a solution no step passes."""
     M, q = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([1.0, -2.0])
@@ -333,32 +314,6 @@ def test_warm_start_shortens_the_path() -> None:
     assert sum(step.work for step, _ in near) <= 2 * cold
 
 
-@pytest.mark.parametrize("lower", [0.0, -np.inf])
-def test_the_last_block_and_the_elimination_count_as_work(lower: float) -> None:
-    """A path that ends in its first block, and free rows that are eliminated before it, are no free lunch."""
-    n = 200
-    M = sp.diags_array(
-        [-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
-    )
-    problem = LCP(
-        M, np.where(np.arange(n) < 10, -1.0, 2.0), lower=np.where(np.arange(n) < n // 2, 0.0, lower)
-    )
-    result = solve(problem, "lemke").require_solved()
-    assert result.work * problem.nonzeros >= (n**3 / 24.0 if lower < 0.0 else 10.0 * n**2)
-
-
-def test_same_call_same_answer() -> None:
-    """Two runs agree bit for bit, and the problem stays as it was."""
-    generator = np.random.default_rng(3)
-    problem = LCP(generator.standard_normal((12, 12)), generator.standard_normal(12))
-    before = problem.M.copy(), problem.q.copy()
-    first, second = steps(problem), steps(problem)
-    assert len(first) == len(second)
-    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(first, second, strict=True))
-    assert np.array_equal(before[0], problem.M)
-    assert np.array_equal(before[1], problem.q)
-
-
 def test_pivots_are_bounded() -> None:
     """No path makes more pivots than it may."""
     problem = LCP(murty(30), -np.ones(30))
@@ -369,13 +324,6 @@ def test_pivots_are_bounded() -> None:
     assert len(steps(problem, max_pivots=5, restarts=0)) <= 3
 
 
-@pytest.mark.parametrize("options", [{"max_pivots": -1}, {"restarts": 1.5}, {"max_pivots": True}])
-def test_options_are_checked(options: dict[str, Any]) -> None:
-    """Counts are integers."""
-    with pytest.raises(InvalidOption, match="must be an integer ≥ 0"):
-        Lemke(**options)
-
-
 def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A connected component that is too large for a dense inverse is refused by its size."""
     monkeypatch.setattr("lcp_plugin.methods.lemke.PIVOTED_UP_TO", 3)
@@ -384,17 +332,6 @@ def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # --- the canonical problem ----------------------------------------------------------------------------------
-
-
-def test_the_canonical_matrix_is_in_the_units_of_m() -> None:
-    """Where rows and unknowns have units 10^±8, entries of a row are at most 2, and every column has one above 2⁻¹⁰."""
-    generator = np.random.default_rng(0)
-    row, column = 10.0 ** generator.uniform(-8, 8, size=(2, 20))
-    B = generator.standard_normal((20, 20))
-    M = canonical_box(LCP((B @ B.T) * row[:, None] * column, -row)).M
-    assert np.abs(M).max() <= 2.0
-    assert np.abs(M).max(axis=1).min() >= 0.5
-    assert np.abs(M).max(axis=0).min() >= 2.0**-10
 
 
 @given(st.integers(1, 7), st.integers(0, 2**32 - 1))
@@ -434,23 +371,3 @@ def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
     result = solve(LCP(*EXTREME["q beyond, and no matter"]), "lemke")
     assert result.status is Status.SOLVED
     assert result.z.tolist() == [0.0, 1.0]
-
-
-def test_blocks_whose_condition_overflows_warn_nobody() -> None:
-    """Where the condition of a block of a start exceeds the doubles, the path is another one, without a warning."""
-    problem = small_lcps.extreme_problem("squares overflow", np.random.default_rng(2029000011871))
-    assert solve(problem, "lemke").status is Status.STALLED
-
-
-def test_a_start_with_the_answers_active_set_costs_one_factor() -> None:
-    """Where q moves and the active set stays, lemke from the last answer needs a factor and a check, and no pivots."""
-    generator = np.random.default_rng(5)
-    M = generator.standard_normal((40, 40))
-    M = M @ M.T + 0.1 * (M - M.T)
-    before = solve(LCP(M, generator.standard_normal(40)), "lemke").require_solved()
-    moved = LCP(M, before.certificate.problem.q + 1e-9 * generator.standard_normal(40))
-    warm, cold = solve(moved, "lemke", z0=before.z), solve(moved, "lemke")
-    assert warm.is_solved
-    assert warm.iterations <= 1
-    assert warm.work < 0.5 * cold.work
-    np.testing.assert_allclose(warm.z, cold.z, atol=1e-10)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -12,19 +9,14 @@ from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import (
     LCP,
-    InvalidOption,
     Result,
     Status,
-    UnsuitableMatrix,
     gallery,
     solve,
 )
-from lcp_plugin.core.kernels import threads
-from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.problems.batches.batch import prepare
-from lcp_plugin.systems.hierarchy import galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
 
@@ -344,19 +336,6 @@ def test_the_unit_of_m_and_q_does_not_matter(scale: float) -> None:
     np.testing.assert_allclose(answers[1].z, answers[0].z, rtol=1e-6)
 
 
-def test_wide_indices() -> None:
-    """A matrix with 64-bit indices gives the same answer."""
-    problem = gallery.build("obstacle_2d", size=25).problem
-    M = problem.csr.copy()
-    wide = LCP(M, problem.q, lower=problem.lower)
-    wide._csr = sp.csr_array(M)
-    wide._csr.indices, wide._csr.indptr = M.indices.astype(np.int64), M.indptr.astype(np.int64)
-    for array in (wide._csr.indices, wide._csr.indptr, wide._csr.data):
-        array.flags.writeable = False
-    z = [solve(case, "multigrid").z for case in (problem, wide)]
-    assert np.array_equal(*z)
-
-
 # --- Cycles, work, starts -----------------------------------------------------------------------------------
 
 
@@ -373,23 +352,6 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
             for size in (45, 180)
         ]
         assert cycles[1] <= cycles[0] + 6, (name, cycles)
-
-
-def test_work_is_the_same_every_time_and_includes_the_set_up() -> None:
-    """Two runs count and compute the same, bit for bit; a prepared problem is spared the set-up's work."""
-
-    def fresh() -> LCP:
-        return gallery.build("coefficient_jumps", size=60).problem
-
-    one, other = solve(fresh(), "multigrid"), solve(fresh(), "multigrid")
-    assert (one.work, one.iterations) == (other.work, other.iterations)
-    assert np.array_equal(one.z, other.z)
-    problem = prepare(fresh())
-    assert hierarchy_of.is_known(problem.matrix, Multigrid.coarsest)
-    hierarchy = hierarchy_of(problem.matrix, Multigrid.coarsest)
-    prepared = solve(problem, "multigrid")
-    assert np.array_equal(prepared.z, one.z)
-    assert one.work - prepared.work >= hierarchy.work / problem.nonzeros > 10.0
 
 
 def test_a_warm_start_pays() -> None:
@@ -419,27 +381,6 @@ def test_a_march_in_time_needs_few_corrections() -> None:
         z, corrections = result.z, corrections + result.iterations - 1
         problem = problem.with_q(scene.advance(z))
     assert corrections <= 6 * 20
-
-
-@pytest.mark.full
-def test_runs_in_threads_share_the_hierarchy_and_nothing_else() -> None:
-    """Eight runs at once on one prepared matrix give what they give one after the other."""
-    problem = prepare(gallery.build("coefficient_jumps", size=70).problem)
-    problems = [problem.with_q(problem.q * (1.0 + 0.1 * k)) for k in range(8)]
-    alone = [solve(case, "multigrid").z for case in problems]
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda case: solve(case, "multigrid").z, problems))
-    for one, other in zip(alone, together, strict=True):
-        assert np.array_equal(one, other)
-
-
-def test_a_run_leaves_the_data_alone() -> None:
-    """Neither the matrix of the problem nor the caller's start is written to."""
-    problem = gallery.build("obstacle_2d", size=20).problem
-    data, start = problem.csr.data.copy(), np.full(problem.n, 3.0)
-    solve(problem, "multigrid", z0=start)
-    assert np.array_equal(problem.csr.data, data)
-    assert np.array_equal(start, np.full(problem.n, 3.0))
 
 
 # --- Where it is no help ------------------------------------------------------------------------------------
@@ -487,90 +428,7 @@ def test_strong_convection_ends_without_a_warning(speed: float) -> None:
     assert result.status in (Status.SOLVED, Status.STALLED)
 
 
-@pytest.mark.parametrize("entry", [0.0, -1.0])
-def test_a_diagonal_entry_that_is_not_positive_is_refused(entry: float) -> None:
-    """The row is named, before the first step."""
-    with pytest.raises(
-        UnsuitableMatrix, match=r"multigrid needs a positive diagonal, but M\[1, 1\]"
-    ):
-        solve(LCP([[2.0, -1.0], [-1.0, entry]], [-1.0, 1.0]), "multigrid")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"smoother": "psr"}, "smoother='psr' is not offered; did you mean 'psor'"),
-        ({"relaxation": 0.0}, "relaxation must be a positive finite number, got 0.0"),
-        ({"nested": 1}, "nested must be True or False, got 1"),
-        ({"coarsest": 0}, "coarsest must be an integer ≥ 1, got 0"),
-        ({"coarsest": 2.5}, "coarsest must be an integer ≥ 1, got 2.5"),
-        ({"coarsest": True}, "coarsest must be an integer ≥ 1, got True"),
-    ],
-)
-def test_bad_options_are_refused(options: dict, message: str) -> None:
-    """A wrong option is an InvalidOption that says what is right."""
-    with pytest.raises(InvalidOption, match=message):
-        Multigrid(**options)
-
-
 # --- Batches ------------------------------------------------------------------------------------------------
-
-
-def test_prepare_fills_the_cache_that_with_q_shares() -> None:
-    """The prepared problem is the same object, and a problem with another q finds its hierarchy there."""
-    problem = gallery.build("obstacle_2d", size=30).problem
-    assert prepare(problem) is problem
-    assert hierarchy_of.is_known(problem.with_q(problem.q + 1.0).matrix, Multigrid.coarsest)
-    assert (
-        prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2
-    )  # no positive diagonal: no hierarchy, no error
-    with pytest.raises(InvalidOption, match="prepare needs an LCP or QuadraticProgram, got list"):
-        prepare([1.0])  # type: ignore[arg-type]
-
-
-BLOCKS = [(grids, "SMALLEST_BLOCK", 64), (grids, "SHARED_FROM", 64), (grids, "SMALLEST_PIECE", 64)]
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    "text",
-    [
-        "obstacle_2d:size=60",
-        "obstacle_3d:size=14",
-        "convection_diffusion:size=60,diffusion=1e-3",
-        "coefficient_jumps:size=59,contrast=1e6",
-        "rotated_anisotropy:size=60",
-    ],
-)
-def test_neither_threads_nor_records_change_a_bit(
-    text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rows are shared here as they are from 10⁵ on; z, iterations and work are those of one thread."""
-    for origin, name, value in BLOCKS:
-        for module in (origin, sweeps, vectors, galerkin, levels):
-            if hasattr(module, name):
-                monkeypatch.setattr(module, name, value)
-    shared: list[int] = []
-    monkeypatch.setattr(threads, "shared_among", noted(threads.shared_among, shared))
-    problem = gallery.parse(text).problem
-    expected = solve(fresh(problem), "multigrid", threads=1)
-    assert not shared
-    for count in (2, 3, 4):
-        for record in (False, True):
-            result = solve(fresh(problem), "multigrid", threads=count, record=record)
-            np.testing.assert_array_equal(result.z, expected.z)
-            assert (result.iterations, result.work) == (expected.iterations, expected.work)
-    assert len(shared) > 100
-
-
-def noted(method: Any, calls: list[int]) -> Any:
-    """The method, which notes that it was called."""
-
-    def noting(*args: Any) -> Any:
-        calls.append(1)
-        return method(*args)
-
-    return noting
 
 
 @pytest.mark.parametrize(("n", "contrast"), [(1000, 1e4), (1000, 1e6), (3000, 1e6), (20_000, 1.0)])

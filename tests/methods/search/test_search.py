@@ -13,7 +13,7 @@ from campaigns.games import game, missed, wrong_equilibria
 from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
-from lcp_plugin.methods.search import Effort, GaveUp, Solutions, all_solutions, explore, search
+from lcp_plugin.methods.search import GaveUp, all_solutions, search
 from lcp_plugin.methods.search.simplex import QUANTUM
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.proofs.exact.rational import is_exact_solution
@@ -246,18 +246,6 @@ def test_boxes_free_and_fixed_rows_take_part() -> None:
     assert solution.pattern == ("zero", "fixed")
 
 
-def test_results_do_not_depend_on_the_run() -> None:
-    """Two runs give the same solutions in the same order; `limit` keeps the first."""
-    problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
-    first, second = all_solutions(problem), all_solutions(problem)
-    assert (
-        [s.exact_z for s in first]
-        == [s.exact_z for s in second]
-        == sorted(s.exact_z for s in first)
-    )
-    assert [s.exact_z for s in all_solutions(problem, limit=2)] == [s.exact_z for s in first[:2]]
-
-
 def test_limits_end_the_search_honestly() -> None:
     """Too few nodes decide nothing; a problem too large is refused with its size."""
     problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
@@ -272,13 +260,6 @@ def test_limits_end_the_search_honestly() -> None:
         all_solutions(problem, limit=0)
     with pytest.raises(InvalidProblem, match="LCP"):
         search(np.eye(2))  # type: ignore[arg-type]
-
-
-def test_the_search_can_be_stopped_between_cases() -> None:
-    """`explore` gives the clock back after each case and the outcome last."""
-    steps = list(explore(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), Effort()))
-    assert steps[:-1] == [None] * (len(steps) - 1)
-    assert isinstance(steps[-1], Solutions)
 
 
 @pytest.mark.parametrize(
@@ -340,26 +321,6 @@ def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyP
             r"not decided in \d+ cases of an exact search; all_solutions goes on", result.advice
         )
     assert runs[0].stages == runs[1].stages
-
-
-@pytest.mark.full
-def test_a_search_yields_within_its_cases() -> None:
-    """However long the numbers are, no more than a few quanta of products lie between two yields."""
-    effort, longest, before = Effort(), 0, 0
-    for _ in explore(busy(0), effort):
-        longest, before = max(longest, effort.products - before), effort.products
-        if effort.products > 40 * QUANTUM:
-            break
-    assert effort.products > 40 * QUANTUM > 5 * QUANTUM * effort.cases
-    assert longest < 2 * QUANTUM
-
-
-def test_yields_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The answers are the same, bit for bit, however often the search yields."""
-    problem = LCP(*random_problem(np.random.default_rng([7, 1, 3]), largest=4)[:2])
-    plain = [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)]
-    monkeypatch.setattr("lcp_plugin.methods.search.simplex.QUANTUM", 1)
-    assert [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)] == plain
 
 
 def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None:

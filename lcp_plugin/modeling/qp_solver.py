@@ -20,6 +20,7 @@ from ._compat import CVXPY_STATUS, name_of, solver_errors, statistics
 from .stated_terms import dense_value
 
 BEGUN = "begun from the last answer; warm_start=False begins anew"
+PROGRAM = "lcp_plugin.program"  # the key of the last program in the solver cache
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
 DIGITS = 0.005  # of which the last of three digits is at least a tenth
 MOST_NAMED = 5  # constraints that a contradiction lists
@@ -76,7 +77,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ) -> QuadraticProgramResult:
         options = dict(solver_opts)
         guess = cache.get(self.name()) if warm_start else None
-        program = quadratic_program(data)
+        program = cache[PROGRAM] = quadratic_program(data, cache.get(PROGRAM))
         algorithm = options.pop("algorithm", "auto")
         if guess is not None:
             options.setdefault("z0", guess)
@@ -122,14 +123,31 @@ def _farkas(proof: QPInfeasibility) -> QPSolution:
     return QPSolution.of_rows(proof.program, np.zeros(proof.program.n), multipliers)
 
 
-def quadratic_program(data: Any) -> QuadraticProgram:
-    """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
+def quadratic_program(data: Any, before: QuadraticProgram | None = None) -> QuadraticProgram:
+    """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds.
+
+    A program of the same matrices shares its factorization and its scaling.
+    """
     n, (P, F, A) = int(data["n_var"]), (data[key] for key in MATRIX_KEYS)
     P, F, A = (
         sp.csr_array((rows, n)) if matrix is None else matrix
         for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))
     )
-    return QuadraticProgram(P, data[settings.Q], G=F, h=data[settings.G], A=A, b=data[settings.B])
+    q, g, b = data[settings.Q], data[settings.G], data[settings.B]
+    if before is not None and all(map(_are_same, (P, F, A), (before.P, before.G, before.A))):
+        return before.with_vectors(q, g, b)
+    return QuadraticProgram(P, q, G=F, h=g, A=A, b=b)
+
+
+def _are_same(given: Any, kept: sp.csr_array) -> bool:
+    """Return whether two sparse matrices have the same entries."""
+    if given.shape != kept.shape or given.nnz != kept.nnz:
+        return False
+    given = given.tocsr()
+    return all(
+        np.array_equal(getattr(given, part), getattr(kept, part))
+        for part in ("indptr", "indices", "data")
+    )
 
 
 QPSolver = _LCPQuadraticSolver()

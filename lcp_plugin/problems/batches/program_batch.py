@@ -23,7 +23,8 @@ from .batch_run import BatchAnswers, BatchLoop
 ENGINE = "daqp"
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # of a singular P: no polish comes after it
 ROUNDING = 4.0 * EPSILON  # of eigenvalues, beside the largest, an unknown
-TOGETHER = 2**22  # entries that are judged at once
+TOGETHER = 2**18  # entries that are judged at once
+BLOCKS_A_THREAD = 4
 
 
 class ProgramBatchRun(BatchLoop):
@@ -78,17 +79,17 @@ class ProgramBatchRun(BatchLoop):
         if self.algorithm not in ("auto", ENGINE) or not may_be_small(n, m + p, [n * (n + m + p)]):
             return
         data, engine = self.programs.arrays, engine_class(ENGINE)(**PROXIMAL)
-        at_once = max(TOGETHER // max(n * (n + m + p), 1), 1)
+        count, share = len(self.status), 1 if self.threads == 1 else BLOCKS_A_THREAD * self.threads
+        size = max(min(TOGETHER // max(n * (n + m + p), 1), -(-count // share)), 1)
         may = self.programs.may_be_stated & _are_semidefinite(data[0])
 
-        def solve_chunk(first: int, end: int) -> None:
-            for begin in range(first, end, at_once):
+        def solve_blocks(first: int, end: int) -> None:
+            for k in range(first, end):
                 if self.has_time:
-                    self._answer_together(
-                        data, engine, may, slice(begin, min(begin + at_once, end))
-                    )
+                    items = slice(k * size, min((k + 1) * size, count))
+                    self._answer_together(data, engine, may, items)
 
-        self._in_chunks(solve_chunk, len(self.status))
+        self._in_chunks(solve_blocks, -(-count // size))
 
     def _answer_together(self, data: tuple[Any, ...], engine: Any, may: Any, items: slice) -> None:
         """Ask the engine for each of these programs, and judge what it says of all."""

@@ -341,6 +341,7 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     return units[:n], units[n:]
 
 
+@np.errstate(all="ignore")  # numbers that are not finite have no units
 def fitted_to(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return the units that `fitted_units` fits, of ndarrays or stacks of them, shapes (…, n, n) and (…, m, n).
 

@@ -350,9 +350,9 @@ class LCP:
         UnsupportedModel
             If a ``.nl`` file contains another model.
         """
-        from ..interfaces.files.files import load
+        from ..interfaces.program_files import load_lcp
 
-        return load(LCP, path)
+        return load_lcp(path)
 
     __repr__ = described_lcp
 

@@ -14,7 +14,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import UnreadableFile, UnsupportedModel
-from ..problems.cones.files import problem_of
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.contact import inverse_by_components
 from .files.matrix_market import opened
@@ -99,7 +98,4 @@ def _contacts(source: Path, name: str, group: Any) -> FrictionalContact:
         H = _matrix(group["H"], f.size, offset.size)
         by_impulse = inverse_by_components(_matrix(group["M"], f.size, f.size)) @ H
         W, offset = H.T @ by_impulse, by_impulse.T @ f + offset
-    problem: FrictionalContact = problem_of(
-        {"W": W, "q": offset.reshape(-1, d), "mu": friction}, source
-    )
-    return problem
+    return FrictionalContact(W, offset.reshape(-1, d), friction)

@@ -1,10 +1,10 @@
-"""Problems of other kinds than LCPs from files: programs and least squares as arrays, QPS, MPS and LP through HiGHS."""
+"""Problems from files: one table of the arrays that state each class; QPS, MPS and LP files through HiGHS."""
 
 from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,69 +15,31 @@ import scipy.sparse as sp
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.problem_classes import with_article
-from ..problems.cones.data import ConeProblem
-from ..problems.cones.files import LAYOUT as CONE_LAYOUT
-from ..problems.cones.files import problem_of as cone_problem_of
+from ..problems.cones.data import CONES, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
-from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys
-from .files.matrix_market import read_mat
-from .nl.model import program_in_nl
+from .files.files import PARTS, arrays_in, checked_path, names_in
+from .files.matrix_market import folder_arrays
+from .nl.model import lcp_in_nl, program_in_nl
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
-PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of CSC matrices
-ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
-QUADPROG = {
-    "H": "P",
-    "f": "c",
-    "A": "G",
-    "b": "h",
-    "Aeq": "A",
-    "beq": "b",
-    "lb": "lower",
-    "ub": "upper",
-}
-OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
-OF_CONES = (
-    "W",
-    "M",
-    *MATRIX_KEYS,
-    "q",
-    "b",
-    "mu",
-    "friction",
-    "cone_kinds",
-    "cone_rows",
-    "lower",
-    "upper",
-    "contacts",
-    "dimension",
-)
-OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge", "l1")
-MATRICES = ("P", "A", "G", "H", "Aeq")
-MOST_ROWS = 10**8
-KEYS = {*OF_PROGRAM, *OF_LEAST_SQUARES, *PARTS, *ALIASES, *QUADPROG}
-LAYOUT = (
-    "a program holds P, q, A, l, u (l ≤ A x ≤ u), or P, c with G, h (G x ≤ h), A, b (A x = b), lower, upper where "
-    "there are such, or H, f, A, b, Aeq, beq, lb, ub as quadprog has them; a sparse matrix by P_data, P_indices, "
-    "P_indptr, P_shape (CSC)"
-)
+Arrays = dict[str, Any]
 
 
-class Stated(NamedTuple):
+class LoadedProgram(NamedTuple):
     """A program as a file states it.
 
     Attributes
     ----------
     program : QuadraticProgram
-        To be minimised.
+        To be minimized.
     constant : float
-        What is added to its objective.
+        Constant of its objective.
     sign : float
-        −1 where the file maximises: its objective is sign · (that of the program + constant).
+        −1 if the file maximizes: its objective is sign · (that of the program + constant).
     names : sequence of str or None
         Of the variables.
     """
@@ -88,246 +50,96 @@ class Stated(NamedTuple):
     names: Sequence[str] | None = None
 
 
-def load_problem(path: str | PathLike[str]) -> Any:
-    """Return the problem of a file, of the kind that its content states.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.qps``, ``.mps`` and ``.lp`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A,
-        l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program;
-        with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a
-        matrix a FrictionalContact, of many worlds where W has three axes, with cone_kinds a ConeProblem (``.npz``
-        alone). ``.h5`` and ``.hdf5`` of fclib, the field's collection, state a FrictionalContact; h5py reads them.
-        Everything else is read by :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by
-        :func:`lcp_plugin.interfaces.nl.read_nl`.
-
-    Raises
-    ------
-    UnreadableFile
-        Where the file is missing, damaged or of another kind.
-    InvalidProblem, UnsupportedModel
-        Where it states no problem, or one with integers.
-
-    Notes
-    -----
-    A QuadraticProgram is minimised, and has no constant: a ModelWarning tells of a file that has it otherwise.
-    """
-    kind = kind_in(path)
-    if kind is QuadraticProgram:
-        program, constant, sign, _ = load_program(path)
-        if constant or sign < 0.0:
-            stated = f"objective {constant:+g}" if sign > 0.0 else f"-(objective {constant:+g})"
-            said = f"{path} states {stated}, where objective is what the problem returned minimises"
-            warnings.warn(said, ModelWarning, stacklevel=2)
-        return program
-    if kind is FrictionalContact and checked_path(path).suffix.lower() in HDF5:
-        return load_fclib(checked_path(path))
-    if kind in (ConeProblem, FrictionalContact):
-        return _cones_in(checked_path(path))
-    return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
+# --- The classes and their arrays --------------------------------------------------------------------------------
 
 
-def _cones_in(source: Path) -> Any:
-    content = dict(read_npz(source, OF_CONES))
-    if content.keys() & {*MATRIX_KEYS}:
-        require_keys(source, content, MATRIX_KEYS, CONE_LAYOUT)
-        content["M"] = csr_in(source, content)
-    return cone_problem_of(content, source)
+def _numbers(content: Arrays, *names: str) -> Arrays:
+    """Return the arrays of these names that are there; a single number stands for all rows."""
+    found = {name: np.asarray(content[name]) for name in names if name in content}
+    return {name: one.reshape(()) if one.size == 1 else one for name, one in found.items()}
 
 
-def kind_in(path: str | PathLike[str]) -> Any:
-    """Return the class of the problem that a file seems to state, by its ending and the names in it; LCP in doubt."""
-    source = checked_path(path)
-    try:
-        is_file = source.is_file()
-    except OSError:  # a name that no file can have
-        is_file = False
-    if source.suffix.lower() in MPS:
-        return QuadraticProgram
-    if source.suffix.lower() in HDF5:
-        return FrictionalContact
-    if source.suffix.lower() not in ARRAYS or not is_file:
-        return LCP
-    names = {PARTS.get(name, name) for name in names_in(source)}
-    if names & {"mu", "friction"} and names & {"W", "M", *MATRIX_KEYS}:
-        return FrictionalContact
-    if "cone_kinds" in names:
-        return ConeProblem
-    if "M" in names or names & {*MATRIX_KEYS}:
-        return LCP
-    if names & {"P", "c", "H", "f"} or {"A", "q"} <= names:
-        return QuadraticProgram
-    return BoundedLeastSquares if {"A", "b"} <= names else LCP
-
-
-def load_program(path: str | PathLike[str]) -> Stated:
-    """Return the quadratic or linear program of a file.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.npz`` or ``.mat`` with the arrays P, q, A, l, u of min ½ xᵀP x + qᵀx over l ≤ A x ≤ u, or with those of
-        :class:`~lcp_plugin.QuadraticProgram` by their names (q, lb, ub stand for c, lower, upper), or with MATLAB's H,
-        f, A, b, Aeq, beq, lb, ub. No P means a linear program; r is a constant. A limit beyond ±1e20 is none. Sparse
-        matrices in ``.npz`` are ``P_data, P_indices, P_indptr, P_shape`` (CSC), so of A and G; of a symmetric P all or
-        one triangle. Never pickle. Or ``.qps``, ``.mps``, ``.lp``, which highspy reads, a package that cvxpy
-        needs in its newer releases. Or AMPL's ``.nl``.
-
-    Raises
-    ------
-    UnreadableFile
-        Where it is missing, damaged or of another kind.
-    InvalidProblem
-        Where the arrays do not state a program.
-    UnsupportedModel
-        Of a file with integers, or an ``.nl`` file that states something else.
-    """
-    source = checked_path(path)
-    suffix = source.suffix.lower()
-    if suffix in ARRAYS:
-        return _from_arrays(source)
-    if suffix in MPS:
-        return _from_mps(source)
-    if suffix == NL:
-        return Stated(*program_in_nl(source))
-    if not source.exists():
-        raise UnreadableFile(f"no such file: {source}")
-    raise UnreadableFile(
-        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps, .lp or .nl file; other problems are for "
-        "`lcp-plugin solve`"
-    )
-
-
-def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
-    """Return the problem of an ``.npz`` or ``.mat`` file with A, b and, if wanted, lower, upper, weights, ridge, l1.
-
-    See :class:`~lcp_plugin.BoundedLeastSquares` for what is meant where one is missing: lower is 0 then. Bounds may be
-    called lb and ub, and a sparse A is A_data, A_indices, A_indptr, A_shape (CSC) in ``.npz``.
-    """
-    source = checked_path(path)
-    content = _arrays(source, {*OF_LEAST_SQUARES, "lb", "ub", *PARTS})
-    content = {ALIASES.get(name, name): array for name, array in content.items()}
-    require_keys(
-        source,
-        content,
-        ("A", "b"),
-        "a least squares problem holds A, b and, if wanted, lower and upper",
-    )
-    try:
-        return BoundedLeastSquares(
-            content["A"],
-            content["b"],
-            **_limits(content, "lower", "upper"),
-            weights=content.get("weights"),
-            ridge=_number(content.get("ridge", 0.0)),
-            l1=_limits(content, "l1").get("l1", 0.0),
-        )
-    except (InvalidProblem, ValueError) as error:
-        raise InvalidProblem(f"{source}: {error}") from error
-
-
-# --- Arrays -----------------------------------------------------------------------------------------------------
-
-
-def _from_arrays(source: Path) -> Stated:
-    names = set(names_in(source))
-    found = kind_in(source)
-    if others := names & {"M", "W", *MATRIX_KEYS} or (
-        names & {"b"} if found is BoundedLeastSquares else set()
-    ):
-        what = "a least squares problem" if others == {"b"} else with_article(found.__name__)
-        raise UnreadableFile(
-            f"{source} holds {what} (key {min(others)}), not a program: `lcp-plugin solve` takes it; {LAYOUT}"
-        )
-    content = _arrays(source, KEYS)
-    renamed = QUADPROG if content.keys() & {"H", "f"} else ALIASES
-    program: dict[str, Any] = {}
-    for name, array in content.items():
-        if (known := renamed.get(name, name)) in program or (
-            renamed is QUADPROG and name not in (*QUADPROG, "r")
-        ):
-            raise UnreadableFile(f"{source} holds {name} beside other names for the same; {LAYOUT}")
-        program[known] = array
-    require_keys(source, program, ("c",), LAYOUT)
-    constant = _number(program.pop("r", 0.0))
-    P, c, A = program.pop("P", None), program.pop("c"), program.pop("A", None)
-    P = sp.csr_array((c.size, c.size)) if P is None else _whole(P)
-    try:
-        bounds = _limits(program, "lower", "upper")
-        kind = QuadraticProgram
-        if program.keys() & {"l", "u"}:
-            _require_ranges_alone(source, program, A)
-            limits = {"l": -np.inf, "u": np.inf} | _limits(program, "l", "u")
-            return Stated(kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds), constant)
-        return Stated(kind(P, c, A=A, **program, **bounds), constant)
-    except InvalidProblem as error:
-        raise InvalidProblem(f"{source}: {error}") from error
-
-
-def _require_ranges_alone(source: Path, program: Mapping[str, Any], A: Any) -> None:
-    if A is None:
-        raise UnreadableFile(
-            f"{source} holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
-        )
-    if others := sorted(program.keys() & {"G", "h", "b"}):
-        raise UnreadableFile(
-            f"{source} holds {', '.join(others)} beside l and u, the limits of all rows; {LAYOUT}"
-        )
-
-
-def _arrays(source: Path, wanted: set[str]) -> dict[str, Any]:
-    """Return the arrays of a file by name, matrices put together from their parts; without what is empty in MATLAB."""
-    if source.suffix.lower() == ".mat":
-        found = {
-            name: array
-            for name, array in read_mat(source, wanted)[0].items()
-            if 0 not in array.shape
-        }
-        for name, array in found.items():
-            if (
-                max(array.shape) > MOST_ROWS
-            ):  # of a sparse one, which takes a few bytes until it is dense
-                raise UnreadableFile(
-                    f"{name} of {source} has the shape {array.shape}; at most {MOST_ROWS} are taken"
-                )
-        return {
-            name: array if name in MATRICES else flat(array).reshape(-1)
-            for name, array in found.items()
-        }
-    found = dict(read_npz(source, wanted))
-    for name in "PAG":
-        if parts := {
-            part: found.pop(f"{name}_{part}") for part in MATRIX_KEYS if f"{name}_{part}" in found
-        }:
-            require_keys(
-                source, parts, MATRIX_KEYS, f"the CSC matrix {name} is {', '.join(_parts(name))}"
-            )
-            found[name] = csr_in(source, parts, sp.csc_array)
-    return found
-
-
-def _parts(name: str) -> list[str]:
-    return [f"{name}_{part}" for part in MATRIX_KEYS]
-
-
-def _limits(program: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Take the limits of these names out of the arrays; a single number stands for all."""
-    found = {name: np.asarray(program.pop(name)) for name in names if name in program}
-    return {name: limit.reshape(()) if limit.size == 1 else limit for name, limit in found.items()}
-
-
-def _number(value: Any) -> float:
-    array = np.asarray(value)
+def _number(content: Arrays, name: str) -> float:
+    array = np.asarray(content.get(name, 0.0))
     if array.size != 1 or array.dtype.kind not in "fiub":
         raise InvalidProblem(
-            f"r and ridge must be numbers, got shape {array.shape} of dtype {array.dtype}"
+            f"{name} must be a number, got shape {array.shape} of dtype {array.dtype}"
         )
     return float(array.reshape(())[()])
 
 
-def _whole(P: Any) -> Any:
-    """Return P, or of a triangle of it, all of it."""
+def _lcp(content: Arrays) -> LCP:
+    M, q = content["M"], content["q"]
+    # Before M becomes CSR, which takes memory for every row that a sparse matrix announces.
+    if sp.issparse(M) and q.shape != M.shape[:1]:
+        raise InvalidProblem(
+            f"q must be a finite vector of length {M.shape[0]}, got shape {q.shape}"
+        )
+    return LCP(M, q, **_numbers(content, "lower", "upper"))
+
+
+def _contact(content: Arrays) -> Any:
+    if "dimension" in content:
+        content["dimension"] = int(content["dimension"])
+    state = FrictionalContact.worlds if content["W"].ndim == 3 else FrictionalContact
+    return state(**content)
+
+
+def _cones(content: Arrays) -> ConeProblem:
+    kinds, sizes = content["cone_kinds"], content["cone_rows"]
+    for name in ("cone_kinds", "cone_rows"):
+        if content[name].ndim != 1 or content[name].dtype.kind not in "iu":
+            given = content[name].tolist()
+            raise InvalidProblem(f"{name} must be a vector of integers, got {given!r}")
+    if kinds.shape != sizes.shape:
+        raise InvalidProblem(
+            f"cone_kinds names {kinds.size} cones, and cone_rows has the rows of {sizes.size}"
+        )
+    if kinds.size and not 0 <= kinds.min() <= kinds.max() < len(CONES):
+        raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds.tolist()}")
+    cones: list[Any] = [
+        (CONES[kind], size) for kind, size in zip(kinds, sizes.tolist(), strict=True)
+    ]
+    for k in np.flatnonzero(kinds == CONES.index("box")).tolist():
+        for name in ("lower", "upper"):
+            if name not in content or content[name].shape != (sizes.sum(),):
+                raise InvalidProblem(f"{name} must have shape ({sizes.sum()},) if there are boxes")
+        rows = slice(int(sizes[:k].sum()), int(sizes[: k + 1].sum()))
+        cones[k] = ("box", content["lower"][rows], content["upper"][rows])
+    return ConeProblem(content["M"], content["q"], cones)
+
+
+def _least_squares(content: Arrays) -> BoundedLeastSquares:
+    return BoundedLeastSquares(
+        content["A"],
+        content["b"],
+        weights=content.get("weights"),
+        ridge=_number(content, "ridge"),
+        **_numbers(content, "lower", "upper", "l1"),
+    )
+
+
+def _program(content: Arrays) -> LoadedProgram:
+    P, c, A, constant = content.get("P"), content["c"], content.get("A"), _number(content, "r")
+    P = sp.csr_array((c.size, c.size)) if P is None else _symmetric(P)
+    bounds = _numbers(content, "lower", "upper")
+    kind, limits = QuadraticProgram, _numbers(content, "l", "u")
+    if not limits:
+        rows = {name: content[name] for name in ("G", "h", "A", "b") if name in content}
+        return LoadedProgram(kind(P, c, **rows, **bounds), constant)
+    if A is None:
+        raise InvalidProblem(
+            "it holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
+        )
+    if others := sorted(content.keys() & {"G", "h", "b"}):
+        raise InvalidProblem(f"{', '.join(others)} and l, u state rows; l, u are the limits of all")
+    limits = {"l": -np.inf, "u": np.inf} | limits
+    program = kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds)
+    return LoadedProgram(program, constant)
+
+
+def _symmetric(P: Any) -> Any:
+    """Return P; of a triangle of it the whole matrix."""
     if P.ndim != 2 or P.shape[0] != P.shape[1] or not sp.issparse(P):
         return P
     if (sp.tril(P, -1).nnz == 0) != (sp.triu(P, 1).nnz == 0):
@@ -335,10 +147,214 @@ def _whole(P: Any) -> Any:
     return P
 
 
+def _named(words: str) -> dict[str, tuple[str, ...]]:
+    """Return the names that an argument may have in a file: "c=c,q r" for c by the names c and q, and r."""
+    pairs = (word.partition("=") for word in words.split())
+    return {argument: tuple((names or argument).split(",")) for argument, _, names in pairs}
+
+
+class Layout(NamedTuple):
+    """Arrays of a file that state a problem of a class: the names of each argument, and the arguments that it needs."""
+
+    kind: type
+    build: Callable[[Arrays], Any]
+    names: dict[str, tuple[str, ...]]
+    needed: tuple[str, ...]
+    text: str
+
+
+OF_PROGRAM = (
+    "a program holds P, q, A, l, u (l ≤ A x ≤ u), or P, c with G, h (G x ≤ h), A, b (A x = b), lower, upper, "
+    "or H, f, A, b, Aeq, beq, lb, ub as quadprog; a sparse matrix is P_data, P_indices, P_indptr, P_shape (CSC)"
+)
+OF_LCP = (
+    "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper (or lb, "
+    'ub): numpy.savez("p.npz", M=M, q=q), in MATLAB save("p.mat", "M", "q")'
+)
+LAYOUTS = {
+    "LCP": Layout(LCP, _lcp, _named("M q lower=lower,lb,l upper=upper,ub,u"), ("M", "q"), OF_LCP),
+    "FrictionalContact": Layout(
+        FrictionalContact,
+        _contact,
+        _named("W=W,M b=b,q friction=mu,friction contacts dimension"),
+        ("W", "b", "friction"),
+        "a FrictionalContact holds W (or the CSR arrays data, indices, indptr, shape), b (or q), mu (or friction); "
+        "many worlds have an axis in front, and contacts if these differ in size",
+    ),
+    "ConeProblem": Layout(
+        ConeProblem,
+        _cones,
+        _named("M q cone_kinds cone_rows lower upper"),
+        ("M", "q", "cone_kinds", "cone_rows"),
+        "a ConeProblem holds M (or its CSR arrays data, indices, indptr, shape), q, cone_kinds (0 free, 1 nonnegative, "
+        "2 box, 3 second order), cone_rows, and lower, upper if there are boxes",
+    ),
+    "quadprog": Layout(
+        QuadraticProgram,
+        _program,
+        _named("P=H c=f G=A h=b A=Aeq b=beq lower=lb,lower upper=ub,upper r"),
+        ("c",),
+        OF_PROGRAM,
+    ),
+    "QuadraticProgram": Layout(
+        QuadraticProgram,
+        _program,
+        _named("P c=c,q A l u G h b lower=lower,lb upper=upper,ub r"),
+        ("c",),
+        OF_PROGRAM,
+    ),
+    "BoundedLeastSquares": Layout(
+        BoundedLeastSquares,
+        _least_squares,
+        _named("A b lower=lower,lb upper=upper,ub weights ridge l1"),
+        ("A", "b"),
+        "a least squares problem holds A, b and, if wanted, lower and upper",
+    ),
+}
+STRANGERS = {"quadprog": {"P", "c", "G", "h", "l", "u", "q"}}  # names of the other layout
+
+
+def layout_of(source: Path) -> str:
+    """Return the layout that the ending of a file and the names in it suggest; "LCP" in doubt."""
+    suffix = source.suffix.lower()
+    if suffix in MPS:
+        return "QuadraticProgram"
+    if suffix in HDF5:
+        return "FrictionalContact"
+    try:
+        is_file = source.is_file()
+    except OSError:  # a name that no file can have
+        is_file = False
+    if suffix not in ARRAYS or not is_file:
+        return "LCP"
+    names = {PARTS.get(name, name) for name in names_in(source)}
+    if names & {"mu", "friction"} and names & {"W", "M"}:
+        return "FrictionalContact"
+    if "cone_kinds" in names:
+        return "ConeProblem"
+    if "P" not in names and "M" in names:
+        return "LCP"
+    if names & {"H", "f"}:
+        return "quadprog"
+    if names & {"P", "c"} or {"A", "q"} <= names:
+        return "QuadraticProgram"
+    return "BoundedLeastSquares" if {"A", "b"} <= names else "LCP"
+
+
+def _built(source: Path, layout: str, found: Mapping[str, Any]) -> Any:
+    """Return the problem of the arrays of a file."""
+    kind, build, names, needed, text = LAYOUTS[layout]
+    content: Arrays = {}
+    for argument, choices in names.items():
+        given = [name for name in choices if name in found]
+        if len(given) > 1:
+            raise UnreadableFile(
+                f"{source} holds {' and '.join(given)}, which say the same; leave one of them out"
+            )
+        if given:
+            content[argument] = found[given[0]]
+    if strangers := sorted(found.keys() & STRANGERS.get(layout, set())):
+        raise UnreadableFile(f"{source} holds {strangers[0]} with names of quadprog; {text}")
+    if missing := [names[argument][0] for argument in needed if argument not in content]:
+        raise UnreadableFile(f"{source} lacks the keys {missing}; {text}")
+    return _stated(source, kind, lambda: build(content))
+
+
+def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:
+    try:
+        return build()
+    except MemoryError as error:
+        raise UnreadableFile(
+            f"{source} states a problem too large for the memory ({error})"
+        ) from error
+    except (InvalidProblem, ValueError, IndexError, TypeError) as error:
+        raise UnreadableFile(f"{source} states no {kind.__name__}: {error}") from error
+
+
+def _read(source: Path, needed: type | None = None) -> Any:
+    """Return the problem of a file, a program as a LoadedProgram."""
+    layout, suffix = layout_of(source), source.suffix.lower()
+    if suffix == NL:
+        return (
+            LoadedProgram(*program_in_nl(source))
+            if needed is QuadraticProgram
+            else lcp_in_nl(source)
+        )
+    is_folder = suffix not in (*ARRAYS, *MPS, *HDF5) or (suffix == ".mat" and source.is_dir())
+    source, found = folder_arrays(source, OF_LCP) if is_folder else (source, {})
+    kind = LAYOUTS[layout].kind
+    if needed not in (None, kind):
+        holds, is_not = with_article(kind.__name__), with_article(needed.__name__)
+        raise UnreadableFile(
+            f"{source} holds {holds}, not {is_not}: lcp_plugin.load_problem(path) reads it, `lcp-plugin solve` takes "
+            f"it; {LAYOUTS[needed.__name__].text}"
+        )
+    if suffix in MPS:
+        return _from_mps(source)
+    if suffix in HDF5:
+        return load_fclib(source)
+    if not is_folder:
+        wanted = {name for names in LAYOUTS[layout].names.values() for name in names}
+        found = arrays_in(source, wanted | STRANGERS.get(layout, set()))
+    return _built(source, layout, found)
+
+
+def load_lcp(path: str | PathLike[str]) -> LCP:
+    """Return the LCP of a file; raise UnreadableFile if it states another problem."""
+    problem: LCP = _read(checked_path(path), LCP)
+    return problem
+
+
+def load_program(path: str | PathLike[str]) -> LoadedProgram:
+    """Return the program of a file with the constant, sign and names; see :func:`load_problem`."""
+    program: LoadedProgram = _read(checked_path(path), QuadraticProgram)
+    return program
+
+
+def load_problem(path: str | PathLike[str]) -> Any:
+    """Return the problem of a file, of the class that its content states.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads them. ``.npz`` and ``.mat`` with M and q state an
+        LCP; with P, q, A, l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq,
+        lb, ub a program; with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares;
+        with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
+        P means a linear program, r is a constant. A sparse M is data, indices, indptr, shape (CSR); a sparse P, A or
+        G is P_data, P_indices, P_indptr, P_shape (CSC), of P all or one triangle. Never pickle. ``.h5`` and ``.hdf5``
+        of fclib state a FrictionalContact; h5py reads them. A folder or prefix has M.mtx and q.mtx, lower.mtx and
+        upper.mtx. An ``.nl`` file states an LCP here, any model for :func:`lcp_plugin.interfaces.nl.read_nl`.
+
+    Raises
+    ------
+    UnreadableFile
+        If the file is missing, damaged, or states no problem.
+    UnsupportedModel
+        If it states one with integers.
+
+    Notes
+    -----
+    A QuadraticProgram is minimized, and has no constant: a ModelWarning tells of a file that has it otherwise.
+    """
+    found = _read(checked_path(path))
+    if not isinstance(found, LoadedProgram):
+        return found
+    if found.constant or found.sign < 0.0:
+        stated = f"objective {found.constant:+g}"
+        stated = stated if found.sign > 0.0 else f"-({stated})"
+        warnings.warn(
+            f"{path} states {stated}, where objective is what the problem returned minimizes",
+            ModelWarning,
+            stacklevel=2,
+        )
+    return found.program
+
+
 # --- MPS --------------------------------------------------------------------------------------------------------
 
 
-def _from_mps(source: Path) -> Stated:
+def _from_mps(source: Path) -> LoadedProgram:
     try:
         import highspy
     except ImportError as error:
@@ -382,17 +398,18 @@ def _from_mps(source: Path) -> Stated:
             sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n))
         )
     sense = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
-    try:
-        program = QuadraticProgram.from_ranges(
-            sense * _whole(P),
+    program = _stated(
+        source,
+        QuadraticProgram,
+        lambda: QuadraticProgram.from_ranges(
+            sense * _symmetric(P),
             sense * np.array(linear.col_cost_),
             A,
             linear.row_lower_,
             linear.row_upper_,
             linear.col_lower_,
             linear.col_upper_,
-        )
-    except InvalidProblem as error:
-        raise InvalidProblem(f"{source}: {error}") from error
-    names = list(linear.col_names_)
-    return Stated(program, sense * float(linear.offset_), sense, names if len(names) == n else None)
+        ),
+    )
+    names, constant = list(linear.col_names_), sense * float(linear.offset_)
+    return LoadedProgram(program, constant, sense, names if len(names) == n else None)

@@ -40,7 +40,15 @@ FOLDERS_ALONE = (
 )  # which hold nothing but a docstring
 LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why
     "core.lcp": (
-        {"contact", "files", "modeling", "programs", "ranks", "reformulations"},
+        {
+            "contact",
+            "files",
+            "modeling",
+            "program_files",
+            "programs",
+            "ranks",
+            "reformulations",
+        },
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
     "core.solving.result": (

@@ -1,8 +1,7 @@
-"""Reading and writing problems: one ``.npz`` without pickle, or Matrix Market files side by side; reading ``.mat``."""
+"""Writing problems, as one ``.npz`` or as Matrix Market files, and reading arrays of ``.npz`` and ``.mat`` files."""
 
 from __future__ import annotations
 
-import os
 import secrets
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,20 +13,26 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
-from ...core.errors import InvalidOption, InvalidProblem, UnreadableFile
-from .matrix_market import opened, read_mat, read_matrix_market
+from ...core.errors import InvalidOption, UnreadableFile
+from .matrix_market import opened, read_mat
 
 if TYPE_CHECKING:
     from ...core.lcp import LCP
 
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
-MATLAB_BOUNDS = {
-    "lower": ("lower", "lb", "l"),
-    "upper": ("upper", "ub", "u"),
-}  # the names that each may have there
-MATLAB_LAYOUT = 'it must hold M, q and, if wanted, lower and upper (or lb and ub): in MATLAB save("file.mat", "M", "q")'
-LAYOUT = "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper"
+#: Names of the parts of sparse matrices: of M in CSR without a prefix, of P, A and G in CSC.
+PARTS = {key: "M" for key in MATRIX_KEYS} | {f"{M}_{key}": M for M in "PAG" for key in MATRIX_KEYS}
+DENSE = (
+    "M",
+    "W",
+    "P",
+    "A",
+    "G",
+    "H",
+    "Aeq",
+)  # matrices; everything else in a .mat file is a vector
+MOST_ROWS = 10**8
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
@@ -81,33 +86,6 @@ def checked_path(path: Any) -> Path:
     if "\0" in str(target):
         raise UnreadableFile(f"no file can be called {str(target)!r}; leave out the null character")
     return target
-
-
-OF_CONES = ("mu", "friction", "cone_kinds")  # whose M and q without these would be another problem
-
-
-def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
-    """Read a problem from a ``.npz``, ``.mat`` or ``.nl`` file, or ``M.mtx`` and ``q.mtx`` in a folder or by prefix."""
-    source = checked_path(path)
-    if source.suffix.lower() == ".nl":
-        from ..nl.model import lcp_in_nl
-
-        return lcp_in_nl(source)
-    if source.suffix.lower() == ".npz":
-        return _load_npz(kind, source)
-    if source.suffix.lower() == ".mat" and not source.is_dir():
-        return _load_mat(kind, source)
-    prefix = _matrix_market_prefix(source)
-    M = read_matrix_market(Path(prefix + "M.mtx"))
-    if not Path(prefix + "q.mtx").exists():
-        raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q beside it")
-    q = _read_vector(Path(prefix + "q.mtx"))
-    _require_a_number_a_row(M, q, f"{prefix}M.mtx", f"{prefix}q.mtx")
-    bounds = {}
-    for name in ("lower", "upper"):
-        if Path(f"{prefix}{name}.mtx").exists():
-            bounds[name] = _read_vector(Path(f"{prefix}{name}.mtx"))
-    return _problem(kind, prefix + "M.mtx", M, q, bounds)
 
 
 def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
@@ -168,73 +146,6 @@ def _save_folder(problem: LCP, folder: Path) -> None:
     write_whole(contents)
 
 
-def _load_npz(kind: type[LCP], source: Path) -> LCP:
-    content = read_npz(source, {"M", *MATRIX_KEYS, *VECTORS, "P_data", *OF_CONES})
-    if {"P_data", *OF_CONES} & content.keys() or not {"M", *MATRIX_KEYS} & content.keys():
-        _refuse_other_kinds(source)
-    is_compressed = any(key in content for key in MATRIX_KEYS)
-    require_keys(source, content, (*(MATRIX_KEYS if is_compressed else ("M",)), "q"), LAYOUT)
-    M = csr_in(source, content) if is_compressed else content["M"]
-    bounds = {name: content[name] for name in ("lower", "upper") if name in content}
-    return _problem(kind, str(source), M, content["q"], bounds)
-
-
-def _refuse_other_kinds(source: Path) -> None:
-    """Raise UnreadableFile in the words of what the names in the file state."""
-    found = names_in(source)
-    for what, names in (
-        ("a contact problem with friction", ("mu", "friction")),
-        ("a problem over cones", ("cone_kinds",)),
-        ("a quadratic program", ("P", "P_data", "c", "H")),
-        ("a least squares problem", ("b",)),
-    ):
-        if key := next((name for name in names if name in found), None):
-            raise UnreadableFile(
-                f"{source} holds {what} (key {key}), not an LCP: lcp_plugin.load_problem(path) reads it, "
-                f"`lcp-plugin solve` solves it; {LAYOUT}"
-            )
-
-
-def _load_mat(kind: type[LCP], source: Path) -> LCP:
-    content, names = read_mat(
-        source, {"M", "q", *(name for pair in MATLAB_BOUNDS.values() for name in pair)}
-    )
-    there = f"it holds {', '.join(names) or 'nothing'}"
-    if missing := [name for name in ("M", "q") if name not in content]:
-        if "M" in missing:
-            _refuse_other_kinds(source)
-        raise UnreadableFile(f"{source} lacks the matrices {missing}, {there}; {MATLAB_LAYOUT}")
-    rows, columns = content["M"].shape
-    if rows != columns:
-        raise UnreadableFile(f"M of {source} must be square, got {rows} × {columns}")
-    for name in content.keys() - {"M"}:
-        if max(content[name].shape) > max(rows, 1):  # before a sparse one becomes dense
-            raise UnreadableFile(
-                f"{name} of {source} has the shape {content[name].shape}, but M has {rows} rows"
-            )
-    q, bounds = flat(content["q"]), {}
-    _require_a_number_a_row(content["M"], q, f"M of {source}", "q")
-    for name, others in MATLAB_BOUNDS.items():
-        given = [other for other in others if other in content]
-        if len(given) > 1:
-            raise UnreadableFile(
-                f"{source} holds {' and '.join(given)}, which say the same; leave one of them out"
-            )
-        for other in given:
-            bound = flat(content[other])
-            bounds[name] = bound[0] if bound.size == 1 else bound
-    return _problem(kind, str(source), content["M"], q, bounds)
-
-
-def _require_a_number_a_row(M: Any, q: Any, matrix: str, vector: str) -> None:
-    """Raise where that is not so, before M becomes CSR, which takes memory for every row that it announces."""
-    if q.shape != M.shape[:1]:
-        raise UnreadableFile(
-            f"{matrix} holds a matrix of {M.shape[0]} rows and {vector} an array of shape {q.shape}; "
-            "q must have one number a row"
-        )
-
-
 def require_keys(
     source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str
 ) -> None:
@@ -270,6 +181,31 @@ def names_in(source: Path) -> list[str]:
         return list(archive.files)
 
 
+def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
+    """Return the wanted arrays of a ``.npz`` or ``.mat`` file that are there, sparse matrices put together."""
+    if source.suffix.lower() == ".mat":
+        found = {}
+        for name, array in read_mat(source, wanted)[0].items():
+            if (
+                max(array.shape) > MOST_ROWS
+            ):  # of a sparse array, which takes few bytes until it is dense
+                most = f"at most {MOST_ROWS} are taken"
+                raise UnreadableFile(f"{name} of {source} has the shape {array.shape}; {most}")
+            if 0 not in array.shape:  # nothing, in MATLAB
+                found[name] = array if name in DENSE else flat(array)
+        return found
+    found = dict(read_npz(source, {*wanted, *(part for part, M in PARTS.items() if M in wanted)}))
+    for matrix in dict.fromkeys(PARTS.values()):
+        parts = [part for part, of in PARTS.items() if of == matrix]
+        if any(part in found for part in parts):
+            kind = sp.csr_array if matrix == "M" else sp.csc_array
+            form = "CSR" if matrix == "M" else "CSC"
+            require_keys(source, found, parts, f"a sparse {matrix} is {', '.join(parts)} ({form})")
+            arrays = dict(zip(MATRIX_KEYS, map(found.pop, parts), strict=True))
+            found[matrix] = csr_in(source, arrays, kind)
+    return found
+
+
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
     """Return those of the wanted arrays that are in the file; whatever is wrong with it is an UnreadableFile."""
     with _archive(source) as archive:
@@ -297,45 +233,7 @@ def _archive(source: Path) -> Iterator[Any]:
             ) from error
 
 
-def _matrix_market_prefix(source: Path) -> str:
-    if source.is_dir():
-        prefix = f"{source}{os.sep}"
-    elif source.name.endswith("M.mtx"):
-        prefix = str(source)[: -len("M.mtx")]
-    else:
-        prefix = str(source)
-    if not Path(prefix + "M.mtx").exists():
-        if source.is_dir():
-            raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
-        if source.is_file():
-            raise UnreadableFile(
-                f"cannot read {source}: expected an .npz, .mat, .nl file, or M.mtx with q.mtx beside it "
-                f"(load_problem reads .qps, .mps, .h5); {LAYOUT}: write "
-                f'LCP(M, q).save("{source.stem}.npz"), or numpy.savez("{source.stem}.npz", M=M, q=q)'
-            )
-        tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
-        raise UnreadableFile(f"no such file: {source}{tried}")
-    return prefix
-
-
-def _read_vector(source: Path) -> FloatVector:
-    return flat(read_matrix_market(source))
-
-
 def flat(values: Any) -> FloatVector:
     """Return a row or a column as a vector."""
     dense: FloatVector = np.asarray(values.toarray() if sp.issparse(values) else values)
     return dense.reshape(-1) if 1 in dense.shape else dense
-
-
-def _problem(kind: type[LCP], source: str, M: Any, q: Any, bounds: Mapping[str, Any]) -> LCP:
-    try:
-        return kind(M, q, **bounds)
-    except InvalidProblem as error:
-        raise UnreadableFile(
-            f"{source} states no linear complementarity problem: {error}"
-        ) from error
-    except MemoryError as error:
-        raise UnreadableFile(
-            f"{source} states a problem too large for the memory ({error})"
-        ) from error

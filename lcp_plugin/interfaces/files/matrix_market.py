@@ -5,6 +5,7 @@ The reader of .mat files may end the process on a damaged file: read files that 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -75,6 +76,35 @@ def read_matrix_market(source: Path) -> Any:
             )
         matrix = mmread(source)
     return sp.coo_array(matrix) if sp.issparse(matrix) else np.asarray(matrix, dtype=np.float64)
+
+
+def folder_arrays(source: Path, layout: str) -> tuple[Path, dict[str, Any]]:
+    """Return the file of M, and M, q, lower, upper of the Matrix Market files in a folder or with a prefix."""
+    if source.is_dir():
+        prefix = f"{source}{os.sep}"
+    else:
+        prefix = str(source).removesuffix("M.mtx") if source.name.endswith("M.mtx") else str(source)
+    if not Path(prefix + "M.mtx").exists():
+        if source.is_dir():
+            raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
+        if source.is_file():
+            raise UnreadableFile(
+                f"cannot read {source}: expected an .npz, .mat, .nl, .qps, .mps, .lp or .h5 file, or M.mtx with "
+                f"q.mtx; {layout}"
+            )
+        tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
+        raise UnreadableFile(f"no such file: {source}{tried}")
+    if not Path(prefix + "q.mtx").exists():
+        raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q next to it")
+    found = {"M": read_matrix_market(Path(prefix + "M.mtx"))}
+    for name in ("q", "lower", "upper"):
+        if (file := Path(f"{prefix}{name}.mtx")).exists():
+            values = read_matrix_market(file)
+            if max(values.shape) > max(found["M"].shape[0], 1):  # before a sparse one becomes dense
+                raise UnreadableFile(f"{file} has the shape {values.shape}, too large for M")
+            dense = values.toarray() if sp.issparse(values) else values
+            found[name] = dense.reshape(-1) if 1 in dense.shape else dense
+    return Path(prefix + "M.mtx"), found
 
 
 def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], list[str]]:

@@ -178,7 +178,7 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
         (with_("fclib_local/W/i", np.full(6, 7)), "indices must be < 3"),
         (
             with_("fclib_local/W/x", np.arange(6.0)),
-            "states no problem over cones: W must be symmetric",
+            "W must be symmetric",
         ),
         (
             with_("fclib_local/vectors/mu", [-1.0]),

@@ -283,12 +283,12 @@ NO_ARRAYS: dict[str, Any] = dict.fromkeys(("data", "indices", "indptr", "shape")
 WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no matrix": (
         {"data": None, "indptr": None},
-        r"lacks the keys \['data', 'indptr'\].*indptr, shape\), q",
+        r"lacks the keys \['data', 'indptr'\]; a sparse M is data, indices, indptr, shape",
     ),
     "no q": ({"q": None}, r"lacks the keys \['q'\]"),
     "quadratic program": (
         {"P_data": np.ones(2), "A_data": np.ones(2)},
-        r"quadratic program.*not an LCP",
+        r"a QuadraticProgram, not an LCP",
     ),
     "q too short": ({"q": np.ones(2)}, r"q must be a finite vector of length 3.*\(2,\)"),
     "q a column": ({"q": np.ones((3, 1))}, r"q must be a finite vector of length 3.*\(3, 1\)"),
@@ -305,7 +305,7 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "M dense, q missing": (NO_ARRAYS | {"M": M, "q": None}, r"lacks the keys \['q'\]"),
     "M dense, a vector": (
         NO_ARRAYS | {"M": np.ones(3)},
-        r"states no linear complementarity problem: M must be",
+        r"states no LCP: M must be",
     ),
     "M dense, texts": (NO_ARRAYS | {"M": np.array([["1", "2"]])}, r"M must hold real numbers"),
     "M NaN": ({"data": np.full(7, np.nan)}, r"M must be finite"),
@@ -648,5 +648,5 @@ def test_quadratic_programs_are_refused_in_words(tmp_path: Path) -> None:
         "optimal_value": -1.0,
     }
     np.savez(tmp_path / "qp.npz", **content, **vectors)
-    with pytest.raises(UnreadableFile, match=r"qp\.npz holds a quadratic program.*not an LCP"):
+    with pytest.raises(UnreadableFile, match=r"qp\.npz holds a QuadraticProgram, not an LCP"):
         LCP.load(tmp_path / "qp.npz")

@@ -15,7 +15,6 @@ from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     FrictionalContact,
-    InvalidProblem,
     LCPError,
     QuadraticProgram,
     UnreadableFile,
@@ -139,18 +138,26 @@ def test_kinds_are_told_by_what_is_in_a_file(tmp_path: Path) -> None:
 
 REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (dict(P=P), UnreadableFile, r"lacks the keys \['c'\]; a program holds P, q, A, l, u"),
-    (dict(P=P, q=c, c=c), UnreadableFile, "holds c beside other names for the same"),
-    (dict(H=P, c=c), UnreadableFile, "holds c beside other names"),
+    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q, which say the same"),
+    (
+        dict(H=P, c=c),
+        UnreadableFile,
+        "holds P with names of quadprog|holds c with names of quadprog",
+    ),
     (dict(P=P, q=c, l=b, u=b), UnreadableFile, "holds l or u, the limits of A x, and no A"),
-    (dict(P=P, q=c, A=A, l=b, b=b), UnreadableFile, "holds b beside l and u"),
-    (dict(P=P, q=[np.nan, 1.0]), InvalidProblem, r"p\.npz: c must be finite, but c\[0\] = nan"),
+    (dict(P=P, q=c, A=A, l=b, b=b), UnreadableFile, "b and l, u state rows"),
+    (
+        dict(P=P, q=[np.nan, 1.0]),
+        UnreadableFile,
+        r"p\.npz states no \w+: c must be finite, but c\[0\] = nan",
+    ),
     (
         dict(P=P, q=c[:1]),
-        InvalidProblem,
-        r"p\.npz: P must be a real matrix of shape \(1, 1\), got shape \(2, 2\)",
+        UnreadableFile,
+        r"p\.npz states no \w+: P must be a real matrix of shape \(1, 1\), got shape \(2, 2\)",
     ),
-    (dict(P=P, q=c, A=A), InvalidProblem, r"p\.npz: A .*b"),
-    (dict(P=P, q=c, r=[1.0, 2.0]), InvalidProblem, "r and ridge must be numbers"),
+    (dict(P=P, q=c, A=A), UnreadableFile, r"p\.npz states no \w+: A .*b"),
+    (dict(P=P, q=c, r=[1.0, 2.0]), UnreadableFile, "r must be a number"),
     (
         dict(P=None, q=c),
         UnreadableFile,
@@ -160,9 +167,13 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (
         dict(P_data=[1.0], q=c),
         UnreadableFile,
-        r"lacks the keys .*the CSC matrix P is P_data, P_indices",
+        r"lacks the keys .*a sparse P is P_data, P_indices",
     ),
-    (dict(A=A, b=[1.0, 2.0]), InvalidProblem, r"p\.npz: b must be a vector of length 1, got shape"),
+    (
+        dict(A=A, b=[1.0, 2.0]),
+        UnreadableFile,
+        r"p\.npz states no \w+: b must be a vector of length 1, got shape",
+    ),
 ]
 
 
@@ -186,11 +197,11 @@ def test_contacts_are_no_program(tmp_path: Path) -> None:
     for name in ("a.npz", "b.npz"):
         assert isinstance(load_problem(tmp_path / name), FrictionalContact)
         with pytest.raises(
-            UnreadableFile, match=r"holds a FrictionalContact .*`lcp-plugin solve` takes it"
+            UnreadableFile, match=r"holds a FrictionalContact, .*`lcp-plugin solve` takes"
         ):
             load_program(tmp_path / name)
     (tmp_path / "a.h5").touch()
-    with pytest.raises(UnreadableFile, match="other problems are for `lcp-plugin solve`"):
+    with pytest.raises(UnreadableFile, match="holds a FrictionalContact, not a QuadraticProgram"):
         load_program(tmp_path / "a.h5")
 
 

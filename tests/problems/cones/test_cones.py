@@ -326,8 +326,8 @@ def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
     contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
     cones = ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
     for problem, words in (
-        (contact, "contact problem with friction"),
-        (cones, "problem over cones"),
+        (contact, "a FrictionalContact"),
+        (cones, "a ConeProblem"),
     ):
         problem.save(tmp_path / "p.npz")
         with pytest.raises(LCPError, match=rf"{words}.*load_problem\(path\) reads it"):

@@ -34,7 +34,9 @@ GOOD = 1e-12  # relative residual at which the rounds end
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
 DELAYED = 8  # exchanges that are added to a tableau at once
-SMALLEST = 1e-130  # smaller values of z are 0: their products underflow
+SMALLEST = (
+    1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
+)
 WELL_CONDITIONED = 1e8
 CHUNK = 2**17  # entries of matrices that stay in the cache
 LOW, FREE, HIGH = 0, 1, 2
@@ -160,7 +162,10 @@ class Judged(NamedTuple):
 
 def judged(stack: RowData, z: FloatVector, reference: FloatVector, tolerance: float) -> Judged:
     """Return the points z of a stack, moved onto near bounds, as the criterion measures them."""
-    z = np.where(np.abs(z) > SMALLEST, z, 0.0)
+    size = np.abs(z)
+    z = np.where(
+        size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
+    )
     z = np.where(reference == 0.0, stack.start, np.clip(z, stack.lower, stack.upper))
     z = stack.snapped(z, times(stack.M, z) + stack.q)
     at = stack.rows(z)

@@ -70,7 +70,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         lambda: solve(QuadraticProgram(np.diag([1.0, 0.0]), [0.0, -1.0], lower=0.0)),
         Status.UNBOUNDED,
         "unbounded below along",
-        "next: bound the unknowns",
+        "next: add bounds for the unknowns",
     ),
     "degenerate": (
         lambda: solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-2.0, -1.0])),

@@ -38,7 +38,7 @@ from .row_residuals import (
 if TYPE_CHECKING:
     from ..settings import Settings
 
-GAINED = 1e-2  # of the reference
+GAINED = 0.1  # of the reference
 DECIDED = 1e-12  # of the reference: rounding bounds below it may be plain
 
 

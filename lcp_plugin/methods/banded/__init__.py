@@ -128,8 +128,9 @@ def active_sets(
     changes whose z leaves the bounds or whose w has the wrong sign. If M is tridiagonal with off-diagonal entries ≤ 0,
     the rows at the bound of one side are found directly, with those at the other side held; the sides take turns, and
     from round TURNS on one side stays, so that rows only leave the other one. A settled active set is solved again
-    with its residual as the right-hand side. The rounds end there, at a singular block, or if neither the wrong rows
-    nor the rows at bounds have become fewer in TRIES rounds.
+    with its residual as the right-hand side, unless M is such a tridiagonal matrix: its elimination has no
+    cancellation. The rounds end there, at a singular block, or if neither the wrong rows nor the rows at bounds have
+    become fewer in TRIES rounds.
 
     Parameters
     ----------
@@ -166,14 +167,14 @@ def active_sets(
             z = solve_on_band(band, state, np.where(state < 0, lower, upper), q)
         if z is None:
             return
-        w, target, residual = measured(z)
+        w, target, _ = measured(z)
         wrong = np.flatnonzero(state != target)
+        if not (wrong.size or band.is_tridiagonal_z):
+            step = solve_on_band(band, state, np.zeros(q.size), w)
+            z = z if step is None else z + step
         inside = np.clip(z, lower, upper)
-        yield inside, residual if (inside == z).all() else measured(inside)[2]
+        yield inside, measured(inside)[2]
         if not wrong.size:
-            if (step := solve_on_band(band, state, np.zeros(q.size), w)) is not None:
-                z = np.clip(z + step, lower, upper)
-                yield z, measured(z)[2]
             return
         if is_direct:
             is_far = (state[wrong] == side) | (target[wrong] == side)

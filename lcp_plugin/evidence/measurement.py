@@ -1,6 +1,6 @@
 """A measurement: one method on one problem, its error and residual along the run.
 
-A run has the clock of `solve`, which stands still while an error is measured and does not count compilation. Each run
+A run has the clock of `solve`, which stops while an error is measured and does not count compilation. Each run
 gets a fresh LCP on the same arrays, so that no cached fact about M shortens its set-up.
 """
 
@@ -56,7 +56,7 @@ class Measurement:
         Iteration, work (passes over M), seconds (median over the repeats) with quartiles, error and relative residual.
         The first point is the set-up, the last one the result.
     note : str
-        Reason of a refusal or an error, choice of options.
+        Message of the error, or choice of options.
 
     Examples
     --------

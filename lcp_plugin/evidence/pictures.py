@@ -49,9 +49,10 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     answer : Answer
         Of `solve`.
     axes : Axes, optional
-        To draw the first panel into; by default those of a new figure of pyplot.
+        To draw the first panel into; by default the axes of a new figure of pyplot.
     shape : sequence of int, optional
-        Of the grid of the unknowns, as in ``z.reshape(shape)``. Of more than two axes the middle slice is drawn.
+        Shape of the grid of the unknowns, as in ``z.reshape(shape)``. With more than two axes the middle slice is
+        drawn.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     InvalidOption
         If the shape does not hold as many unknowns.
     UnsuitableProblem
-        If there is no x to draw.
+        If the result has no x.
 
     Examples
     --------
@@ -70,7 +71,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     if not isinstance(answer, Answer):
         raise InvalidOption(f"plot_answer needs an answer of solve, got {type(answer).__name__}")
     if answer.x is None:
-        raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
+        raise UnsuitableProblem(f"the result has no x to draw: {answer.status.name}")
     frame = Frame(unknown="z" if isinstance(answer, Result) else "x")
     if shape is not None:
         frame = frame._replace(**_grid(shape, len(answer.x)))
@@ -122,7 +123,7 @@ def checked_shape(shape: Any, n: int) -> tuple[int, ...]:
         raise InvalidOption(f"shape must hold integers > 0, as (rows, columns), got {shape!r}")
     if (count := int(np.prod(sizes, dtype=object))) != n:
         raise InvalidOption(
-            f"shape {sizes} is that of {count} unknowns, and the problem has {n}; give its grid"
+            f"shape {sizes} has {count} unknowns, and the problem has {n}; pass the shape of its grid"
         )
     return sizes
 

@@ -42,11 +42,11 @@ class Cell:
         A status of `solve`; REFUSED if the algorithm does not take this problem; ERROR if the run raised anything else,
         a warning of overflow included.
     residual : float
-        Relative residual of z; NaN if there is no z.
+        Relative residual of z; NaN if z does not exist.
     true_error : float
-        ‖z − z*‖∞ / ‖z*‖∞ in the units of the problem, z* exact; NaN if there is no z*, or no z.
+        ‖z − z*‖∞ / ‖z*‖∞ in the units of the problem, z* exact; NaN if z* or z does not exist.
     note : str
-        Reason of a refusal or an error.
+        Message of the error.
     """
 
     algorithm: str
@@ -184,7 +184,7 @@ def _cell(family: str, case: StressCase, one: Method, limit: int) -> Cell:
             result = solve(case.problem, one.algorithm, z0=case.start, max_iterations=limit)
     except (UnsuitableMatrix, UnsuitableProblem) as refusal:
         return Cell(*head, "REFUSED", note=str(refusal))
-    except Exception as failure:  # the atlas shows whatever a run raises
+    except Exception as failure:  # the atlas shows every exception of a run
         return Cell(*head, "ERROR", note=f"{type(failure).__name__}: {failure}")
     error = math.nan
     if case.exact is not None and np.isfinite(result.z).all():

@@ -338,7 +338,7 @@ def study(
 
     Notes
     -----
-    The error is the true one if the test problem knows z*; else a rigorous bound if M is an H₊-matrix and the bound is
+    The error is the true one if the test problem has z*; else a rigorous bound if M is an H₊-matrix and the bound is
     less than the solution; else the relative residual. Iterations, work, errors and residuals are the same in every
     run of the same call; seconds are not.
 
@@ -411,7 +411,7 @@ def error_against_time(
     [('npgs', 'SOLVED', 'true error'), ('pgs', 'SOLVED', 'true error')]
     """
     if not isinstance(target, LCP | Scene | str):
-        raise InvalidOption(f"{refusal('error_against_time', target)}; or a scene")
+        raise InvalidOption(f"{refusal('error_against_time', target)}; or a test problem")
     return study(
         {"problem": target} if isinstance(target, LCP) else [target],
         methods,
@@ -542,7 +542,9 @@ def _check_problem(one: Any) -> Any:
         return partial(_build_by_name, one)
     if isinstance(one, LCP | Scene | tuple) or (callable(one) and class_of(one) is None):
         return one
-    raise InvalidOption(f"{refusal('study', one)}; or a scene, (M, q), a function of the size")
+    raise InvalidOption(
+        f"{refusal('study', one)}; or a test problem, (M, q), a function of the size"
+    )
 
 
 def _build_by_name(text: str, size: int | None = None) -> Scene:

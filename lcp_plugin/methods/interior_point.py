@@ -25,22 +25,22 @@ from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
 from .newton.active_set import classify, is_near, signature, solve_active_set
 
-SAME = 1e-12  # entries that differ by less, relatively, are the same but for rounding
+SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 CASES = 5  # that follow from a point of an engine; from a start, one
 FACTORS = 20  # that PIQP makes, about
-STEPS = 60  # of PIQP: 10 to 30 where M is monotone, not only but for rounding
+STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
 
 
 @dataclass(frozen=True, kw_only=True)
 class InteriorPoint(Algorithm):
-    """The interior point method of PIQP on the convex program of a monotone problem, and the case that it leads to.
+    """PIQP's interior-point method on the convex program of a monotone problem, with active-set polishing.
 
     Notes
     -----
-    Where M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds; where diag(s) M is, s = ±1, the saddle point
-    problem of a program, that program; else min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and alike for other bounds. The
-    linear system of the case that its point shows, and of the cases that follow from this one, bring the residual to
-    rounding level. Where M is not monotone the program is not convex, and the run ends where the engine does.
+    If M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds; if diag(s) M is, with s = ±1, the saddle point
+    problem of a program, that program; else min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly for other bounds.
+    The linear systems of the active set of its point, and of the following active sets, reduce the residual to rounding
+    level. If M is not monotone the program is not convex, and the run ends with PIQP.
 
     PIQP does not report its iterations: the history holds its final point and the point after each linear solve. PIQP
     cannot be stopped: it starts only if its factorizations are predicted to fit into the seconds that are left, and
@@ -93,7 +93,7 @@ class InteriorPoint(Algorithm):
 
 
 def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:
-    """Yield what solves the linear system of the case that z shows, then of the case that this shows, if new."""
+    """Yield the solution for the active set of z, then for the active set of this solution, while they are new."""
     system, tried = None, set[bytes]()
     for _ in range(most):
         at_lower, at_upper = classify(problem, z, problem.slack(z))
@@ -120,7 +120,7 @@ class ConvexProgram:
     size : float
         A power of two that the largest of costs and right-hand sides is near.
     unknowns, multipliers : array of int
-        Which z are x, and which are multipliers of the rows, beside `anchor`.
+        Indices of the z that are x, and that are multipliers of the rows; the others are `anchor`.
     anchor : array, shape (n,)
         A finite bound of each z, or 0.
     """
@@ -134,7 +134,7 @@ class ConvexProgram:
 
     @classmethod
     def of(cls, problem: LCP) -> ConvexProgram:
-        """Return the program of the rows that are not fixed: by signs where M has them, else that of the gap."""
+        """Return the program of the rows that are not fixed: by signs if M has them, else the gap program."""
         signs = signs_of(problem.matrix)
         M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
         anchor = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))

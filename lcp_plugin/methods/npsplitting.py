@@ -1,4 +1,4 @@
-"""NPSplitting: the paper's Method 3.1 with any splitting M = 𝓜 − 𝓝, the left-hand matrix factorised once."""
+"""NPSplitting: the paper's Method 3.1 with any splitting M = 𝓜 − 𝓝, the left-hand matrix factorized once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NPSplitting(ScaledByRows):
-    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorised once.
+    """NP with any splitting M = 𝓜 − 𝓝: (S(𝓜 + D) + 2I)(z⁺ − z) = −2 r_S(z), the left-hand matrix factorized once.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class NPSplitting(ScaledByRows):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        while not problem.n:  # SuperLU refuses a matrix without rows
+        while not problem.n:  # SuperLU rejects a matrix without rows
             yield Step(z0, 0.0, work=0.0)
         splitting = self._matrix(problem)
         step = self._scaling(problem)
@@ -65,7 +65,7 @@ class NPSplitting(ScaledByRows):
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         z = z0
         while True:
-            with np.errstate(all="ignore"):  # what overflows is seen in the residual
+            with np.errstate(all="ignore"):  # an overflow shows in the residual
                 w = problem.slack(z)
                 residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
                 natural = np.clip(step * w, z - problem.upper, z - problem.lower)
@@ -87,7 +87,7 @@ class NPSplitting(ScaledByRows):
 
     @property
     def takes_scaled(self) -> bool:
-        """No: a splitting of somebody's own is one of the caller's matrix."""
+        """False, because the caller's splitting refers to the unscaled matrix."""
         return False
 
     def _scaling(self, problem: LCP) -> FloatVector:

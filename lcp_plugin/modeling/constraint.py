@@ -22,7 +22,7 @@ REMEDY = 'solve it with problem.solve(method="LCP")'
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One side of a complementarity: an expression and what the other side has to do with it.
+    """One side of a complementarity: an expression, and its relation to the other side.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Side:
         In the form "box" a variable, or a part of one.
     kind : str
         "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
-        expression whose bounds, if any, are those of its variable), "cone" (each column of expression in a cone).
+        expression whose bounds, if any, are its variable's bounds), "cone" (each column of expression in a cone).
     constraint : cvxpy constraint or None
         The inequality, equality or cone that states the side.
     lower, upper : scalar, array or parameter
@@ -38,7 +38,7 @@ class Side:
     friction : scalar, array or parameter, or None
         Coefficients of friction, of impulses.
     rows : int
-        Those of one cone.
+        Number of rows of one cone.
     """
 
     expression: Any
@@ -106,13 +106,13 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
     friction : scalar, array of shape (k,), or parameter
         Coefficients μ ≥ 0.
     dimension : int, optional
-        d, 3 in space and 2 in the plane, where `friction` does not tell it: 3 by default where the length is a
-        multiple of 3.
+        d, 3 in space and 2 in the plane, if `friction` does not determine it: 3 by default if the length is a multiple
+        of 3.
 
     Raises
     ------
     UnsupportedModel
-        Where the impulses are no vector, or coefficients and contacts differ in number.
+        If the impulses are not a vector, or coefficients and contacts differ in number.
 
     Examples
     --------
@@ -127,13 +127,13 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
     if expression.ndim != 1:
         raise UnsupportedModel(
             f"friction_cone needs a vector of impulses, contact by contact, got shape {expression.shape}; write "
-            'cp.vec(r, order="C") of an array with a row a contact'
+            'cp.vec(r, order="C") of an array with one row per contact'
         )
     rows = dimension_of(dimension, np.shape(friction), expression.size)
     count = expression.size // rows
     if np.shape(friction) not in ((), (count,)):
         raise UnsupportedModel(
-            f"friction must be a number, or have shape ({count},): one a contact of {rows} rows, got "
+            f"friction must be a number, or have shape ({count},): one per contact of {rows} rows, got "
             f"{np.shape(friction)}"
         )
     return Side(expression, "cone", friction=friction, rows=rows)
@@ -234,25 +234,25 @@ def _side(given: Any, which: str) -> Side:
 
 
 def _expression(given: Any, what: str) -> Any:
-    """Return what was given as a cvxpy expression."""
+    """Return the argument as a cvxpy expression."""
     if not isinstance(given, cp.Expression) and _kind(given) == "b":
         raise UnsupportedModel(
-            f"{what} holds Booleans, {given}: numbers were compared before this package saw them; write the numbers "
-            "alone, or cp.Constant(numbers) >= 0"
+            f"{what} holds Booleans, {given}: numbers were compared before this package saw them; write only "
+            "the numbers, or cp.Constant(numbers) >= 0"
         )
     try:
         expression = cp.Variable.cast_to_const(given)
-    except Exception as error:  # whatever cvxpy makes of it
-        raise UnsupportedModel(f"{what} is no cvxpy expression: {given!r}") from error
+    except Exception as error:  # cvxpy may raise any error
+        raise UnsupportedModel(f"{what} is not a cvxpy expression: {given!r}") from error
     if given is None or (
         isinstance(expression, cp.Constant) and _kind(expression.value) not in "fiuc"
     ):
-        raise UnsupportedModel(f"{what} is no cvxpy expression: {given!r}")
+        raise UnsupportedModel(f"{what} is not a cvxpy expression: {given!r}")
     return expression
 
 
 def _kind(values: Any) -> str:
-    """Return numpy's letter for what an array, or what would become one, holds; "O" where it is none."""
+    """Return numpy's letter for the type of an array or array-like; "O" if it is neither."""
     try:
         return values.dtype.kind if hasattr(values, "dtype") else np.asarray(values).dtype.kind
     except ValueError:
@@ -262,7 +262,7 @@ def _kind(values: Any) -> str:
 class Complements(Constraint):  # type: ignore[misc]
     """Two sides that complement each other; see :func:`complements`.
 
-    ``dual_value`` is the value of the side that is no variable (w), of two expressions the second; after a solve the
+    ``dual_value`` is the value of the side that is not a variable (w), of two expressions the second; after a solve the
     inequality that bounds the variable carries the same, and the other inequality carries the variable, as after a
     quadratic program; of a cone it has t in its first row.
 
@@ -282,7 +282,7 @@ class Complements(Constraint):  # type: ignore[misc]
         self.dual_variables = [cp.Variable(args[1].shape)]
 
     def name(self) -> str:
-        """Return the constraint as text, with the way to solve it: cvxpy prints this where it refuses the model."""
+        """Return the constraint as text, with the call that solves it: cvxpy prints this when it rejects the model."""
         return f"complements({self.first}, {self.second})  [{REMEDY}]"
 
     def __repr__(self) -> str:
@@ -295,7 +295,7 @@ class Complements(Constraint):  # type: ignore[misc]
     is_dgp = is_dqcp = is_dnlp = is_dcp
 
     def parameters(self) -> list[Any]:
-        """Return the parameters of both sides, those of the bounds of a box included."""
+        """Return the parameters of both sides, including parameters in the bounds of a box."""
         found = {parameter.id: parameter for parameter in super().parameters()}
         for side in (self.first, self.second):
             for bound in (side.lower, side.upper, side.friction):
@@ -333,7 +333,7 @@ class Complements(Constraint):  # type: ignore[misc]
         self.dual_variables[0].save_value(value)
 
     def copy(self, args: Any = None, id_objects: Any = None) -> Complements:
-        """Return a copy with the same sides; other arguments are refused."""
+        """Return a copy with the same sides; raise UnsupportedModel for other arguments."""
         if args is not None and any(
             mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
         ):

@@ -29,11 +29,11 @@ MOST_NAMED = 5  # constraints that a contradiction lists
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
-    The status is judged by the program's own residuals. Infeasible and unbounded come with a proof,
+    The status rests on the program's residuals. Infeasible and unbounded come with a proof,
     ``problem.solver_stats.extra_stats.proof``; cvxpy ≥ 1.9 passes on the multipliers that prove infeasibility as dual
     values, and `conflicting_constraints` names the constraints that have some.
 
-    Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
+    Stateless, because cvxpy keeps the compiled problem under the first solver object. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
     ``threads`` and the algorithm's own.
     """

@@ -1,4 +1,4 @@
-"""From cvxpy problems to LCPs and back: problem.solve(method="LCP"), and what cvxpy users find after a solve."""
+"""From cvxpy problems to LCPs and back: problem.solve(method="LCP"), and the attributes that it sets."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
     Raises
     ------
     UnsupportedModel
-        Naming the constraint or variable that stands in the way, and the remedy.
+        The message names the unsuitable constraint or variable, and the remedy.
     """
     equations = [one for one in constraints if isinstance(one, (Equality, Zero))]
     pairs = [one for one in constraints if isinstance(one, Complements)]
     for one in constraints:
         if not isinstance(one, (Equality, Zero, Complements)):
             raise NotSquare(
-                f"the constraint {one} stands alone beside complementarities; make it part of a pair, as in "
+                f"the constraint {one} does not belong to a complementarity; make it part of a pair, as in "
                 f"complements({one}, F >= 0)"
             )
     model = Model(constraints, memo)
@@ -83,7 +83,7 @@ _memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.Wea
 
 
 def build_from(problem: Any) -> Model:
-    """Return the model of a cvxpy problem; what depends on no parameter is kept for the next call."""
+    """Return the model of a cvxpy problem; parts that depend on no parameter are cached for the next call."""
     if not isinstance(problem, cp.Problem):
         kind = type(problem).__name__
         raise UnsupportedModel(
@@ -91,9 +91,9 @@ def build_from(problem: Any) -> Model:
         )
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
-            f"the objective {name_of(problem.objective.args[0])} beside complementarity asks for the best of all "
-            'solutions, which no single LCP states: problem.solve(method="LCP") finds it; write cp.Minimize(0) for '
-            "any of them"
+            f"the objective {name_of(problem.objective.args[0])} with complementarity requires the best of all "
+            'solutions, which is not a single LCP: problem.solve(method="LCP") finds it; write cp.Minimize(0) for '
+            "any solution"
         )
     return build(problem.constraints, _memos.setdefault(problem, {}))
 
@@ -135,9 +135,9 @@ def solve_model(
     warm_start : bool
         Begin with the present values of the variables where all have one.
     verbose : bool
-        Print the run as :func:`lcp_plugin.solve` does, then tell its story through cvxpy's logger.
+        Print the run as :func:`lcp_plugin.solve` does, then print a summary through cvxpy's logger.
     solver : None
-        There because cvxpy passes it; there is no other solver to choose.
+        Must be None; it exists because cvxpy passes it.
     **options
         Options of :func:`lcp_plugin.solve` and of the algorithm.
 
@@ -149,17 +149,17 @@ def solve_model(
     Raises
     ------
     UnsupportedModel
-        Where the model is none of the two; the message names what stands in the way. It is a SolverError as well.
+        If the model belongs to neither class; the message names the unsuitable part. It is also a SolverError.
     cvxpy.error.SolverError
-        Where the run diverged.
+        If the run diverged.
     """
     with solver_errors():
         foreign = [name for name in CVXPY_FLAGS if name in options]
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"
             raise UnsupportedModel(
-                f'{what} means nothing to method="LCP"; leave it out. Its methods are chosen by algorithm=…, and '
-                "derivatives are those of lcp_plugin.derivative(problem) after the solve"
+                f'{what} means nothing to method="LCP"; leave it out. Use algorithm=… to choose a method, and '
+                "lcp_plugin.derivative(problem) after the solve for derivatives"
             )
         if not is_complementarity_problem(problem):
             options["algorithm"] = algorithm
@@ -224,12 +224,12 @@ def _best(problem: Any, algorithm: Any, warm_start: bool, options: dict[str, Any
 
     if _has_cones(problem):
         raise UnsupportedModel(
-            f"the objective {name_of(problem.objective.args[0])} stands beside a complementarity over cones, and "
-            "nothing searches for the best of its solutions; write cp.Minimize(0) for any of them"
+            f"the objective {name_of(problem.objective.args[0])} occurs with a complementarity over cones, and "
+            "the best of its solutions cannot be computed; write cp.Minimize(0) for any of them"
         )
     if algorithm != "auto":
         raise UnsupportedModel(
-            f"algorithm={algorithm!r} does not go with an objective beside complementarity; leave it out"
+            f"algorithm={algorithm!r} cannot be combined with an objective and complementarity; leave it out"
         )
     return solve_for_the_best(problem, warm_start, options)
 

@@ -1,14 +1,15 @@
 """Contacts with Coulomb friction, its cone a pyramid, as one linear complementarity problem.
 
-Of contact c with friction coefficient μ let p be the normal impulse, β ≥ 0 one impulse an edge of the pyramid, u and v
-the normal and the tangential velocity after the impulses, and the columns of D the edges, unit vectors in pairs d, −d:
+For contact c with friction coefficient μ let p be the normal impulse, β ≥ 0 one impulse per edge of the pyramid, u and
+v the normal and the tangential velocity after the impulses, and the columns of D the edges, unit vectors in pairs d,
+−d:
 
     0 ≤ p ⊥ u ≥ 0,      0 ≤ β ⊥ Dᵀv + λ 1 ≥ 0,      0 ≤ λ ⊥ μ p − 1ᵀβ ≥ 0.
 
 So λ is the speed of slipping against the steepest edge, and 0 where the contact sticks. Velocities are W times the
 impulses, and those that the bodies would have without them, W = J m⁻¹ Jᵀ (Delassus' operator; J the rows of normals and
-tangents, m the mass matrix), and z = (p of all contacts, β contact by contact, λ of all). Of velocities J u with no gap
-there is a solution, and Lemke's path ends in one (Anitescu and Potra).
+tangents, m the mass matrix), and z = (p of all contacts, β contact by contact, λ of all). For velocities J u and no
+gaps a solution exists, and Lemke's path ends in one (Anitescu and Potra).
 
 A simulation takes a few calls per step:
 
@@ -72,8 +73,8 @@ class ContactMotion:
     sticks : array of bool, shape (k,)
         Whether it presses and does not slip: no faster than 1e-8 of the largest velocity given.
     body_velocities : ndarray, shape (v,), or None
-        Those of the bodies after the impulses, u + m⁻¹ Jᵀ impulses. None where the contacts were stated without a mass
-        matrix and the bodies' velocities u, and of ``problem.with_q(q)``, whose q does not tell u.
+        Body velocities after the impulses, u + m⁻¹ Jᵀ impulses. None if the contacts were built without a mass matrix
+        and the bodies' velocities u, and for ``problem.with_q(q)``, whose q does not determine u.
     """
 
     normal: FloatArray
@@ -86,7 +87,7 @@ class ContactMotion:
 
 
 def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
-    """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given`, (…, d k), are those without."""
+    """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given`: velocities without them."""
     still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
     with np.errstate(over="ignore", under="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
@@ -104,7 +105,7 @@ class Bodies(NamedTuple):
 
     @property
     def by_impulse(self) -> Any:
-        """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, sparse, shape (v, d k)."""
+        """Change of the body velocities by a unit impulse of each row, m⁻¹ Jᵀ, sparse, shape (v, d k)."""
         return inverse_by_components(self.mass) @ self.rows.T
 
 
@@ -115,16 +116,16 @@ class Contacts:
     Attributes
     ----------
     W : ndarray, shape (d k, d k)
-        Velocities by impulses, d = 1 + t rows a contact: its normal, then its tangents; in 1/kg.
+        Velocities by impulses, d = 1 + t rows per contact: its normal, then its tangents; in 1/kg.
     friction : ndarray, shape (k,)
     velocities : ndarray, shape (k, d)
         Without the impulses, in m/s.
     edges : ndarray, shape (m, t)
-        Those of the pyramids, by the tangents.
+        Edges of the pyramids, in coordinates of the tangents.
     closing : ndarray, shape (k,)
         Normal velocities that close the gaps within the step, in m/s.
     bodies : Bodies or None
-        Where W was made of a mass matrix, normals and tangents.
+        The mass matrix, normals and tangents, if W was built from them.
     """
 
     W: FloatArray = field(repr=False)
@@ -259,16 +260,17 @@ def contact_data(
     Parameters
     ----------
     contacts : array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
-        W, symmetric, with d = 1 + t rows a contact: its normal, then its t tangents, t = 1 in the plane and 2 in space;
-        in 1/kg. Or the mass matrix, shape (v, v), symmetric positive definite, in kg; normals, shape (k, v), and
-        tangents, (k, t, v) or (k, v) in the plane: what the bodies' velocities contribute to those of the gap,
-        positive where it opens, and along two directions. These are orthogonal unit vectors: of a free body's
-        translations (columns where the mass matrix is m times the identity) that is checked; of joints nobody can.
+        W, symmetric, with d = 1 + t rows per contact: its normal, then its t tangents, t = 1 in the plane and 2 in
+        space; in 1/kg. Or the mass matrix, shape (v, v), symmetric positive definite, in kg; normals, shape (k, v), and
+        tangents, (k, t, v) or (k, v) in the plane: they map the bodies' velocities to the velocity of the gap,
+        positive if it opens, and to the velocities along the tangents. These directions must be orthogonal unit
+        vectors; this is checked for translations of free bodies (columns in which the mass matrix is m times the
+        identity), and cannot be checked for joints.
     friction : number or array, shape (k,)
         Coefficients μ ≥ 0; a ModelWarning is issued above 5.
-    velocities : array, shape (k, d), or (v,) beside a mass matrix
-        What they would be at the end of the step without contact impulses, in m/s: along normal and tangents of each
-        contact, or of the bodies. Restitution is added to normal velocities, for which it takes the shape (k, d).
+    velocities : array, shape (k, d), or (v,) with a mass matrix
+        Velocities at the end of the step without contact impulses, in m/s: along normal and tangents of each contact,
+        or of the bodies. Restitution is added to normal velocities, for which it takes the shape (k, d).
     directions : int
         Edges of a pyramid in space, even, at least 4; the first along the first tangent. In the plane there are two.
     gaps : number or array, shape (k,), optional
@@ -342,7 +344,7 @@ def closing_speeds(gaps: ArrayLike | None, time_step: float | None, k: int) -> F
         )
     if not is_number(time_step) or not 0.0 < time_step < np.inf:
         raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
-    need = f"gaps must be a number, or a finite array of shape ({k},): one a contact"
+    need = f"gaps must be a number, or a finite array of shape ({k},): one per contact"
     distances = _array(gaps, need)
     if distances.shape not in ((), (k,)):
         raise InvalidProblem(f"{need}, got shape {distances.shape}")
@@ -350,7 +352,7 @@ def closing_speeds(gaps: ArrayLike | None, time_step: float | None, k: int) -> F
 
 
 def warn_of_much_friction(friction: FloatArray, level: int) -> None:
-    """Warn the caller this many frames up if a coefficient is larger than those of any material."""
+    """Warn the caller this many frames up if a coefficient is larger than for any material."""
     if not friction.max(initial=0.0) > MOST_FRICTION:
         return
     at = np.unravel_index(int(friction.argmax()), friction.shape)
@@ -401,7 +403,7 @@ def contacts_of_bodies(
         own, velocities = velocities, (J @ velocities).reshape(k, 1 + t)
     elif velocities.ndim == 1:
         raise InvalidProblem(
-            f"velocities must have shape ({v},), those of the bodies, or ({k}, {1 + t}), those of the contacts, got "
+            f"velocities must have shape ({v},), of the bodies, or ({k}, {1 + t}), of the contacts, got "
             f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
             "matrix"
         )
@@ -414,9 +416,9 @@ def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
     Raises
     ------
     InvalidProblem
-        Where it is not positive definite.
+        If it is not positive definite.
     """
-    from scipy.sparse.csgraph import connected_components  # what most problems do not need
+    from scipy.sparse.csgraph import connected_components  # most problems do not need it
 
     count, component = connected_components(mass, directed=False)
     order, sizes = np.argsort(component, kind="stable"), np.bincount(component, minlength=count)
@@ -440,9 +442,9 @@ def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
 
 
 def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
-    """Refuse rows of J, d a contact, that are no unit vectors where they show it.
+    """Raise InvalidProblem if rows of J, d per contact, are clearly not unit vectors.
 
-    Columns in which the mass matrix is m times the identity, beside zeros, are translations of a free body, or
+    Columns in which the mass matrix is m times the identity, with zeros elsewhere, are translations of a free body, or
     rotations of one with three equal moments of inertia. Normal and tangents are linearly independent there for
     translations only: r × n, r × t and r × s lie in a plane.
     """
@@ -469,9 +471,9 @@ def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
     if wrong.size:
         c = int(wrong[0])
         raise InvalidProblem(
-            f"normals and tangents must be orthogonal unit vectors, but those of contact {c} are off by {least[c]:.2g} "
-            "in the translations of a body; divide each by its length, the lever arms with it; or, where the unknowns "
-            "are no translations, give W = J m⁻¹ Jᵀ and the velocities J u"
+            f"normals and tangents must be orthogonal unit vectors, but contact {c} violates this by {least[c]:.2g} "
+            "in the translations of a body; divide each by its length, the lever arms with it; or, if the unknowns "
+            "are not translations, pass W = J m⁻¹ Jᵀ and the velocities J u"
         )
 
 
@@ -500,7 +502,7 @@ def _array(values: Any, need: str) -> FloatArray:
 
 
 def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
-    """Refuse a matrix whose entries differ from those across the diagonal by more than that of the largest."""
+    """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidProblem(
             f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)"

@@ -139,7 +139,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "friction and a cone": (lambda: complements(friction_cone(y, 1.0), cp.SOC(t, x)), "needs the velocities u"),
     "a matrix": (lambda: friction_cone(cp.Variable((2, 3)), 1.0), "needs a vector of impulses"),
     "no contacts": (lambda: friction_cone(cp.Variable(7), 1.0), "multiple of"),
-    "coefficients": (lambda: friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3), "one a contact of 3 rows"),
+    "coefficients": (lambda: friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3), "one per contact of 3 rows"),
     "a smooth side": (
         lambda: solved(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))), "must be affine"
     ),

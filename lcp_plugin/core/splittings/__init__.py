@@ -1,6 +1,6 @@
 """Splitting methods: projected-type (np*) and projected relaxation (p*, gfp).
 
-What to expect of sweeps:
+Convergence of sweeps:
 
 - On the paper's two examples, where no constraint is active, NPSOR(1.7) needs 12–17 iterations
   (``examples/paper_tables.py``) and plain projected Gauss–Seidel 10–16 (``lcp-plugin solve paper_example_1 -a pgs
@@ -8,12 +8,12 @@ What to expect of sweeps:
 - Where constraints are active, the np* methods need their row scaling, which is on by default.
 - psor finds a relaxation that needs at most twice the iterations of the best fixed one on a plain obstacle problem.
 - On a fine grid all of them are slow: with the best relaxation the iterations grow with the number of nodes across,
-  without it with its square. multigrid takes about ten V-cycles whatever n. It needs no geometry, only M.
+  without it with its square. multigrid takes about ten V-cycles for any n. It needs no geometry, only M.
 - They are not for every matrix. On bimatrix games, circuits, saddle points and infeasible problems they end STALLED or
-  DIVERGED, on rank-deficient contact sometimes; "auto" goes on with direct methods there.
+  DIVERGED, sometimes also on rank-deficient contact; "auto" then continues with direct methods.
 
 The paper's formulas for NPSOR and NPAOR contain misprints; implemented as printed they converge to a wrong point, which
-a test demonstrates. The modulus rows of its tables are those of Ω = D/2 (MGS) and D/(2α²) (MSOR).
+a test demonstrates. The modulus rows of its tables use Ω = D/2 (MGS) and D/(2α²) (MSOR).
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from ..matrix.row_sums import row_splits
 
 
 class Splitting(Algorithm):
-    """Sweeps over the rows of M = D − L − U, weighed by α and, for what a sweep has already updated, by β.
+    """Sweeps over the rows of M = D − L − U, weighted by α and, for already updated unknowns, by β.
 
-    A family, a subclass, says what a sweep is. A method is a family with α and β: its fields `relaxation` and
+    A subclass (a family) defines the sweep. A method is a family with α and β: its fields `relaxation` and
     `acceleration` where it has them; without, α is 1, and β is α where `is_coupled` and 0 elsewhere.
     """
 
@@ -80,14 +80,14 @@ class Splitting(Algorithm):
         Parameters
         ----------
         kernel : callable
-            Of :mod:`~lcp_plugin.core.kernels.splitting_sweeps`: writes the next x beside this one, and z where it is
-            given.
+            Of :mod:`~lcp_plugin.core.kernels.splitting_sweeps`: writes the next x next to this one, and z if it is
+            passed.
         rows, weights : array and tuple
-            What the kernel asks of each row, and of all.
+            Arguments of the kernel, per row and for all rows.
         x : array, shape (width,)
             Overwritten.
         z : array, shape (n,), optional
-            Where x is not z itself: filled with the z of x.
+            If x is not z itself: filled with the z of x.
         """
         matrix, M = problem.matrix, problem.matrix.csr
         passes = directions(self.sweep)

@@ -42,7 +42,7 @@ class _Relaxation(Splitting):
     sweep: str = "forward"
 
     def facts(self, problem: LCP) -> IterationFacts:
-        """Return ω and β, None where they are found during the run, and the sweep."""
+        """Return ω and β, None if they are determined during the run, and the sweep."""
         require_positive_diagonal(problem, self.name)
         omega, beta = self.weights()
         return IterationFacts(
@@ -58,7 +58,7 @@ class _InPlace(_Relaxation):
     """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current."""
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
+        """Yield z₀, z₁, …, all in the same array; the increment shows when a residual is worth measuring."""
         from ..kernels import splitting_sweeps as kernels
 
         matrix, M = problem.matrix, problem.matrix.csr
@@ -232,14 +232,14 @@ class AdaptiveRelaxation:
     definite matrix SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best.
     A trial with that ω lasts a few times 1/(2 − ω) sweeps, longer while its increments are still large, and ends
     with one Gauss–Seidel sweep. If its
-    increment is a new record (0.9 of the last), the trial is kept, μ is estimated anew, and the next one
+    increment is a new record (0.9 of the last), the trial is kept, μ is estimated again, and the next one
     begins; otherwise z goes back to where the trial began and the next Gauss–Seidel phase is twice as long.
 
-    Where an ω is known from a problem nearby (`first`), it has its trial after one Gauss–Seidel sweep.
+    If an ω is known from a similar problem (`first`), it is tried after one Gauss–Seidel sweep.
 
     So the iteration converges wherever projected Gauss–Seidel does. Either infinitely many trials are kept: then
     the increments of a Gauss–Seidel sweep fall to 0, and they vanish at solutions only. Or from some point on
-    all trials are undone: then what remains is Gauss–Seidel itself.
+    all trials are undone: the remaining iteration is Gauss–Seidel.
 
     References
     ----------
@@ -262,7 +262,7 @@ class AdaptiveRelaxation:
 
     @property
     def is_settling(self) -> bool:
-        """Whether a trial is under way: a residual that rises now says nothing."""
+        """Whether a trial is running: a rising residual is then not a sign of divergence."""
         return self._checkpoint is not None
 
     def after(self, size: float, z: FloatVector) -> float:
@@ -335,14 +335,14 @@ class AdaptiveRelaxation:
 
 
 def best_relaxation(rate: float, omega: float) -> float:
-    """Return ω* by Young's formula from the contraction observed at ω, or ω itself where that tells nothing.
+    """Return ω* by Young's formula from the contraction observed at ω, or ω itself if the formula does not apply.
 
     Examples
     --------
     >>> round(best_relaxation(0.96, 1.0), 3)
     1.667
     """
-    if not omega - 1.0 < rate < 1.0:  # beyond ω* the rate is ω − 1, whatever μ
+    if not omega - 1.0 < rate < 1.0:  # beyond ω* the rate is ω − 1, for any μ
         return omega
     mu_squared = ((rate + omega - 1.0) / omega) ** 2 / rate
     return min(2.0 / (1.0 + math.sqrt(1.0 - mu_squared)), LARGEST) if mu_squared < 1.0 else omega

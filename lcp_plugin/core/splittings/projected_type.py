@@ -7,7 +7,7 @@ Their Method 3.1 with any splitting M = 𝓜 − 𝓝 is, because |w − z| = w 
 the residual that is the stopping test anyway, and one triangular solve. Here min(z, w) is replaced by
 r_S(z) = z − mid(lower, upper, z − S w), which is the same on the classical problem, allows bounds and free
 rows, and lets a positive row scaling S in. Each component of z⁺ is projected onto its bounds (the paper's ζ₊)
-as soon as it is computed, so that the rows after it already see the projected value.
+immediately, so that the rows after it already see the projected value.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and l
 
 @dataclass(frozen=True, kw_only=True)
 class ScaledByRows(Algorithm):
-    """What all NP iterations have: a row scaling S, and a last projected Gauss–Seidel sweep."""
+    """Base of all NP iterations: a row scaling S, and a last projected Gauss–Seidel sweep."""
 
     scaling: str | None = "auto"
     scaling_factor: float = 1.0
@@ -63,8 +63,8 @@ class ScaledByRows(Algorithm):
     ) -> FloatVector:
         """Return the diagonal of S, shape (n,): ones, factor/m_ii, or θ/m_ii with automatic θ; finite.
 
-        The scale of the residual stands for m_ii where that is no use. A diagonal that is small beside its row is of
-        use: so it is in an H₊-matrix whose columns differ in unit.
+        The scale of the residual replaces m_ii if m_ii ≤ 0 or tiny. A diagonal that is small relative to its row is
+        used, as in an H₊-matrix with columns of different units.
         """
         if self.scaling is None:
             return np.ones(problem.q.size)
@@ -200,8 +200,8 @@ class NPAOR(ProjectedType):
 
     Notes
     -----
-    The paper prints (α−β)U for (α−β)L + αU and αI + D for α(I + D); the formula above is what its
-    Method 3.1 gives. Paper notation: α₁ = relaxation, β₁ = acceleration.
+    The paper prints (α−β)U for (α−β)L + αU and αI + D for α(I + D); the formula above follows
+    from its Method 3.1. Paper notation: α₁ = relaxation, β₁ = acceleration.
 
     Examples
     --------

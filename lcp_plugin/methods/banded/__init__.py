@@ -32,14 +32,14 @@ class Banded(Algorithm):
 
     Notes
     -----
-    A round is a factorisation of the free block, with pivots from the column, within the band: O(n) on a narrow one.
-    Then all wrong rows change, those whose z leaves the bounds or whose w has the wrong sign. On M-matrices bounded on
-    one side the changes are monotone and finite. A settled active set has its z refined once. A start says which bounds
-    hold at first.
+    An active-set iteration is one factorization of the free block, with pivots from the column, within the band: O(n)
+    for a narrow band. Then all violated rows change: z leaves the bounds, or w has the wrong sign. On M-matrices with
+    bounds on one side the changes are monotone and finite. The z of the final active set is refined once. A start
+    determines the first active set.
 
     Where M is tridiagonal and no entry off the diagonal is positive, the rows at their bounds on one side are found
     directly, in O(n), those at the other side held: bounds on one side take one round, boxes some, in which the sides
-    take turns. Where 30 turns have not settled it, one side stays: on an M-matrix z is monotone then, and rows only
+    take turns. If 30 turns do not suffice, one side stays: on an M-matrix z is monotone then, and rows only
     leave the other side, so that it ends. The direct part is the method of Brennan and Schwartz where the contact set
     is one interval at an end, Cryer's in general.
 
@@ -60,7 +60,7 @@ class Banded(Algorithm):
     name: ClassVar[str] = "banded"
     needs: ClassVar[str] = "a narrow band"
     solves: ClassVar[str] = "M-matrices, bounds on one side; tridiagonal ones"
-    cost: ClassVar[str] = "1 factorisation of the band"
+    cost: ClassVar[str] = "1 factorization of the band"
     reference: ClassVar[str] = (
         "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"
     )
@@ -68,7 +68,7 @@ class Banded(Algorithm):
     ends_with_a_case: ClassVar[bool] = True
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return those of as many rounds as there usually are; ∞ where M is dense."""
+        """Return the predicted passes of the usual number of active-set iterations; ∞ if M is dense."""
         return math.inf if problem.is_dense else _predicted_passes(problem.matrix)
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
@@ -96,8 +96,8 @@ class Banded(Algorithm):
         band = bands(problem.matrix)
         if band is None:
             raise UnsuitableMatrix(
-                f"{self.name} needs a narrow band, but a factor of that of M is too large: "
-                f'its {problem.n} rows reach too far beside the diagonal; try algorithm="auto"'
+                f"{self.name} needs a narrow band, but the band of M with n = {problem.n} is too wide to factorize; "
+                'try algorithm="auto"'
             )
         return band
 

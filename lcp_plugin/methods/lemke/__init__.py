@@ -44,11 +44,11 @@ class Lemke(Algorithm):
     Notes
     -----
     The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
-    eliminated if their block is well conditioned; otherwise each becomes two nonnegative variables. Of a given
-    z0 the active set is tried before, by one factor: where q has moved a little it is often the answer; else z0
-    changes nothing. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
+    eliminated if their block is well conditioned; otherwise each becomes two nonnegative variables. The
+    active set of z0 is tried first, by one factorization: after a small change of q it is often right; otherwise z0
+    has no effect. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
     no basis comes twice. A path from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for
-    a copositive-plus M (a positive semidefinite one, say) where the problem is feasible.
+    a copositive-plus M (for example a positive semidefinite one) where the problem is feasible.
 
     Examples
     --------
@@ -163,7 +163,7 @@ class Lemke(Algorithm):
     def _follow(self, component: LCP, box: CanonicalBox, path: Any, start: Any, limit: int) -> Any:
         """Yield along one path; return whether it ended in a certified solution.
 
-        A path lost to rounding is followed once more with an inverse renewed every few pivots.
+        A path lost to rounding is followed again with an inverse renewed every few pivots.
         """
         from ..small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 

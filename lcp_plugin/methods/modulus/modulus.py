@@ -80,7 +80,7 @@ class ModulusBased(Splitting):
         diagonal = require_positive_diagonal(problem, self.name)
         weights = self.splitting()
         omega = self._omega(problem, diagonal)
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is seen in the residual
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow shows in the residual
             inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
             q = problem.slack(problem.lower)
         rows = packed(
@@ -108,7 +108,7 @@ class ModulusBased(Splitting):
 
     @property
     def takes_scaled(self) -> bool:
-        """Whether omega is a multiple of the diagonal; a vector is in the caller's units."""
+        """Whether omega is a multiple of the diagonal; a vector refers to the unscaled matrix."""
         return self._has_one_omega
 
     @property
@@ -163,7 +163,7 @@ class MSOR(ModulusBased):
 
     Notes
     -----
-    The paper prints Ω = D/(2α); its tables are those of Ω = D/(2α²) in this formula.
+    The paper prints Ω = D/(2α); its tables use Ω = D/(2α²) in this formula.
     """
 
     name: ClassVar[str] = "msor"

@@ -40,37 +40,37 @@ class Multigrid(Algorithm):
     relaxation : float
         Of psor.
     nested : bool
-        Whether to begin on the coarsest grid: for z itself, or from a warm start for the increment.
+        Whether to start on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int
-        A grid with at most so many unknowns is not made coarser, ≥ 1.
+        A grid with at most this many unknowns is not coarsened, ≥ 1.
     hands_over : bool
-        Whether to end where three rounds of cycles and sweeps gain little, so that another method takes over, although
-        the energy still falls; as `auto` has it.
+        Whether to end if three rounds of cycles and sweeps gain little, so that another method can continue, although
+        the energy still falls; used by `auto`.
 
     Notes
     -----
     The hierarchy is classical (first pass of Ruge and Stüben, interpolation through fine unknowns where coarse ones
-    are too far); columns may have any units. Unknowns at a bound are taken out of all grids, fine ones that are
-    held by them follow no coarse one any more, and a coarse row is computed again only where that changes it. Where
+    are too far); columns may have any scaling. Unknowns at a bound are removed from all grids, fine unknowns that are
+    strongly coupled to them are not interpolated any more, and a coarse row is computed again only if it changes. If
     the free set hardly changes and a cycle gains less than a factor 10, a few steps of conjugate gradients (M
-    symmetric) or generalised conjugate residuals accelerate the correction, one V-cycle each. Where corrections
-    fail, few contacts hold much: then, and where couplings jump from edge to edge from the beginning, such steps
-    solve on one free set after the other, each what the cut answer on the last one leaves free, and only the last
-    is looked at (primal–dual active sets). A correction that raises the energy (M symmetric) is shortened. Where
-    the residual grows a hundredfold, the energy rises all the same, or neither has fallen enough for twelve cycles,
-    and such rounds were tried, projected Gauss–Seidel sweeps from the last accepted iterate take over for a while:
-    with this safeguard the run converges on every symmetric positive definite M, from any start, whatever the
-    corrections are (:mod:`lcp_plugin.methods.multigrid.multigrid_safeguard` has the proof). It ends where three such
-    rounds gain nothing but rounding; without symmetry, where they gain little; and the driver ends a run whose best
-    residual stands still, as it does those of sweeps. Where coarser grids would cost too much there are sweeps only.
+    symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each. If corrections
+    fail, few contacts carry much load: then, and from the start if couplings jump from edge to edge, such steps
+    solve on a sequence of free sets, each determined by the projected solution on the previous one, and only the last
+    result is tested (primal–dual active sets). A correction that raises the energy (M symmetric) is shortened. If
+    the residual grows a hundredfold, or the energy nevertheless rises, or neither has fallen enough for twelve cycles
+    after such rounds, projected Gauss–Seidel sweeps from the last accepted iterate replace the cycles for a while:
+    with this safeguard the run converges on every symmetric positive definite M, from any start, for any
+    corrections (:mod:`lcp_plugin.methods.multigrid.multigrid_safeguard` has the proof). It ends if three such
+    rounds gain only rounding; without symmetry, if they gain little. The driver ends a run whose best residual no
+    longer falls, as for sweeps. If coarser grids would cost too much, only sweeps run.
 
-    Passes over more than 10⁵ rows are shared by the threads of the solve. Where M is symmetric, sweeps take its rows in
-    blocks, first all even ones: an order that follows from M alone, so that the number of threads changes no bit.
+    Passes over more than 10⁵ rows are shared by the threads of the solve. If M is symmetric, sweeps take its rows in
+    blocks, first all even ones: this order depends only on M, so that the number of threads changes no bit.
 
     On plates, thirteen points, cycles grow with the grid: 27, 44 and 86 on 30², 60² and 120² points.
 
-    Memory, five-point matrix: 490 bytes an unknown (98 a nonzero of M) at the peak, the problem included; measured at
-    n = 10⁷: 4.9 GB.
+    Memory, five-point matrix: 490 bytes per unknown (98 per nonzero of M) at the peak, the problem included; measured
+    at n = 10⁷: 4.9 GB.
 
     References
     ----------

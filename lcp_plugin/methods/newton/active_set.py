@@ -1,4 +1,4 @@
-"""Active sets: which bounds hold, the linear system that remains once that is decided, and what a run remembers."""
+"""Active sets: their identification, their linear system, and the state of a run."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ...core.lcp import LCP
 from ...systems.factors import factor_operations
 from ...systems.free_systems import FreeSystem
 
-LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
+LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorization
 LARGE_PATIENCE = 20
-NEAR = 0.1  # the active set of a start so near is likely to be that of the answer
+NEAR = 0.1  # the active set of such a near start is likely the solution's active set
 
 
 class ActiveSetSolution(NamedTuple):
-    """What an active set gives.
+    """The solution for an active set.
 
     Attributes
     ----------
     z : ndarray, shape (n,)
         At its bound on the active rows; w = 0 on the free rows, as well as can be.
     system : FreeSystem
-        That of the free rows, for another call with the same M.
+        The system of the free rows, for another call with the same M.
     work : float
-        Matrix entries touched, factorisation included, divided by the nonzeros of M.
+        Matrix entries touched, including the factorization, divided by the nonzeros of M.
     """
 
     z: FloatVector
@@ -59,7 +59,7 @@ def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, 
     array([False,  True])
     """
     step = w / problem.residual_scale
-    # z − step ≤ lower, written so that a small step is not lost beside a large z.
+    # z − step ≤ lower, written so that a small step is not lost next to a large z.
     at_lower = z - problem.lower <= step
     at_upper = (problem.upper - z <= -step) & ~at_lower
     is_fixed = problem.lower == problem.upper
@@ -67,7 +67,7 @@ def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, 
 
 
 def is_near(problem: LCP, z: FloatVector) -> bool:
-    """Return whether the residual of z is at most a tenth of that of the point of the bounds nearest to 0."""
+    """Return whether the residual of z is at most a tenth of the residual of the default start."""
     return bool(
         measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero)
     )
@@ -87,7 +87,7 @@ def solve_active_set(
     near: FloatVector | None = None,
     system: FreeSystem | None = None,
 ) -> ActiveSetSolution | None:
-    """Return z with z at its bounds on the active rows and w = 0 on the free ones, or None where none is finite.
+    """Return z with z at its bounds on the active rows and w = 0 on the free ones, or None if none is finite.
 
     Parameters
     ----------
@@ -96,11 +96,11 @@ def solve_active_set(
     near : ndarray, shape (n,), optional
         Where the free block is singular, a solution close to this z is sought; 0 by default.
     system : FreeSystem, optional
-        That of an earlier call with the same M, used where its rows are the free ones.
+        The system of an earlier call with the same M, used if its rows are the free ones.
 
     Notes
     -----
-    One factorisation of the free block, see :meth:`.FreeSystem.solve_near`. Nothing is judged here: look at the
+    One factorization of the free block, see :meth:`.FreeSystem.solve_near`. The result is not tested: measure the
     residual of z.
 
     Examples
@@ -122,9 +122,9 @@ def solve_active_set(
 
 @np.errstate(all="ignore")
 def solve_case(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
-    """Return what solves the linear system of the active set that z shows.
+    """Return the solution of the linear system of the active set of z.
 
-    None where its block is singular, so that z is one of many, and where a factor would take more passes over M than
+    None if its block is singular, so that z is not unique, and if a factorization would take more passes over M than
     `most_work`.
 
     Examples
@@ -150,7 +150,7 @@ class NewtonState:
     best : float
         ‖r(best_z)‖∞, the numerator of the relative residual.
     inside_z, inside : ndarray, shape (n,), and float
-        The best so far of the iterates projected onto the bounds, and its ‖r‖∞: what a step tells.
+        The best of the iterates projected onto the bounds, and its ‖r‖∞: the data of a step.
     """
 
     def __init__(self, problem: LCP, z: FloatVector) -> None:
@@ -201,7 +201,7 @@ class NewtonState:
         return signature(at_lower, at_upper) in self._solved
 
     def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
-        """Return the solution that belongs to an active set; z says which one where its block is singular."""
+        """Return the solution for an active set; if its block is singular, the one nearest to the current z."""
         self._solved.add(signature(at_lower, at_upper))
         solution = solve_active_set(
             self.problem, at_lower, at_upper, near=self.z, system=self._system

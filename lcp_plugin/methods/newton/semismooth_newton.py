@@ -25,14 +25,12 @@ from ...systems.factors import factorise
 from ...systems.graph import bandwidth
 from .active_set import LARGE_PATIENCE, NewtonState, classify
 
-PATIENCE = (
-    30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
-)
+PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one per row up to PATIENT_ROWS
 PATIENT_ROWS = 250
 ROUNDS = 3
-BEGUN_AGAIN_UP_TO = 500  # rows: from the point of the box nearest to 0, too
+BEGUN_AGAIN_UP_TO = 500  # rows: also from the point of the box nearest to 0
 
-# Of the line search.
+# The line search:
 LONGEST_RUN = 150
 SUFFICIENT = 1e-4
 FULL_STEP_GAIN = 0.5  # a full active-set step must reduce ‖Φ‖ to this share
@@ -52,9 +50,9 @@ class Newton(Algorithm):
     -----
     Full steps as long as they lead to new active sets; on M-matrices these are finite and monotone. When an active
     set comes back, or nothing improves, a line search on the Fischer–Burmeister function takes over, which tries
-    full steps again where they halve it. Small problems that resist are tried once more from the point of the box
+    full steps again if they halve it. Small problems that are not solved start again from the point of the box
     nearest to 0. In theory the line search converges on P-matrices; here its steps are bounded in number. Singular
-    blocks are regularised, and the residual judges what comes of it. On more than 3000 rows, steps that gain little
+    blocks are regularized, and the residual decides about the result. On more than 3000 rows, steps that gain little
     are given up early. Each step yields the best z so far, projected onto the bounds.
 
     References
@@ -73,7 +71,7 @@ class Newton(Algorithm):
     name: ClassVar[str] = "newton"
     needs: ClassVar[str] = "none"
     solves: ClassVar[str] = "M-matrices, bounds on one side, n ≤ 250"
-    cost: ClassVar[str] = "1 factorisation of the free block"
+    cost: ClassVar[str] = "1 factorization of the free block"
     reference: ClassVar[str] = (
         "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
         "doi:10.1007/BF02592192"
@@ -82,11 +80,11 @@ class Newton(Algorithm):
     ends_with_a_case: ClassVar[bool] = True
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return those of a direct answer."""
+        """Return the predicted passes of a direct solve."""
         return direct_passes(problem)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the best z so far, once a factorisation; end where nothing more can be done."""
+        """Yield the best z so far after each factorization; end if no further step is possible."""
         return without_warnings(self._steps(problem, z0))
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
@@ -172,7 +170,7 @@ def fischer_burmeister(
 ) -> Linearised:
     """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
 
-    d is the scale of the residual unless another one is given, shape (n,), > 0. Where a bound is infinite, its φ is
+    d is the scale of the residual unless another one is given, shape (n,), > 0. If a bound is infinite, its φ is
     replaced by its limit; a row with equal bounds gives z − lower.
 
     References
@@ -197,7 +195,7 @@ def fischer_burmeister(
 
 
 def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
-    """Return φ(a, b) and an element of its generalised derivative."""
+    """Return φ(a, b) and an element of its generalized derivative."""
     root = np.hypot(a, b)
     # a + b − root cancels where a and b are positive.
     sum_ = a + b

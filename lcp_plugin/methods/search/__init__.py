@@ -34,7 +34,7 @@ __all__ = [
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
 DEFAULT_NODES = 200_000
-SHOWN = 6  # vertices of a face, in words
+SHOWN = 6  # vertices of a face in a printed solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +63,31 @@ class Solution:
 
     @cached_property
     def exact_vertices(self) -> tuple[Point, ...]:
-        """All vertices of the face in lexicographic order, found when first asked for; each is a solution.
+        """All vertices of the face in lexicographic order, computed on first access; each is a solution.
 
-        None where the face contains a line. An unbounded face is more than what lies between them.
+        Empty if the face contains a line. An unbounded face is larger than the convex hull of its vertices.
         """
         return tuple(sorted(extreme_points(self.problem, self.pattern)))
 
     @property
     def vertices(self) -> FloatVector:
-        """The vertices of the face in doubles, shape (number of vertices, n)."""
+        """The vertices of the face in double precision, shape (number of vertices, n)."""
         rounded = [_in_doubles(vertex, "z") for vertex in self.exact_vertices]
         return np.array(rounded).reshape(len(rounded), self.problem.n)
 
     @property
     def z(self) -> FloatVector:
-        """The solution in doubles, shape (n,)."""
+        """The solution in double precision, shape (n,)."""
         return _in_doubles(self.exact_z, "z")
 
     @property
     def w(self) -> FloatVector:
-        """Its slack in doubles, shape (n,)."""
+        """Its slack in double precision, shape (n,)."""
         return _in_doubles(self.exact_w, "w")
 
     @property
     def is_isolated(self) -> bool:
-        """True where no other solution lies nearby; False for one vertex of a continuum."""
+        """True if no other solution is nearby; False for a vertex of a continuum."""
         return self.dimension == 0
 
     def __str__(self) -> str:
@@ -128,9 +128,11 @@ def search(
     Parameters
     ----------
     first_only : bool
-        Stop at the first solution; it may lie anywhere in the solution set, and its dimension is that of its pattern.
+        Stop at the first solution; it may lie anywhere in the solution set, and its dimension is the dimension of its
+        pattern.
     max_nodes : int
-        Cases to look at; one costs about a millisecond at n = 10, more with long mantissas.
+        Limit of the number of complementarity pieces; one costs about a millisecond at n = 10, more with long
+        mantissas.
 
     Raises
     ------
@@ -169,7 +171,7 @@ def explore(
             tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes
         )
     elif not first_only:
-        # A search for all leaves out cases that lie in others; the proof must not.
+        # A search for all solutions skips pieces contained in others; the proof must not.
         yield from explore(problem, effort)
     else:
         yield NoSolution(problem, explorer.tree, explorer.nodes)
@@ -186,21 +188,21 @@ def all_solutions(
     problem : LCP
         At most 24 rows that leave a choice, n at most 60.
     limit : int, optional
-        The first so many only.
+        Stop after this number of solutions.
     max_nodes : int
-        Cases to look at.
+        Limit of the number of complementarity pieces.
 
     Returns
     -------
     list of Solution
         In lexicographic order of z. Empty where there is none; `search` returns the proof of that. A face is listed
-        where it lies in no larger one, with z one of its vertices; ``solution.vertices`` has them all, of which some
-        may be those of another face, too.
+        if it lies in no larger one, with z one of its vertices; ``solution.vertices`` has all vertices, and faces may
+        share vertices.
 
     Raises
     ------
     UnsuitableProblem
-        Where the problem is too large, or needs more than `max_nodes` cases.
+        If the problem is too large, or needs more than `max_nodes` pieces.
 
     Notes
     -----
@@ -223,7 +225,7 @@ def all_solutions(
     outcome = search(problem, first_only=False, max_nodes=max_nodes)
     if isinstance(outcome, GaveUp):
         raise UnsuitableProblem(
-            f"the search looked at max_nodes={max_nodes} cases without an end; raise max_nodes, or ask for one "
+            f"the search did not end within max_nodes={max_nodes} pieces; raise max_nodes, or compute one "
             "solution with solve(problem)"
         )
     found = outcome.solutions if isinstance(outcome, Solutions) else ()
@@ -262,8 +264,8 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
         except OverflowError:
             exponent = abs(value.numerator).bit_length() - value.denominator.bit_length()
             raise UnsuitableProblem(
-                f"{name}[{i}] of the exact solution is about 2^{exponent}, beyond the largest double; take "
-                f"exact_{name}, or state the problem in other units"
+                f"{name}[{i}] of the exact solution is about 2^{exponent}, beyond the largest double; use "
+                f"exact_{name}, or rescale the problem"
             ) from None
     return rounded
 
@@ -274,7 +276,7 @@ def is_searchable(problem: LCP) -> bool:
 
 
 def _choices(problem: LCP) -> int:
-    """Return how many rows leave a choice."""
+    """Return the number of rows with more than one branch."""
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     return int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
 

@@ -37,11 +37,10 @@ P = TypeVar("P", LCP, QuadraticProgram)
 
 @np.errstate(under="ignore")
 def prepare(problem: P, *, threads: int | None = None) -> P:
-    """Return the same problem, prepared for many q: everything that depends on M alone is computed.
+    """Return the problem, prepared for many q: all cached properties of M are computed.
 
-    ``problem.with_q(q)`` shares it, so that a march in time pays for it once; a solve without it computes what it
-    needs when it needs it. For a program it is everything computed from P, G and A; ``program.with_vectors(c, h, b)``
-    shares that.
+    ``problem.with_q(q)`` shares them. Without this call, a solve computes each property when it needs it. For a
+    program, the properties of P, G and A are computed; ``program.with_vectors(c, h, b)`` shares them.
 
     Parameters
     ----------
@@ -52,9 +51,9 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     Raises
     ------
     InvalidOption
-        Where it is neither, or `threads` no number of threads.
+        If it is neither, or `threads` is not a number of threads.
     UnsupportedModel
-        Where the program is not convex.
+        If the program is not convex.
 
     Examples
     --------
@@ -174,47 +173,47 @@ def solve_batch(
     prove_infeasibility: bool = True,
     threads: int | None = None,
 ) -> Any:
-    """Return the answers to many problems, or quadratic programs, small ones in one compiled loop.
+    """Return the results of many problems; small ones are solved in one compiled loop.
 
     Parameters
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array or an LCP for all, a sequence of problems, a program and its
-        vectors, a QuadraticProgramBatch, or a FrictionalContact
-        of many worlds
-        With one LCP and a q of shape (B, n), all share what is known of its matrix, as after :func:`prepare`; its
-        bounds hold where no others are given. One program takes a sequence of mappings in the place of q, as
-        ``[{"b": b}, …]``: what ``program.with_vectors`` takes.
-        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data. Of these, programs
-        of one shape are judged together, as in a QuadraticProgramBatch, small problems over cones with dense matrices
-        share a compiled loop, and others are solved one by one. LCPs may differ in size. Beside a sequence q, lower and
-        upper are not given. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while
-        you use what is returned.
+        vectors, a QuadraticProgramBatch, or the result of
+        `FrictionalContact.worlds`
+        With one LCP and a q of shape (B, n), all problems share the cached properties of its matrix, as after
+        :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
+        mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
+        A sequence may contain LCPs of different sizes and all problem classes that :func:`lcp_plugin.solve` takes
+        without further data; do not pass q, lower or upper with it. Programs of one shape are tested together, as in a
+        QuadraticProgramBatch; small problems over cones with dense matrices share a compiled loop; others are solved
+        one by one. Arrays of shape (B, n, n) are not copied: do not change their entries while you use the result.
     q : array, shape (B, n) or (n,)
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
-        Warm starts; a list of vectors, or None, beside a list of LCPs.
+        Warm starts; for a list of LCPs a list of vectors or None.
     algorithm, tolerance, max_iterations, absolute_tolerance, prove_infeasibility
         For each problem, as in :func:`lcp_plugin.solve`.
     max_seconds : float, optional
-        In seconds, for the whole batch: those not solved by then end with MAX_SECONDS.
+        In seconds, for the entire batch: problems not solved by then end with MAX_SECONDS.
     threads : int, optional
-        How many take part in the compiled loop; by default all that the process may use. What it leaves open is
-        solved on one. The bits are the same for any number.
+        Number of threads of the compiled loop; by default all that the process may use. Problems that the loop does not
+        solve use one thread. Results are the same bit for bit for any number.
 
     Returns
     -------
     BatchResult, ProgramBatchResult for programs of one shape, ContactBatchResult, or AnswerList for other problems
-        All have x, status, objective and iterations, a row an item, and ``explain()``, and are sequences of the results
-        of :func:`lcp_plugin.solve`; to look at one that was refused raises why. Each problem is judged by its own
-        certificate. NaN in one, or no solution of it, harms no other: what the compiled loop leaves open is solved one
-        by one. After Ctrl-C those left are INTERRUPTED. Each program is judged by its own residuals, as
-        :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult` says. Where the compiled loop meets a
-        contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
+        All have arrays x, status, objective and iterations with one row per problem, and ``explain()``, and are
+        sequences of the results of :func:`lcp_plugin.solve`; accessing an invalid problem raises its error. Each
+        problem has its own certificate; a program is tested as in
+        :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`. A NaN or an infeasible problem does not
+        affect the others: problems that the compiled loop does not solve are solved one by one. After Ctrl-C the
+        remaining ones are INTERRUPTED. If the compiled loop finds a Farkas certificate, the status is INFEASIBLE even
+        with prove_infeasibility=False.
 
     Raises
     ------
     InvalidProblem
-        Where shapes do not fit together, or an item of the sequence is no problem.
+        If shapes do not fit together, or an item of the sequence is not a problem.
     UnknownAlgorithm, InvalidOption
         As :func:`lcp_plugin.solve`.
 

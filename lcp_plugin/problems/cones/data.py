@@ -1,7 +1,7 @@
 """Complementarity over cones: the data, checked.
 
 K ∋ z ⟂ w ∈ K*, w = M z + q, K a product of blocks: one row between bounds (free, nonnegative, a box), or several rows
-in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact with friction is that with û = w + μ‖w_T‖ e_N for w
+in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact with friction has û = w + μ‖w_T‖ e_N in place of w
 (De Saxcé): Coulomb's law, impulses r for z, velocities u for w; `frictional_contact` states it.
 """
 
@@ -38,14 +38,14 @@ Starts = NDArray[np.int64]
 
 
 class Blocks:
-    """What both problems are made of: M, q, and the blocks of rows.
+    """Common data of both problems: M, q, and the blocks of rows.
 
     Attributes
     ----------
     rows : LCP
-        M and q with the bounds of the rows that are no cone's, and none for the others.
+        M and q with the bounds of the rows outside cones; rows of cones have no bounds.
     starts : array of int, shape (k + 1,)
-        Block i has the rows starts[i] … starts[i + 1] − 1; one row is no cone.
+        Block i has the rows starts[i] … starts[i + 1] − 1; a block of one row is not a cone.
     slope : ndarray, shape (k,)
         μ of the cones; 0 elsewhere.
     has_friction : bool
@@ -64,7 +64,7 @@ class Blocks:
             read_only(slope),
             has_friction,
         )
-        self._facts: dict[Any, Any] = {}  # of M alone: problems that differ in q share them
+        self._facts: dict[Any, Any] = {}  # properties of M: problems that differ in q share them
 
     @property
     def n(self) -> int:
@@ -132,7 +132,7 @@ class Blocks:
         return found
 
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
-        """Return the problem of some blocks alone, shape (k,): whole components, which no other block meets."""
+        """Return the problem of the selected blocks, bool, shape (k,), which must be entire components."""
         rows = blocks[self.block_of_row]
         own = LCP(
             self.rows.csr[rows][:, rows],
@@ -154,7 +154,7 @@ class Blocks:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
 
-        Of bodies it keeps W and b.
+        If the problem was built from bodies, the file has W and b.
 
         Raises
         ------
@@ -173,7 +173,7 @@ class Blocks:
         save_arrays(path, {**matrix, "q": self.q, **self._shape()}, "a problem over cones")
 
     def _shape(self) -> dict[str, Any]:
-        """Return the arrays that say which blocks there are, as a file keeps them."""
+        """Return the arrays that describe the blocks in a file."""
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
@@ -227,11 +227,11 @@ class ConeProblem(Blocks):
 
     @property
     def M(self) -> Any:
-        """The matrix, as it is kept: dense or CSR."""
+        """The stored matrix, dense or CSR."""
         return self.rows.M
 
     def with_q(self, q: ArrayLike) -> ConeProblem:
-        """Return the problem with another q, shape (n,); what depends on M alone is shared."""
+        """Return the problem with another q, shape (n,); it shares the cached properties of M."""
         other: ConeProblem = with_other_q(self, q, "q")
         return other
 
@@ -253,7 +253,7 @@ class ConeProblem(Blocks):
 
 
 def with_other_q(problem: Any, q: ArrayLike, name: str) -> Any:
-    """Return the problem with another q, shape (n,), of that name; what depends on M alone is shared."""
+    """Return the problem with another q, shape (n,), called `name` in errors; it shares the cached properties of M."""
     other = object.__new__(type(problem))
     other.__dict__.update(problem.__dict__)
     other.rows = problem.rows.with_q(
@@ -282,7 +282,7 @@ def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
 
 
 def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:
-    """Return the rows of each block, the bounds of the rows, and the cones as they were given."""
+    """Return the rows of each block, the bounds of the rows, and the cones in the caller's form."""
     if isinstance(cones, (str, bytes)) or not isinstance(cones, Sequence):
         raise InvalidProblem(f"{NEED_CONES}, got {cones!r}")
     sizes: list[int] = []
@@ -291,7 +291,7 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
         kind = cone[0] if isinstance(cone, (tuple, list)) and cone else cone
         if not isinstance(kind, str) or kind not in CONES:
             raise InvalidProblem(
-                f"cones[{number}] = {cone!r} is no cone{did_you_mean(kind, CONES)}; {NEED_CONES}"
+                f"cones[{number}] = {cone!r} is not a cone{did_you_mean(kind, CONES)}; {NEED_CONES}"
             )
         if len(cone) != (3 if kind == "box" else 2):
             raise InvalidProblem(

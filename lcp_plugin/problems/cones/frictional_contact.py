@@ -1,4 +1,4 @@
-"""Contact with Coulomb friction as it is, one problem or many worlds in arrays: the data, checked."""
+"""Checked data of contact problems with quadratic Coulomb cones: one problem, or a batch in arrays."""
 
 from __future__ import annotations
 
@@ -37,44 +37,44 @@ NEARLY_SYMMETRIC = 1e-2  # of the largest entry: contact data are written with f
 
 
 class FrictionalContact(Blocks):
-    """Contacts with Coulomb friction as it is: impulses in the cones ‖r_T‖ ≤ μ r_N, velocities u = W r + b.
+    """Contacts with Coulomb friction: impulses r in the quadratic cones ‖r_T‖ ≤ μ r_N, velocities u = W r + b.
 
-    Of each contact: it is open (r = 0, u_N ≥ 0), or sticks (u = 0), or slides (u_N = 0, r_T of length μ r_N against
-    u_T). Nothing is approximated by pyramids.
+    Each contact is open (r = 0, u_N ≥ 0), or sticks (u = 0), or slides (u_N = 0, r_T of length μ r_N against u_T).
+    The cones are not approximated by pyramids.
 
     Parameters
     ----------
     W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
-        Velocities by impulses, d rows a contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
-        plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data are written with few digits; it is
-        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; where one of the arrays is sparse,
-        W stays sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
-    b : array, shape (d k,) or (k, d); or (v,) beside a mass matrix
-        Velocities without the impulses, in m/s; of the bodies beside a mass matrix.
+        Velocities by impulses, d rows per contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
+        plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data often have few digits; it is
+        used unchanged. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; if one of the arrays is sparse,
+        W is sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
+    b : array, shape (d k,) or (k, d); or (v,) with a mass matrix
+        Velocities without the impulses, in m/s; with a mass matrix the velocities of the bodies.
     friction : number or array, shape (k,)
         Coefficients μ ≥ 0.
     gaps, time_step : optional
         As in :meth:`lcp_plugin.LCP.from_contacts`.
     dimension : int, optional
-        d, where neither b nor `friction` tells it: 3 by default where the rows are a multiple of 3.
+        d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3.
 
     Raises
     ------
     InvalidProblem
-        For a W that is not symmetric, μ < 0, rows that are no multiple of d, numbers that are not finite.
+        For a W that is not symmetric, μ < 0, a number of rows that is not a multiple of d, numbers that are not finite.
 
     Notes
     -----
-    With friction this is no convex program, whatever W: an answer need not be the only one, nor need there be one
-    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE where no impulses keep the contacts from closing.
-    The answers of a pile share the motion more often than the impulses. Rolling and spinning friction are left out: a
-    moment that ‖m‖ ≤ ν r_N limits beside ‖r_T‖ ≤ μ r_N is no second-order cone.
+    With friction the problem is not a convex program for any W: a solution need not be unique, and need not exist
+    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE if no impulses keep the contacts from closing.
+    Solutions of a pile agree more often in the motion than in the impulses. Rolling and spinning friction are not
+    supported: the limits ‖m‖ ≤ ν r_N and ‖r_T‖ ≤ μ r_N together do not form a second-order cone.
 
-    ``result.motion`` has impulses and velocities contact by contact. Steps in time whose contacts change begin with
-    the impulses of the step before, ``solve(FrictionalContact(W, b, friction), z0=r)``, 0 for new contacts; those of
-    one W are a :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
+    ``result.motion`` has impulses and velocities contact by contact. For time steps with changing contacts, start from
+    the impulses of the previous step, ``solve(FrictionalContact(W, b, friction), z0=r)``, with 0 for new contacts; for
+    steps with one W use :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
 
-    :meth:`worlds` states many problems in arrays.
+    :meth:`worlds` builds a batch of problems from arrays.
 
     Examples
     --------
@@ -122,7 +122,7 @@ class FrictionalContact(Blocks):
         k = offset.size // d
         offset = offset.copy()
         offset[::d] += closing_speeds(gaps, time_step, k)
-        mu = checked_friction(friction, k, f"one a contact of {d} rows")
+        mu = checked_friction(friction, k, f"one per contact of {d} rows")
         warn_of_much_friction(mu, 3)
         W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         check_symmetric(W, "W", NEARLY_SYMMETRIC)
@@ -146,20 +146,20 @@ class FrictionalContact(Blocks):
         Parameters
         ----------
         W, b, friction : array, shapes (B, d k, d k) or (d k, d k), (B, d k) or (B, k, d), and (B, k), (k,) or a number
-            A contiguous W is read where it lies: leave its entries as they are while you use the worlds.
+            A contiguous W is not copied: do not change its entries while you use the batch.
         contacts : array of int, shape (B,), optional
-            Number of contacts of each world, by default k. Later rows are ignored.
+            Number of contacts of each instance, by default k. Later rows are ignored.
         dimension : int, optional
             As of :class:`FrictionalContact`.
 
         Raises
         ------
         InvalidProblem
-            If shapes do not fit together; ``worlds[i]`` raises what is wrong with world i.
+            If shapes do not fit together; ``batch[i]`` raises the error of an invalid instance i.
 
         Examples
         --------
-        Friction holds the block in the second world:
+        The contact of the second instance sticks:
 
         >>> from lcp_plugin import solve_batch
         >>> b = [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]]
@@ -171,7 +171,7 @@ class FrictionalContact(Blocks):
 
     @property
     def W(self) -> Any:
-        """Velocities by impulses, as it is kept: dense or CSR."""
+        """The stored matrix from impulses to velocities, dense or CSR."""
         return self.rows.M
 
     @property
@@ -185,14 +185,14 @@ class FrictionalContact(Blocks):
         return self.slope
 
     def with_q(self, b: ArrayLike) -> FrictionalContact:
-        """Return the problem with other velocities, shape (d k,); what depends on W alone is shared."""
+        """Return the problem with other velocities, shape (d k,); it shares the cached properties of W."""
         other: FrictionalContact = with_other_q(
             self, np.ravel(real_array(b, "b must be a vector")), "b"
         )
         if self.bodies is not None:
             other.bodies = self.bodies._replace(
                 velocities=None
-            )  # b does not tell those of the bodies
+            )  # b does not determine the velocities of the bodies
         return other
 
     def _shape(self) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class FrictionalContact(Blocks):
 
 
 class FrictionalContactBatch:
-    """The worlds that :meth:`FrictionalContact.worlds` returns.
+    """The batch of problems that :meth:`FrictionalContact.worlds` returns.
 
     Attributes
     ----------
@@ -270,7 +270,7 @@ class FrictionalContactBatch:
 
     @property
     def errors(self) -> dict[int, LCPError]:
-        """What is wrong with world i, where something is."""
+        """The errors of invalid instances, by their number i."""
         found: dict[int, LCPError] = {}
         for i in np.flatnonzero(~self._is_stated).tolist():
             try:
@@ -280,7 +280,7 @@ class FrictionalContactBatch:
         return found
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the worlds to a ``.npz`` file, which ``load_problem(path)`` reads.
+        """Write the batch to a ``.npz`` file, which ``load_problem(path)`` reads.
 
         Raises
         ------
@@ -302,10 +302,10 @@ class FrictionalContactBatch:
     def __getitem__(self, i: int) -> FrictionalContact:
         if not isinstance(i, int | np.integer):
             raise TypeError(
-                f"a world is worlds[i], i an integer, got {i!r}; several are a problem of W[…], b[…]"
+                f"an instance is batch[i], i an integer, got {i!r}; for several build a problem from W[…], b[…]"
             )
         if not -len(self) <= i < len(self):
-            raise IndexError(f"there are {len(self)} worlds, and none has the number {i}")
+            raise IndexError(f"index {i} is out of range for {len(self)} instances")
         count = int(self.contacts[i])
         rows = self.dimension * count
         return FrictionalContact(
@@ -320,7 +320,7 @@ class FrictionalContactBatch:
 
     def __repr__(self) -> str:
         where = "space" if self.dimension == 3 else "the plane"
-        return f"FrictionalContact({len(self)} worlds of up to {self.n // self.dimension} contacts in {where})"
+        return f"FrictionalContact({len(self)} instances of up to {self.n // self.dimension} contacts in {where})"
 
 
 def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[np.int64]:
@@ -333,7 +333,7 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
         or ((counts < 0) | (counts > k)).any()
     ):
         raise InvalidProblem(
-            f"contacts must be {count} integers from 0 to {k}, one a world, got {contacts!r}"
+            f"contacts must be {count} integers from 0 to {k}, one per instance, got {contacts!r}"
         )
     return counts.astype(np.int64)
 
@@ -352,6 +352,6 @@ def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int
     if rows % d:
         need = "3, nor, in the plane, of 2" if given is None else d
         raise InvalidProblem(
-            f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents"
+            f"{rows} rows are not a multiple of {need}, the rows of a contact: normal, then tangents"
         )
     return int(d)

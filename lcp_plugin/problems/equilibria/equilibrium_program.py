@@ -25,7 +25,7 @@ from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
 
 Indices = NDArray[np.int64]
-#: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
+#: The open branches of each pair, as a sum of LOWER, BETWEEN, UPPER.
 Cases = NDArray[np.uint8]
 
 # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
@@ -35,7 +35,7 @@ _COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
 
 
 def case_counts(cases: Cases) -> Indices:
-    """Return how many cases are open, of each pair."""
+    """Return the number of open branches of each pair."""
     counts: Indices = _COUNTS[cases]
     return counts
 
@@ -60,21 +60,21 @@ class SmoothPart:
 
 @dataclass(frozen=True, eq=False)
 class EquilibriumProgram:
-    """Minimise ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
+    """Minimize ½ xᵀP x + cᵀx over the constraints of a program and over pairs of variables z ⟂ w.
 
-    Each piece, one case of every pair, is a program; the problem is the best of all pieces. What is proved is proved
-    where pieces are convex: P ⪰ 0, no integers, nothing smooth beside.
+    Each complementarity piece (one branch per pair) is a program; the solution is the best of all pieces. Proofs
+    require convex pieces: P ⪰ 0, no integers, no smooth objective.
 
     Parameters
     ----------
     program : QuadraticProgram
         Its P may be indefinite.
     first, second : array of int, shape (k,)
-        Of each pair the variables z = x_first and w = x_second: w ≥ 0 where z is at its lower bound, w ≤ 0 where it is
-        at its upper bound, w = 0 between them; where it has none, w = 0.
+        The variables z = x_first and w = x_second of each pair: w ≥ 0 if z is at its lower bound, w ≤ 0 if z is at its
+        upper bound, w = 0 between them; w = 0 if z has no bounds.
     lower, upper : scalar or array, shape (k,), optional
-        The bounds of z that pairs speak of, ±1e20 and beyond for none; by default those of the program. Where you give
-        others, those of the program still hold, as ordinary constraints.
+        The bounds of z in the pairs, ±1e20 and beyond for none; by default the program's bounds. If you pass
+        other bounds, the program's bounds remain as ordinary constraints.
     offset : float
         A constant in the objective.
     integers : array of int, optional
@@ -91,7 +91,7 @@ class EquilibriumProgram:
 
     Examples
     --------
-    Of the solutions of 0 ≤ x₀ ⟂ x₁ ≥ 0 with x₀ + x₁ = 1 that with the least x₀ + 2 x₁:
+    The solution of 0 ≤ x₀ ⟂ x₁ ≥ 0 and x₀ + x₁ = 1 with the least x₀ + 2 x₁:
 
     >>> program = QuadraticProgram(np.zeros((2, 2)), [1, 2], A=[[1, 1]], b=[1], lower=0)
     >>> EquilibriumProgram(program, [0], [1])
@@ -119,7 +119,7 @@ class EquilibriumProgram:
             if given.ndim != 1 or (given.size and given.dtype.kind not in "iu") or given.size != k:
                 raise InvalidProblem(
                     f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
-                    "of each pair the number of z in first, that of w in second, and those of integers in integers"
+                    "for each pair the index of z in first, the index of w in second; integers lists integer variables"
                 )
             if given.size and not (given.min() >= 0 and given.max() < n):
                 raise InvalidProblem(
@@ -230,7 +230,7 @@ class EquilibriumProgram:
         return self.program.with_vectors(lower=lower, upper=upper)
 
     def distances(self, x: FloatVector) -> FloatVector:
-        """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""
+        """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""
         z, w = x[self.first], x[self.second]
         found: FloatVector = np.array(
             [
@@ -242,12 +242,12 @@ class EquilibriumProgram:
         return found
 
     def violations(self, x: FloatVector) -> FloatVector:
-        """Return how far x is from complementary in each pair, shape (k,)."""
+        """Return the complementarity violation of each pair at x, shape (k,)."""
         nearest: FloatVector = self.distances(x).min(axis=0)
         return nearest
 
     def nearest(self, x: FloatVector, cases: Cases) -> Cases:
-        """Return of each pair the open case that x is nearest to, shape (k,)."""
+        """Return the open branch of each pair that is nearest to x, shape (k,)."""
         choices = np.array(CASES, dtype=np.uint8)
         is_closed = (cases & choices[:, None]) == 0
         nearest: Cases = choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
@@ -259,12 +259,12 @@ class EquilibriumProgram:
         return self.program.objective(x) + self.offset + smooth
 
     def objective_size(self, x: FloatVector) -> float:
-        """Return Σ |c_j x_j| + ½ |xᵀP x| + |offset| + |objective|: what a gap is measured beside."""
+        """Return Σ |c_j x_j| + ½ |xᵀP x| + |offset| + |objective|, the reference of a gap."""
         parts = (0.5 * (x @ (self.program.P @ x)), self.offset, self.objective(x))
         return float(np.abs(self.program.c * x).sum()) + sum(abs(float(part)) for part in parts)
 
     def excess(self, x: FloatVector) -> float:
-        """Return how far x is from a solution: of rows beside their own terms, of pairs and integers as they are."""
+        """Return the largest violation at x: rows relative to their terms, pairs and integers absolute."""
         found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
@@ -282,7 +282,7 @@ class EquilibriumProgram:
         return math.inf if math.isnan(worst) else worst
 
     def excess_of_rows(self, x: FloatVector) -> FloatVector:
-        """Return by how much x misses each row beside its own terms, d_i and c_ij x_j."""
+        """Return the violation of each row at x relative to its terms d_i and c_ij x_j."""
         rows = self.program.constraints
         own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)

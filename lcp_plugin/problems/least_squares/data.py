@@ -1,4 +1,4 @@
-"""Least squares within bounds: checked data in the caller's units, and the same problem scaled for a method."""
+"""Least squares within bounds: checked unscaled data, and the problem scaled for a method."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SQUARED_RANGE = 1e-130, 1e145  # of a largest entry: squares, also of rounding e
 class BoundedLeastSquares:
     """Minimize ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² + Σ l1_j |x_j| over lower ≤ x ≤ upper.
 
-    With l1 > 0 and ``lower=-inf`` it is the lasso, with a ridge beside it the elastic net.
+    With l1 > 0 and ``lower=-inf`` it is the lasso, with an additional ridge the elastic net.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ class BoundedLeastSquares:
     ridge : float
         ≥ 0.
     l1 : number or array, shape (n,)
-        ≥ 0; 0 leaves a column, as that of an intercept, without this penalty. Where every column has one of at least
-        ‖AᵀWb‖∞ and 0 lies within its bounds, x = 0 is the answer.
+        ≥ 0; 0 leaves a column, such as an intercept, without this penalty. If every column has a penalty of at least
+        ‖AᵀWb‖∞ and 0 lies within its bounds, x = 0 is the solution.
 
     Raises
     ------
@@ -67,9 +67,9 @@ class BoundedLeastSquares:
     Attributes
     ----------
     has_entries : bool
-        Whether A is more than a function: what is said of the answer can be proved then.
+        Whether A is an array; for a LinearOperator all bounds are estimates, and nothing is proved.
     is_sparse, is_dense : bool
-        Whether it is a sparse array, or an ndarray.
+        Whether A is a sparse array, or an ndarray.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class BoundedLeastSquares:
         least, most = SQUARED_RANGE
         if not (largest == 0.0 or least <= largest <= most):
             raise InvalidProblem(
-                f"the largest entry of {name} (with weights) is {largest:.3g}, whose square is no double; divide "
+                f"the largest entry of {name} (with weights) is {largest:.3g}, whose square is out of range; divide "
                 f"{what} by a number that brings it near 1"
             )
 
@@ -147,7 +147,7 @@ class BoundedLeastSquares:
         upper: ArrayLike | None = None,
         l1: ArrayLike | None = None,
     ) -> BoundedLeastSquares:
-        """Return the problem with other vectors, which shares all that depends on A, weights and ridge alone.
+        """Return the problem with other vectors, which shares the cached properties of A, weights and ridge.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class BoundedLeastSquares:
 
     @property
     def is_plain_nnls(self) -> bool:
-        """Whether x ≥ 0 is all that is asked, next to a small dense A x ≈ b."""
+        """Whether the problem is nonnegative least squares with a small dense A, without weights or penalties."""
         return (
             self.is_dense
             and self.shape[1] > 0
@@ -210,7 +210,7 @@ class BoundedLeastSquares:
         return read_only(np.clip(np.zeros(self.shape[1]), self.lower, self.upper))
 
     def checked_start(self, x0: ArrayLike) -> FloatVector:
-        """Return the start within the bounds, shape (n,); raise InvalidOption where x0 is no finite vector of n."""
+        """Return the start within the bounds, shape (n,); raise InvalidOption if x0 is not a finite vector."""
         try:
             return np.clip(
                 checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper
@@ -231,7 +231,7 @@ class BoundedLeastSquares:
         return y if self.weights is None else self.weights * y
 
     def cost(self, x: FloatVector, residual: FloatVector) -> float:
-        """Return what is minimised, at x with its residual A x − b."""
+        """Return the objective value at x, given its residual A x − b."""
         with np.errstate(over="ignore", invalid="ignore"):  # of an x too large to be squared
             penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0
             return float(0.5 * (self.weighted(residual) @ residual + penalty) + self.l1 @ np.abs(x))
@@ -248,7 +248,7 @@ class BoundedLeastSquares:
     def column_scales(self) -> FloatVector:
         """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,).
 
-        Those of a LinearOperator are estimates: the mean square of aᵀs for random signs s is ‖a‖².
+        For a LinearOperator they are estimates: the mean square of aᵀs for random signs s is ‖a‖².
         """
         lengths = self._lengths() if self.has_entries else self._estimated_lengths()
         return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_SCALE))
@@ -296,12 +296,12 @@ class ScaledLeastSquares:
     has_kink : ndarray of bool, shape (n,)
         Which columns have a penalty and may take both signs.
     whole : ScaledLeastSquares
-        What this is an orthant of, or itself.
+        The problem of which this is an orthant, or itself.
     b : ndarray, shape (m,)
     columns : ndarray, shape (n,)
-        What the columns of A were divided by.
+        Divisors of the columns of A.
     size : float
-        What b was.
+        Divisor of b.
     """
 
     def __init__(self, problem: BoundedLeastSquares) -> None:
@@ -321,7 +321,7 @@ class ScaledLeastSquares:
         self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
 
     def orthant(self, x: FloatVector, slope: FloatVector) -> ScaledLeastSquares:
-        """Return the same with each column on the side of 0 where x is, or where the slope of A x − b leads from 0."""
+        """Return the orthant problem: each column on the side of 0 of x, or in the descent direction if x is 0."""
         if not self.has_kink.any():
             return self
         falls = self.has_kink & ((x < 0.0) | ((x == 0.0) & (slope > 0.0)))
@@ -342,7 +342,7 @@ class ScaledLeastSquares:
 
     @property
     def caller_bounds(self) -> tuple[FloatVector, FloatVector]:
-        """The bounds of this orthant in the caller's units."""
+        """The unscaled bounds of this orthant."""
         lower, upper = self.problem.lower, self.problem.upper
         if self.whole is self and not self.has_kink.any():
             return lower, upper
@@ -352,7 +352,7 @@ class ScaledLeastSquares:
         )
 
     def to_caller(self, x: FloatVector) -> FloatVector:
-        """Return x in the caller's units, at a bound where it is at one here."""
+        """Return the unscaled x, exactly at a bound if the scaled x is at one."""
         lower, upper = self.caller_bounds
         there = np.clip(x * (self.size / self.columns), lower, upper)
         return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
@@ -401,7 +401,7 @@ def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
 
 
 def _hint(shape: tuple[int, ...], m: int, n: int) -> str | None:
-    """Return what to write in place of a b of the wrong shape, if that is known."""
+    """Return a remedy for a b of the wrong shape, or None."""
     if shape in ((m, 1), (1, m)):
         return "; write b.ravel()"
     if len(shape) == 2 and shape[0] == m:

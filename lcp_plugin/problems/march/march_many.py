@@ -41,32 +41,32 @@ def march(
 ) -> Any:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
 
-    If forcing, z0, lower or upper have an additional first axis, or if problem or propagator is a list, these are as
-    many marches, taken one after the other.
+    If forcing, z0, lower or upper have an additional first axis, or if problem or propagator is a list, m marches run
+    one after the other.
 
     Parameters
     ----------
     problem : LCP or ConeProblem or FrictionalContact, or a list of m LCPs
-        Gives M and the bounds or cones; its own q is not used. Of a list, each march has its own.
+        Gives M and the bounds or cones; its q is not used. In a list, one problem per march.
     forcing : array, shape (k, n), or (m, k, n) for m marches
-        A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
+        One row per step; use ``np.broadcast_to(row, (k, n))`` for constant forcing.
     propagator : number or array or sparse array, shape (n, n), or a list of m of these
-        What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
-        Euler step (I + Δt A) z = z_before has −1.
+        Map from the z of one step to its contribution to the next q; a number means a multiple of the identity. An
+        implicit Euler step (I + Δt A) z = z_before has −1.
     lower, upper : number or array, shape (n,) or (m, n), optional
-        In the place of an LCP's own bounds.
+        Replace the bounds of an LCP.
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
-        In seconds, for all marches together: the step under way then is the last one.
+        In seconds, for all marches together: the current step is then the last one.
     algorithm, **wishes
-        What else :func:`lcp_plugin.solve` takes, for each step.
+        Other options of :func:`lcp_plugin.solve`, for each step.
 
     Returns
     -------
     March, or a list of m of them
-        A sequence of k Results; of fewer where a step was not solved, which is the last one then, where its q
-        overflows (``error`` says so), or after Ctrl-C. That ends the other marches, too, and so does a callback.
+        A sequence of k Results. It is shorter if a step was not solved, which is then the last one, if its q overflows
+        (see ``error``), or after Ctrl-C. Ctrl-C and a callback also end the other marches.
 
     Raises
     ------
@@ -75,21 +75,21 @@ def march(
 
     Notes
     -----
-    Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
-    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` chooses afresh
-    in the first two steps; later ones begin with the method that ended the step before. Where few rows have a bound,
-    as in contact, the others are eliminated by one factor, once for all steps, if that pays. A march of 1000 steps and
-    10⁴ unknowns takes 80 MB; take longer ones in parts, each with ``z0=done.z[-1]`` of the part before.
+    Each step starts from the solution of the previous step, and has its own certificate. On narrow bands, for which
+    `auto` uses `banded`, all steps run in one compiled loop, certificates included. Otherwise `auto` chooses in the
+    first two steps; later steps start with the method that finished the previous step. If few rows have a bound,
+    as in contact, the others are eliminated by one factorization for all steps, if that is cheaper. A march of 1000
+    steps and 10⁴ unknowns takes 80 MB; split longer ones, each with ``z0=done.z[-1]`` of the previous part.
 
     A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
     propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
-    where it is damped: by four implicit half steps at first, with the same M, the propagator −B and the forcing
+    with damping: take four implicit half steps first, with the same M, the propagator −B and the forcing
     −½ Δt f (Rannacher 1984).
 
     Contacts with friction on elastic bodies: W has displacements by forces, and a slow load gives, step by step, the
     gaps without contact and the tangential displacements from the step before. The propagator is −W with zeros in the
-    rows of the normals then: slip is what the tangents move on in a step. Where contacts change there is another W,
-    and no march: write ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step.
+    rows of the normals then, because slip is the tangential displacement of a step. If contacts change, W changes:
+    use ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step instead of `march`.
 
     References
     ----------

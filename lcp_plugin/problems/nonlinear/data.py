@@ -39,7 +39,7 @@ class NonlinearProblem:
     ----------
     F : callable
         ``F(x)`` returns shape (n,) for x of shape (n,), which is read-only. Smooth where the solution is. Where it is
-        not defined it may return NaN or infinities: steps that lead there are shortened. What it raises is passed on.
+        not defined it may return NaN or infinities: steps that lead there are shortened. Its exceptions propagate.
     jacobian : callable, optional
         ``jacobian(x)`` returns the derivative, a sparse array or an ndarray of shape (n, n). By default forward
         differences on `pattern`, columns that share no row together; they leave about half of the digits, and take
@@ -47,8 +47,8 @@ class NonlinearProblem:
     lower, upper : scalar or array, shape (n,)
         Bounds of x in its unit, lower ≤ upper; ±1e20 and beyond means none, as ±∞ does.
     pattern : sparse array, shape (n, n), optional
-        Where the derivative may be other than 0: its stored entries, whatever their values. Only without `jacobian`;
-        without both every entry is taken, up to n = 1000.
+        Sparsity pattern of the derivative: the stored entries, with any values. Only without `jacobian`;
+        without both the pattern is full, up to n = 1000.
 
     Raises
     ------
@@ -114,7 +114,7 @@ class NonlinearProblem:
         return sized
 
     def value(self, x: ArrayLike) -> FloatVector:
-        """Return F(x), shape (n,), a read-only copy; NaN and infinities say that it is not defined there.
+        """Return F(x), shape (n,), a read-only copy; NaN and infinities mean that F is undefined at x.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class NonlinearProblem:
             Where F returns no real vector of that length.
         """
         x = self._point(x)
-        with np.errstate(all="ignore"):  # where F is not defined its value says so
+        with np.errstate(all="ignore"):  # F may be undefined at x: its value shows it
             returned = self.F(x)
         need = f"F(x) must be a real vector of length {x.size} for x of shape ({x.size},)"
         value = real_array(returned, need)
@@ -152,7 +152,7 @@ class NonlinearProblem:
         return _finite(returned, name, np.size(x))
 
     def _returned(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
-        """Return F′(x), unchecked, and what it is called."""
+        """Return F′(x), unchecked, and its name in errors."""
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
                 returned = self.jacobian(x)
@@ -194,7 +194,7 @@ class NonlinearProblem:
             return LCP(M, q, lower=problem.lower, upper=problem.upper)
 
     def slopes(self, x: FloatVector, value: FloatVector) -> tuple[Any, BoolVector]:
-        """Return F′(x), rows with an infinite slope replaced by those of the identity, and which these are.
+        """Return F′(x) with rows of infinite slope replaced by rows of the identity, and the mask of these rows.
 
         Parameters
         ----------
@@ -299,7 +299,7 @@ class Linearisations:
         self._latest: list[Linearisation] = []
 
     def at(self, x: FloatVector) -> Linearisation:
-        """Return the linearisation at x, shape (n,)."""
+        """Return the linearization at x, shape (n,)."""
         for known in self._latest:
             if np.array_equal(known.x, x):
                 return known

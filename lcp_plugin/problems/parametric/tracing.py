@@ -32,33 +32,33 @@ def trace(
     problem : LCP, QuadraticProgram or BoundedLeastSquares, or a problem of cvxpy
         Its data are those at θ = 0.
     along : mapping, or a cvxpy Parameter
-        What moves, and how much for θ + 1: ``{"q": dq}`` and bounds of an LCP; c, h, b and bounds of a program; b, l1
-        and bounds of least squares. A number moves all entries alike. Of a problem of cvxpy a scalar Parameter, whose
-        value θ is, or ``{parameter: direction}``, added to its present value; then
+        The data that move, with their change per unit of θ: ``{"q": dq}`` and bounds of an LCP; c, h, b and bounds of a
+        program; b, l1 and bounds of least squares. A number moves all entries alike. For a cvxpy problem a scalar
+        Parameter, whose value is θ, or ``{parameter: direction}``, added to its present value; then
         ``path.value(x, θ)`` is the value of a variable.
     start, stop : float
         Either may be the larger one.
     tolerance : float, optional
-        As in `solve`: 1e-6 of a program, 1e-8 of others.
+        As in `solve`: 1e-6 for a program, 1e-8 for others.
 
     Returns
     -------
     Path
-        Also where the solution ends, or jumps, on the way: ``path.status`` and ``path.explain()`` say where, and what
-        is proved just beyond.
+        Also returned if the solution ends, or jumps, before `stop`: ``path.status`` and ``path.explain()`` report the
+        place, and the proof just beyond it.
 
     Raises
     ------
     InvalidOption
-        Where something else is to move, or θ is not finite.
+        If other data should move, or θ is not finite.
     UnsupportedModel
-        Where a program is not convex, or the parameter of a cvxpy problem stands in its matrices.
+        If a program is not convex, or the parameter of a cvxpy problem appears in its matrices.
 
     Notes
     -----
     Cost: a solve at start, then a dense factorization of the unknowns off their bounds per breakpoint. At a singular
-    breakpoint, and where the path of a matrix that is not monotone turns back, the problem is solved anew just beyond,
-    and the new piece is drawn back to the old one.
+    breakpoint, and where the path of a matrix that is not monotone turns back, the problem is solved again just beyond,
+    and the new segment is extended back to the old one.
 
     References
     ----------

@@ -57,31 +57,31 @@ def certify(
     tolerance: float = 1e-6,
     max_seconds: float | None = None,
 ) -> Certification:
-    """Return what is proved about an answer to a convex quadratic or linear program, whoever found it.
+    """Return the proved facts about a solution of a convex quadratic or linear program, from any solver.
 
     Parameters
     ----------
     problem : cvxpy.Problem or QuadraticProgram
-        A cvxpy problem that some solver has filled; it is left as it is.
+        A cvxpy problem that some solver has solved; it is not modified.
     x : array, shape (n,), QPSolution or QuadraticProgramResult, optional
-        The answer to a `QuadraticProgram`; ``certify(result)`` is ``certify(result.program, result)``.
+        The solution of a `QuadraticProgram`; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
-        Those of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
-        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, which has those of the bounds as well. They are
-        checked to 10 · tolerance, relative to the terms of each condition: wrong ones are never proved. Without them
-        the multipliers of our own solution are used.
+        Multipliers of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
+        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, which also has the multipliers of the bounds. They
+        are checked to 10 · tolerance, relative to the terms of each condition: wrong multipliers are never proved.
+        Without them the multipliers of a new solve are used.
     claim : str, optional
-        What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
-        and of a result or a cvxpy problem what its status says.
+        The claim about a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". Default: "optimal"; for a result
+        or a cvxpy problem the claim of its status.
     tolerance : float
-        "proved" means that x has the optimal value f* and meets the constraints: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
+        "proved" means that x has the optimal value f* and is feasible: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
         + |xᵀP x|), or 10⁻⁸ · tolerance of the rows' terms with their multipliers if that is more, and each c·x ≤ d or
         = d holds to tolerance · max(|d|, largest |c_j x_j|), or to rounding of the unknowns that matter. If all terms
         of the objective are 0 the comparison is exact. x may still be far from the minimizer if the objective is flat;
         `distance` bounds how far. "infeasible" is proved if every x violates a constraint by more than the tolerance,
-        in its own unit, so that no x can be proved to be optimal.
+        in the unit of the constraint, so that no x can be proved to be optimal.
     max_seconds : float, optional
-        About how many seconds may be spent; what is not done by then stays unproved.
+        Approximate limit in seconds; claims that are not decided by then stay "unproved".
 
     Returns
     -------
@@ -90,28 +90,29 @@ def certify(
     Raises
     ------
     UnsupportedModel
-        Where the problem is no convex quadratic or linear program: cones, integers, a P that is not semidefinite.
+        If the problem is not a convex quadratic or linear program: cones, integers, a P that is not semidefinite.
     InvalidProblem
-        Where it has not been solved, or x or the multipliers do not fit it. Of other kinds it names the right call.
+        If it has not been solved, or x or the multipliers do not fit it. For other problem classes the message names
+        the right call.
     InvalidOption
-        For another claim, a tolerance that is no positive number, an impossible limit.
+        For another claim, a tolerance that is not a positive number, an impossible limit.
 
     Notes
     -----
-    Disproved is: x that is proved to violate a constraint by more than that; a feasible point whose objective is lower
-    by more, or falls without end; a lower bound above f(x) by more; "infeasible" if there is a feasible point;
-    "unbounded" if there is a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a
-    direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives
-    bounds if the constraints bound x. Constraints that contradict by less than the tolerance may be met to it: neither
-    is such an x disproved nor "infeasible" proved. No limit that x leaves slack, no cost of an x_j that is 0, and no
-    unit of the objective changes a verdict.
+    "disproved" means that one of these is proved: x violates a constraint by more than the tolerance; a feasible point
+    has an objective that is lower by more than the tolerance; the program is unbounded; a lower bound of f* exceeds
+    f(x) by more than the tolerance; the claim is "infeasible" and a feasible point exists; the claim is "unbounded" and
+    a finite lower bound exists. "infeasible" is proved by a Farkas certificate and "unbounded" by a recession
+    direction, checked in rational arithmetic. If P is positive semidefinite only to rounding, bounds of f* require
+    constraints that bound x. If the constraints are inconsistent by less than the tolerance, x is not disproved and
+    "infeasible" is not proved. Inactive constraints, costs of x_j = 0 and the unit of the objective have no influence.
 
-    If x violates constraints, however little, that may lower the objective by any amount. If a feasible point is found,
-    f* is bounded from both sides. If none is, the bound by multipliers of our own has to agree with f(x): f* is then
-    that of constraints moved by no more than x violates them.
+    A violation of constraints, however small, may lower the objective by any amount. If a feasible point is found,
+    f* is bounded from both sides. Otherwise the bound by the multipliers of a new solve must agree with f(x): f* is
+    then the optimal value with constraints relaxed by no more than the violation of x.
 
-    Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
-    of the program that cvxpy makes of it.
+    For a cvxpy problem the values, the objective and the constraints are the user's, in double precision; bounds refer
+    to the program that cvxpy derives.
 
     Examples
     --------

@@ -27,12 +27,12 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     Parameters
     ----------
     program : QuadraticProgram
-        Convex: UnsupportedModel where P clearly has a negative eigenvalue (to n = 5000, by one factorisation).
+        Convex: UnsupportedModel where P clearly has a negative eigenvalue (to n = 5000, by one factorization).
         Rows with one nonzero become bounds first, empty rows and rows with h = ∞ go; then
 
-        - direct, if only bounds are left: M = P, q = c, the bounds as they are, n rows;
+        - direct, if only bounds are left: M = P, q = c, the same bounds, n rows;
         - kkt, else: M = [[P, Gᵀ, Aᵀ], [−G, 0, 0], [−A, 0, 0]], q = (c, h, b), x within its bounds,
-          multipliers of G not negative, those of A free. Monotone, sparse, with zeros on its diagonal.
+          multipliers of G not negative, multipliers of A free. Monotone, sparse, with zeros on its diagonal.
 
     Returns
     -------
@@ -43,13 +43,12 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     Raises
     ------
     InvalidProblem
-        `program` is no QuadraticProgram.
+        `program` is not a QuadraticProgram.
 
     Notes
     -----
-    Constraints that contradict one another are not looked for: such a program gives a problem without solution, or
-    with one beyond all bounds; ``solve(program)`` looks for the proof on the program itself. SOLVED is tested on the
-    program.
+    Inconsistent constraints are not detected: such a program gives a problem without solution, or with a solution
+    beyond all bounds; ``solve(program)`` searches for the proof on the program itself. SOLVED is tested on the program.
 
     References
     ----------
@@ -57,7 +56,7 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
 
     Examples
     --------
-    The point of x₁ + x₂ ≤ 2 nearest to (1, 2), and what the constraint costs:
+    The point of x₁ + x₂ ≤ 2 nearest to (1, 2), and the multiplier of the constraint:
 
     >>> problem = lcp_from_qp(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
     >>> print(problem, problem.origin.form)
@@ -99,7 +98,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     ----------
     problem : LCP
         M symmetric to rounding: min ½ zᵀM z + qᵀz over the bounds; its stationary points are the solutions, all of
-        them minimisers where M is positive semidefinite (`QuadraticProgram.is_convex`; not asked here).
+        them minimizers if M is positive semidefinite (`QuadraticProgram.is_convex`; not checked here).
 
         M not symmetric, but monotone: the gap program min (z − a)ᵀ(M z + q) with w = M z + q held to its sign, a the
         one finite bound of each row (0 and w = 0 for a free row). The problem has a solution if and only if the
@@ -108,15 +107,15 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     Raises
     ------
     InvalidProblem
-        `problem` is no LCP.
+        `problem` is not an LCP.
     UnsuitableProblem
-        M is not symmetric and a row has two finite bounds: the sign of its w is not known, so there is no such program.
+        M is not symmetric and a row has two finite bounds: the sign of its w is unknown, so no such program exists.
     UnsuitableMatrix
         M is not symmetric, and not monotone (or too large to decide): the gap program would not be convex.
 
     Notes
     -----
-    Cost for M not symmetric: one factorisation of its symmetric part.
+    Cost for M not symmetric: one factorization of its symmetric part.
 
     Examples
     --------
@@ -136,8 +135,8 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     if boxed.any():
         i = int(np.flatnonzero(boxed)[0])
         raise UnsuitableProblem(
-            f"M is not symmetric and z[{i}] has two bounds, {lower[i]} and {upper[i]}: there is no quadratic program "
-            "for that; solve the problem itself"
+            f"M is not symmetric and z[{i}] has two bounds, {lower[i]} and {upper[i]}: no equivalent quadratic "
+            "program exists; solve the LCP itself"
         )
     twice = M + M.T
     if is_semidefinite_to_rounding(twice) is not True:
@@ -149,7 +148,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     anchor = np.where(np.isfinite(lower), lower, np.where(has_upper, upper, 0.0))
     sign = np.where(has_upper, 1.0, -1.0)[
         ~is_free
-    ]  # G z ≤ h says w ≥ 0, or w ≤ 0 where only an upper bound is
+    ]  # G z ≤ h means w ≥ 0, or w ≤ 0 if only an upper bound exists
     rows, free = np.flatnonzero(~is_free), np.flatnonzero(is_free)
     return QuadraticProgram(
         twice,
@@ -165,7 +164,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
 
 @dataclass(frozen=True, eq=False)
 class QPOrigin:
-    """Where a problem came from: a quadratic program, and the way back to its primal and dual values.
+    """Origin of a converted LCP: the quadratic program, and the recovery of its primal and dual values.
 
     Attributes
     ----------
@@ -176,8 +175,8 @@ class QPOrigin:
 
     Notes
     -----
-    z = (x, λ, ν) with w = (P x + c + Gᵀλ + Aᵀν, h − G x, b − A x), of the rows that are left; where none are, that is
-    the direct form: M = P, q = c, the bounds as they are.
+    z = (x, λ, ν) with w = (P x + c + Gᵀλ + Aᵀν, h − G x, b − A x), of the remaining rows; without rows it is
+    the direct form: M = P, q = c, the same bounds.
     """
 
     program: QuadraticProgram
@@ -200,7 +199,7 @@ class QPOrigin:
         return "kkt" if self.rows else "direct"
 
     def problem(self) -> LCP:
-        """Return the problem of n + m + p rows; its symmetric part is P beside zeros."""
+        """Return the LCP of n + m + p rows; its symmetric part is P next to zeros."""
         program, rows = self.reduced, self.rows
         multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
         return LCP(
@@ -216,14 +215,14 @@ class QPOrigin:
         Parameters
         ----------
         answer : Result or array, shape (rows of the problem,)
-            Right or wrong: the solution's residuals say which. Multipliers of inequalities lose a wrong sign here. A
-            result with a proof that there is no solution has no multipliers, NaN, where the program has none either:
-            what is a contradiction beside the problem's data may be none beside the program's.
+            Any result: the residuals of the returned solution measure it. Multipliers with a wrong sign become 0. For a
+            result with a proof of infeasibility they are NaN if the program is also infeasible: constraints that are
+            inconsistent relative to the LCP's data may be consistent relative to the program's.
 
         Raises
         ------
         InvalidProblem
-            Where it is no finite vector of that length.
+            If it is not a finite vector of that length.
         """
         n = self.program.n
         z = checked_answer(answer, n + self.rows)

@@ -46,18 +46,18 @@ NO_LIMITS = read_only(np.zeros(0))  # of no rows
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class QuadraticProgram:
-    """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
+    """Minimize ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
 
     Parameters
     ----------
     P : array or sparse array, shape (n, n)
         Real, finite, symmetric; None or zero for a linear program. Rounding errors in the symmetry are averaged away,
-        and ``asymmetry`` says how large they were. Sparse stays sparse. Whether P is positive semidefinite is not asked
-        here: see `is_convex`.
+        and ``asymmetry`` is their size. Sparse stays sparse. P may be indefinite: `is_convex` tests whether it is
+        positive semidefinite.
     c : array, shape (n,)
         Real, finite.
     G, h : array or sparse array, shape (m, n), and array, shape (m,), optional
-        An h of 1e20 and beyond says nothing about its row, as ∞ does.
+        An h of 1e20 and beyond means no row, as ∞ does.
     A, b : array or sparse array, shape (p, n), and array, shape (p,), optional
     lower, upper : scalar or array, shape (n,)
         In the unit of x; none by default. ±1e20 and beyond means none, as ±∞ does.
@@ -67,10 +67,10 @@ class QuadraticProgram:
     asymmetry : float
         max |p_ij − p_ji| of the P that was given.
     matrices : ProgramMatrices
-        P, G and A with what they alone say.
+        P, G and A with their cached properties.
     ranges : tuple or None
-        Of a program made by `from_ranges`: which given row each row of G and A is, with which sign, and how many these
-        are.
+        For a program built by `from_ranges`: the original row of each row of G and A, its sign, and the number of
+        original rows.
 
     Raises
     ------
@@ -201,7 +201,7 @@ class QuadraticProgram:
 
     @property
     def is_convex(self) -> bool | None:
-        """Whether P is positive semidefinite to rounding; None where n is too large to say. One factorisation."""
+        """Whether P is positive semidefinite to rounding; None if n is too large to decide. One factorization."""
         return self.matrices.is_semidefinite
 
     @cached_property
@@ -211,7 +211,7 @@ class QuadraticProgram:
 
     @cached_property
     def facts(self) -> ProgramFacts:
-        """What solvers ask of the program and find out about it."""
+        """Properties of the program that solvers need, computed once."""
         return ProgramFacts(self)
 
     def with_vectors(
@@ -222,7 +222,7 @@ class QuadraticProgram:
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
     ) -> QuadraticProgram:
-        """Return the program with other vectors, which shares all that depends on its matrices alone.
+        """Return the program with other vectors; it shares the cached properties of the matrices.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class QuadraticProgram:
         return f"QuadraticProgram(n={self.n}, {rows}{averaged})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what can be computed again."""
+        """Return the state without cached properties."""
         data = {one.name for one in fields(self)}
         return {name: value for name, value in self.__dict__.items() if name in data}
 
@@ -325,7 +325,7 @@ class QuadraticProgram:
 
 
 class ProgramFacts:
-    """What solvers ask of a program and find out about it, each once.
+    """Properties of a program that solvers need, each computed once.
 
     Parameters
     ----------
@@ -337,10 +337,10 @@ class ProgramFacts:
 
     @property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
+        """A proof that the convex program is infeasible or unbounded; searched for once, None if none was found.
 
-        It holds for the stored doubles, by however little: `margin` says by how much, `accepted_proof` whether it
-        counts.
+        It holds for the stored data in double precision, by any margin: `margin` is its size, and `accepted_proof`
+        decides whether it counts.
         """
         if "_proof" not in self.__dict__:
             found = proof_of_no_minimum(self.program)
@@ -352,7 +352,7 @@ class ProgramFacts:
     def accepted_proof(
         self, tolerance: float = PROGRAM_TOLERANCE
     ) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the proof that no x at all is a solution at this tolerance, or None where there is none.
+        """Return the proof that no x is a solution at this tolerance, or None.
 
         An exact proof of unboundedness counts if it excludes all answers within a thousandth of the tolerance;
         constraints that contradict by no more than a row of a solution may be off by count as consistent.
@@ -367,7 +367,7 @@ class ProgramFacts:
         return isinstance(proof, QPInfeasibility) and not proof.excludes(PROGRAM_TOLERANCE)
 
     def proof_of_contradiction(self) -> QPInfeasibility | None:
-        """Return a proof that the constraints of a program, convex or not, contradict one another."""
+        """Return a proof that the constraints of a program, convex or not, are inconsistent, or None."""
         found = proof_of_contradiction(self.program)
         return found if found is not None and found.excludes(PROGRAM_TOLERANCE) else None
 
@@ -390,7 +390,7 @@ def _checked_rows(
     n: int,
     check: Callable[[Any, str, int], Any],
 ) -> tuple[Any, FloatVector]:
-    """Return the checked matrix and right-hand side; none of either is no rows."""
+    """Return the checked matrix and right-hand side; None for both means zero rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
         return no_rows(n), NO_LIMITS
@@ -404,8 +404,8 @@ def symmetric(P: Any) -> tuple[Any, float]:
     if where is not None:
         i, j = where
         raise InvalidProblem(
-            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
-            "(P + P.T) / 2: give that, if it is what you mean"
+            f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; only "
+            "(P + P.T) / 2 matters: pass that matrix if it is intended"
         )
     if asymmetry == 0.0:
         return P, 0.0
@@ -414,7 +414,7 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
-    """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
+    """Return max |m_ij − m_ji|, and the i, j that is worst relative to its rows, or None if it is at rounding level."""
     if all_hold(M == M.T) if isinstance(M, np.ndarray) else is_its_mirror(M):
         return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

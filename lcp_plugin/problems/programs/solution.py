@@ -1,4 +1,4 @@
-"""The answer to a quadratic program: primal and dual values, judged by the conditions of Karush, Kuhn and Tucker."""
+"""The solution of a quadratic program: primal and dual values, and their Karush–Kuhn–Tucker residuals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MEANINGS = {
     "primal_residual": "by how much x violates a constraint, relative to its terms",
-    "duality_gap": "what all errors together may change the objective by, relative to its terms",
+    "duality_gap": "bound of the change of the objective by all errors together, relative to its terms",
 }
 
 
@@ -40,17 +40,17 @@ class QPSolution:
     equality : ndarray, shape (rows of A,)
         Of A x − b = 0, of either sign.
     lower, upper : ndarray, shape (n,)
-        Of lower ≤ x and of x ≤ upper; 0 where the bound is infinite. All multipliers are NaN where the answer came
-        with a proof that there are none.
+        Multipliers of lower ≤ x and x ≤ upper; 0 for an infinite bound. All multipliers are NaN if the result has a
+        proof that no solution exists.
 
     Notes
     -----
-    What the measures are relative to: :mod:`lcp_plugin.problems.programs.criterion`.
+    The references of the measures: :mod:`lcp_plugin.problems.programs.criterion`.
 
     Raises
     ------
     InvalidProblem
-        Where one of them is no vector of its length, or has an infinite entry; x must have no NaN either.
+        If one of them is not a vector of the right length, or has an infinite entry, or if x has a NaN.
     """
 
     program: QuadraticProgram = field(repr=False)
@@ -78,7 +78,7 @@ class QPSolution:
     def of_rows(
         cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
     ) -> QPSolution:
-        """Return that of finite vectors, the multipliers of all ``program.constraints`` in one; they are kept."""
+        """Return the solution with finite x and all multipliers of ``program.constraints`` in one array, not copied."""
         m, p, n, _ = program.matrices.sizes
         made, every = object.__new__(cls), read_only(multipliers)
         made.__dict__.update(
@@ -94,7 +94,7 @@ class QPSolution:
 
     @classmethod
     def from_reduced(cls, program: QuadraticProgram, x: FloatVector, y: FloatVector) -> QPSolution:
-        """Return that of x and multipliers of the rows that `FoldedRows` leaves; bounds get the rest of the gradient.
+        """Return the solution from x and multipliers of the rows of `FoldedRows`; bounds get the remaining gradient.
 
         Wrong signs of multipliers become 0.
 
@@ -117,7 +117,7 @@ class QPSolution:
 
     @classmethod
     def without_multipliers(cls, program: QuadraticProgram, x: FloatVector) -> QPSolution:
-        """Return that of an answer that came with a proof: its multipliers are NaN."""
+        """Return a solution with NaN multipliers, for a result with a proof."""
         return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
 
     @cached_property
@@ -128,12 +128,12 @@ class QPSolution:
 
     @property
     def primal_residual(self) -> float:
-        """By how much x violates a row or a bound relative to that row's own terms."""
+        """Largest violation of a row or bound, relative to the terms of the row."""
         return float(self.errors.primal)
 
     @cached_property
     def multipliers(self) -> FloatVector:
-        """All multipliers, one a row of ``program.constraints``."""
+        """All multipliers, one per row of ``program.constraints``."""
         return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
 
     @property
@@ -167,13 +167,13 @@ class QPSolution:
         Raises
         ------
         InvalidOption
-            Where the tolerance is no number ≥ 0.
+            If the tolerance is not a number ≥ 0.
         """
         return bool(self.errors_for(checked_tolerance(tolerance)).meet(tolerance))
 
     @property
     def duality_gap(self) -> float:
-        """What all errors together may change the objective by, relative to its terms; of the worst component."""
+        """Bound of the change of the objective by all errors, relative to its terms; of the worst component."""
         return float(self.errors.gap)
 
     @cached_property

@@ -25,15 +25,16 @@ from .program_matrices import ProgramMatrices, fitted_to, may_be_small
 
 
 class QuadraticProgramBatch:
-    """Programs of one shape: minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper, one for each k.
+    """Programs of one shape: minimize ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper, one for each k.
 
     ``programs[k]`` is the :class:`~lcp_plugin.QuadraticProgram` of number k, and raises what is wrong with it.
 
     Parameters
     ----------
     P, G, A : arrays, shapes (B, n, n), (B, m, n) and (B, p, n), or without B: the same for all
-        G and A are optional. Stacks are read where they lie: leave their entries as they are while you use the batch.
-        Where all three are the same for all they may be sparse. Rounding errors in the symmetry of P are averaged away.
+        G and A are optional. Stacks are not copied: do not change their entries while you use the batch.
+        If all three are the same for all programs they may be sparse. Rounding errors in the symmetry of P are averaged
+        away.
     c, h, b : arrays, shapes (B, n), (B, m) and (B, p), or without B
     lower, upper : scalar or array, shape (n,) or (B, n)
         ±1e20 and beyond means none, and an h of 1e20 no row, as ±∞ does.
@@ -116,12 +117,12 @@ class QuadraticProgramBatch:
     def of(
         cls, programs: Sequence[QuadraticProgram | LCPError], example: QuadraticProgram
     ) -> QuadraticProgramBatch | None:
-        """Return checked programs of one shape as a batch; None where they are not, or fill too much memory together.
+        """Return checked programs of one shape as a batch; None if their shapes differ, or they need too much memory.
 
         Parameters
         ----------
         programs : sequence of QuadraticProgram or LCPError
-            An error says why there is none; to ask for that one raises it.
+            An error replaces an invalid program; accessing this program raises it.
         example : QuadraticProgram
             Of the same shape.
 
@@ -143,7 +144,7 @@ class QuadraticProgramBatch:
         made = object.__new__(cls)
         made.count, made.sizes, made._given = len(programs), (m, p, n, n), programs
         made._shared, made._is_symmetric = (example if is_shared else None), True
-        # Where there is none, its vectors are no numbers.
+        # The vectors of an invalid program are NaN.
         sizes = {"c": n, "h": m, "b": p, "lower": n, "upper": n}
         none = {name: np.full(size, np.nan) for name, size in sizes.items()}
         made.vectors = {
@@ -185,7 +186,7 @@ class QuadraticProgramBatch:
 
     @property
     def may_be_stated(self) -> BoolVector:
-        """Which of them are programs, shape (B,), as far as vectors and the symmetry of P say."""
+        """Mask of the valid programs, shape (B,), as far as vectors and the symmetry of P show."""
         c, h, b, lower, upper = self.vectors.values()
         with np.errstate(invalid="ignore"):
             has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
@@ -260,7 +261,7 @@ def block_diagonal(stack: Any) -> sp.csr_array:
 
 
 def _of(rows: Any, k: int) -> Any:
-    """Return what belongs to program k; one row stands for all."""
+    """Return the row of program k; a single row is common to all programs."""
     return rows[k if len(rows) > 1 else 0]
 
 
@@ -295,7 +296,7 @@ def _beside(first: Any, second: Any) -> Any:
 
 
 def _symmetric(P: Any) -> tuple[Any, BoolVector]:
-    """Return P with rounding errors in its symmetry averaged away, and where there are no others, shape (B or 1,)."""
+    """Return P with rounding errors in its symmetry averaged away, and the mask of symmetric P, shape (B or 1,)."""
     is_symmetric = (P.transpose(0, 2, 1) == P).all(axis=(1, 2))
     some = np.flatnonzero(~is_symmetric)
     if some.size:

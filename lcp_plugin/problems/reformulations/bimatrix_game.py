@@ -17,7 +17,7 @@ from ...core.lcp import LCP
 FloatMatrix = NDArray[np.float64]
 DIGITS = (
     2.0**3
-)  # times the smallest difference from a best payoff is a unit at most: none is lost beside it
+)  # times the smallest difference from a best payoff is a unit at most: no difference is lost
 SMALLEST_UNIT = 2.0**-900  # of payoffs up to 1: costs do not overflow
 
 
@@ -56,7 +56,7 @@ class Equilibrium:
 
 @dataclass(frozen=True, eq=False)
 class GameOrigin:
-    """Where a problem came from: payoffs A of the row player and B of the column player, shape (m, k)."""
+    """Origin of a converted game: payoffs A of the row player and B of the column player, shape (m, k)."""
 
     A: FloatMatrix
     B: FloatMatrix
@@ -72,16 +72,16 @@ class GameOrigin:
         Raises
         ------
         NotConverged
-            Where a part has no positive entry: then it is no solution, and no strategy.
+            If a part has no positive entry: then z is not a solution, and the part is not a strategy.
         InvalidProblem
-            Where it is no finite vector of that length.
+            If it is not a finite vector of that length.
         """
         m, k = self.A.shape
         parts = np.split(np.maximum(checked_answer(answer, m + k), 0.0), [m])
         for part, player in zip(parts, ("row", "column"), strict=True):
             if not part.any():
                 raise NotConverged(
-                    f"z is no equilibrium: the {player} player has no action; solve the problem first"
+                    f"z is not an equilibrium: the {player} player has no action; solve the problem first"
                 )
         x, y = (part / part.max() for part in parts)  # a sum of huge numbers would overflow
         return Equilibrium(self.A, self.B, x / x.sum(), y / y.sum())
@@ -91,13 +91,13 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
     """Return the complementarity problem whose solutions are the Nash equilibria of a two-player game.
 
     With costs K_ij = s_j − a_ij > 0 and L_ij = t_i − b_ij > 0 in the place of payoffs, in units that are powers of two:
-    z = (x, y) ≥ 0, M = [[0, K], [Lᵀ, 0]], q = −1. Of integers the costs are exact, and so are ties.
+    z = (x, y) ≥ 0, M = [[0, K], [Lᵀ, 0]], q = −1. For integer payoffs costs and ties are exact.
 
     Parameters
     ----------
     A, B : array, shape (m, k)
-        What the row and the column player get, in any unit each, when one plays row i and the other column j; both
-        want much. Or one game of two players as QuantEcon has it, a ``NormalFormGame``, in the place of A alone.
+        Payoffs of the row and the column player for row i and column j, each in any unit; both maximize. Or, in place
+        of A, a ``NormalFormGame`` of QuantEcon with two players.
 
     Returns
     -------
@@ -108,8 +108,8 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
     Raises
     ------
     InvalidProblem
-        Where A and B are no real, finite matrices of the same shape with at least one row and column, or the game has
-        more players, or fewer.
+        If A and B are not real, finite matrices of the same shape with at least one row and column, or the game does
+        not have two players.
 
     References
     ----------
@@ -159,11 +159,11 @@ def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:
 
 
 def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
-    """Return positive costs, 1 at least: what each action misses beside the best answer, `own` the axis of actions.
+    """Return positive costs, at least 1: the loss of each action relative to the best reply, `own` the axis of actions.
 
-    What the other player's action adds to all of them decides nothing, so the best answer to each costs the same unit.
-    It is a power of two, small enough to keep the digits of every difference beside one huge payoff: of integers all
-    are exact.
+    Terms that the other player's action adds to all costs have no influence, so the best reply to each costs one unit.
+    The unit is a power of two, small enough to keep the digits of every difference next to one huge payoff: integer
+    payoffs are exact.
     """
     payoffs = np.ldexp(
         payoffs, -int(np.frexp(np.abs(payoffs).max())[1])

@@ -88,28 +88,28 @@ def derivative(
 ):
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
-    Of a cvxpy problem with complementarities, solved by ``method="LCP"``, it is that by the parameters; see
-    ``help("lcp_plugin.modeling")``.
+    For a cvxpy problem with complementarities, solved by ``method="LCP"``, the derivative is with respect to its
+    parameters; see ``help("lcp_plugin.modeling")``.
 
     Parameters
     ----------
     result : Result or BatchResult or ContactBatchResult or March
-        SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
-        of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
-        Over cones see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
+        SOLVED, of an LCP; or of a NonlinearProblem, for which dq is a change of F. The hierarchy of M that the run has
+        built is used again, and M is not copied: do not change its entries between the solve and this call.
+        For cones see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
 
     Returns
     -------
     Derivative or BatchDerivative or ContactBatchDerivative or MarchDerivative
-        Nothing is computed before it is asked for. ``errors`` of that of a batch says why a problem has none.
+        All quantities are computed on first access. ``errors`` of a batch derivative lists the problems without one.
 
     Raises
     ------
     UnsuitableProblem
-        Where a Result is not SOLVED, or a march was not solved to its end.
+        If a Result is not SOLVED, or a march was not solved to its end.
     InvalidOption
-        Where it is none of these, or a march over cones: write ``derivative(done[k])`` for each step. Of a list of
-        problems over cones likewise: ``derivative(answers[k])``.
+        If it is none of these, or a march over cones: use ``derivative(done[k])`` for each step. For a list of problems
+        over cones use ``derivative(answers[k])``.
 
     Examples
     --------

@@ -122,11 +122,11 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     Raises
     ------
     InvalidProblem
-        Where `problem` is no LCP or z no real vector of length n.
+        If `problem` is not an LCP or z not a real vector of length n.
     InvalidOption
-        Where `sharp` is neither True nor False.
+        If `sharp` is neither True nor False.
     UnsuitableMatrix
-        Where M is neither proven H₊ nor proven positive definite.
+        If M is neither proven H₊ nor proven positive definite.
 
     Notes
     -----

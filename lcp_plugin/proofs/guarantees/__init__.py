@@ -42,7 +42,7 @@ DENSE_SPLITTING = 500
 def convergence_guarantee(
     problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
 ) -> Guarantee:
-    """Return what is proven about the convergence of an algorithm on this matrix, whatever q and the start are.
+    """Return the convergence guarantee of an algorithm on this matrix, for all q and all starts.
 
     Parameters
     ----------
@@ -56,18 +56,18 @@ def convergence_guarantee(
     -------
     Guarantee
         ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` and
-        `jacobi_radius` when asked.
+        `jacobi_radius` on first access.
 
     Raises
     ------
     UnknownAlgorithm, InvalidOption
-        Where the name or an option does not exist.
+        If the name or an option does not exist.
 
     Notes
     -----
-    Cost: some passes over M, a loose solve with its comparison matrix where dominance does not settle it, and a
-    factorisation where M is symmetric. Iterates are taken as exact, step sizes as a run
-    rounds them. It holds for any q, boxes and free rows included.
+    Cost: some passes over M, a loose solve with its comparison matrix if dominance does not decide, and a
+    factorization if M is symmetric. Iterates are assumed exact, step sizes rounded as in a run. It holds for any q,
+    boxes and free rows included.
 
     Examples
     --------

@@ -199,7 +199,7 @@ CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstanc
 
 @np.errstate(under="ignore")
 def analyze(M: Any) -> MatrixReport:
-    """Return which classes a matrix, or the matrix of a problem, belongs to; each verdict is proved.
+    """Return the classes of a matrix, or of a problem's matrix; each verdict is proved.
 
     Parameters
     ----------
@@ -209,11 +209,11 @@ def analyze(M: Any) -> MatrixReport:
     Raises
     ------
     InvalidProblem
-        Where M is no real, finite, square matrix.
+        If M is not a real, finite, square matrix.
 
     Notes
     -----
-    Nothing is computed here; each verdict is when it is first asked for, ``print(report)`` asks for all.
+    Each verdict is computed on first access; ``print(report)`` computes all of them.
 
     Examples
     --------

@@ -147,7 +147,7 @@ def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
         solve_batch(worlds, z0=np.zeros(6))
     with pytest.raises(InvalidOption, match=r"FrictionalContact\(W, b, friction\)"):
         solve_batch(worlds, np.zeros(3))
-    assert repr(worlds) == "FrictionalContact(1 worlds of up to 1 contacts in space)"
+    assert repr(worlds) == "FrictionalContact(1 instances of up to 1 contacts in space)"
     assert len(list(worlds)) == len(solve_batch(worlds)) == 1
     assert (
         len(solve_batch(FrictionalContact.worlds(np.zeros((0, 3, 3)), np.zeros((0, 3)), 0.5))) == 0

@@ -307,7 +307,7 @@ BAD_INPUT = [
     ("solve half_active:n=0", r"n must be an integer .*got 0"),
     ("solve half_active --size 4", r"test problem 'half_active' has no parameter 'size'"),
     ("solve obstacle_2d:size=4 --size 5", r"'size=5' in .* repeats a parameter"),
-    ("solve box.npz --size 4", r"--size 4 is for a scene"),
+    ("solve box.npz --size 4", r"--size 4 is for a test problem"),
     ("check obstacle_2d:size=4 --reference nobody", r"cvxpy has no solver 'nobody'"),
     ("compare obstacle_2d:size=4 -a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
     ("compare obstacle_2d:size=4 -a psor --plot out.txt", r"must end in \.png"),

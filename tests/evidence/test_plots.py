@@ -90,7 +90,7 @@ def test_a_grid_shows_a_map() -> None:
     assert result.plot(shape=(144,)).get_xlabel() == "index"
     assert result.plot(shape=(1, 144)).get_xlabel() == "index"
     for shape, words in (
-        ((12, 13), r"shape \(12, 13\) is that of 156 unknowns, and the problem has 144"),
+        ((12, 13), r"shape \(12, 13\) has 156 unknowns, and the problem has 144"),
         ((0, 12), "integers > 0"),
         ((1.5, 96), "integers > 0"),
         (144, "integers"),

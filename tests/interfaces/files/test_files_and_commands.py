@@ -204,7 +204,7 @@ def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
     for words, pattern in (
         (
             "--plot out.png --grid 3x5",
-            r"shape \(3, 5\) is that of 15 unknowns, and the problem has 12",
+            r"shape \(3, 5\) has 15 unknowns, and the problem has 12",
         ),
         (
             "--plot out.png --grid 3by4",

@@ -158,7 +158,7 @@ def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
 def test_worlds_are_taken_one_by_one(index: Any) -> None:
     """An index that is no integer is refused, with what to write."""
     worlds: Any = FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
-    with pytest.raises(TypeError, match=r"worlds\[i\], i an integer"):
+    with pytest.raises(TypeError, match=r"batch\[i\], i an integer"):
         worlds[index]
 
 

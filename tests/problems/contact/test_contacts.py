@@ -98,7 +98,7 @@ MISTAKES: dict[str, tuple[str, Any]] = {
     "negative number": ("must not be negative, but friction = -0.5", (EYE, -0.5, FALL)),
     "friction of others": (r"array of shape \(1,\)", (EYE, [0.5, 0.5], FALL)),
     "tangents not unit": (
-        "must be orthogonal unit vectors, but those of contact 0 are off by .* divide",
+        "must be orthogonal unit vectors, but contact 0 violates this by .* divide",
         ((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3)),
     ),
     "too few velocities": (r"must have shape \(2, 3\).*too few", (np.eye(6), 0.5, FALL)),

@@ -139,7 +139,7 @@ MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)
         (
             (MASS, NORMALS, TANGENTS),
             VELOCITIES[:7],
-            "velocities must have shape (24,), those of the bodies, or (5, 3)",
+            "velocities must have shape (24,), of the bodies, or (5, 3)",
         ),
         (
             (MASS, NORMALS),

@@ -134,7 +134,7 @@ MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)
         (
             (MASS, 2.0 * NORMALS, TANGENTS),
             VELOCITIES,
-            "must be orthogonal unit vectors, but those of contact 0 are off",
+            "must be orthogonal unit vectors, but contact 0 violates this",
         ),
         (
             (MASS, NORMALS, TANGENTS),

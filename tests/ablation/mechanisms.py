@@ -553,15 +553,14 @@ MECHANISMS = (
     Mechanism(
         "batch loop",
         "small problems of a batch in one compiled loop",
-        {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
-        "problems/batches/batch_run.py:BatchRun._solve_compiled "
-        "problems/batches/batch_run.py:BatchRun._solve_together problems/batches/batch_groups.py",
+        {"problems.batches.batch_run:BatchRun.solve_at_once": skipped()},
+        "problems/batches/batch_run.py:BatchRun.solve_at_once problems/batches/stated.py:_solve",
     ),
     Mechanism(
         "batch of programs",
         "small programs of a batch judged together",
-        {"problems.batches.program_batch:ProgramBatchRun._solve_compiled": skipped()},
-        "problems/batches/program_batch.py:ProgramBatchRun._solve_compiled",
+        {"problems.batches.program_batch:ProgramBatchRun.solve_at_once": skipped()},
+        "problems/batches/program_batch.py:ProgramBatchRun.solve_at_once",
     ),
     Mechanism(
         "threads",

@@ -77,7 +77,6 @@ NAMED = {
     "a derivative": ("Derivative", "settle", "solve_steps"),
     "many": (
         "solve_batch",
-        "MixedRun",
         "BatchRun",
         "ProgramBatchRun",
         "QuadraticProgramBatch",

@@ -627,9 +627,11 @@ def one_of_each_kind() -> list[Any]:
 def test_time_ends_a_batch_of_several_kinds() -> None:
     """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time.
 
-    Small problems over cones share a loop, which comes first.
+    Stacks of small problems over cones and of small LCPs come first.
     """
-    problems = sorted(one_of_each_kind() * 500, key=lambda one: class_of(one) not in ON_CONES)  # type: ignore[union-attr]
+    problems = sorted(
+        one_of_each_kind() * 500, key=lambda one: class_of(one) not in (*ON_CONES, "LCP")
+    )  # type: ignore[union-attr]
     answers = solve_batch(problems, max_seconds=0.2)
     assert len(answers) == len(answers.status) == len(problems)
     assert answers.seconds < 5.0
@@ -640,7 +642,7 @@ def test_time_ends_a_batch_of_several_kinds() -> None:
 
 
 def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was solved is kept, small problems over cones first, as they share a loop; those left are INTERRUPTED."""
+    """What was solved is kept, stacks of small problems first; those left are INTERRUPTED."""
     one, two, *_ = problems = one_of_each_kind()
 
     def interrupted(problem: Any, **wishes: Any) -> Any:
@@ -648,10 +650,10 @@ def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -
             raise KeyboardInterrupt
         return solve(problem, **wishes)
 
-    monkeypatch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", interrupted)
+    monkeypatch.setattr("lcp_plugin.problems.batches.batch_run.solve", interrupted)
     answers = solve_batch(problems)
     assert len(answers) == len(problems)
-    is_done = [problem is one or class_of(problem) in ON_CONES for problem in problems]  # type: ignore[union-attr]
+    is_done = [problem is one or class_of(problem) in (*ON_CONES, "LCP") for problem in problems]  # type: ignore[union-attr]
     assert [status.name for status in answers.status] == [
         "SOLVED" if done else "INTERRUPTED" for done in is_done
     ]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar, overload
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...auto import asked_of_solve
 from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
@@ -18,19 +19,16 @@ from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import Settings, checked_threads
 from ...methods.banded import Banded
 from ...systems.factors import bands
-from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
-from ..equilibria.equilibrium_program import EquilibriumProgram
-from ..least_squares.data import BoundedLeastSquares
+from ..cones.frictional_contact import FrictionalContactBatch
 from ..programs.convexity import refuse_nonconvex
 from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.solving import programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
-from .batch_items import Items, Listed, Stacked
-from .batch_run import BatchResult, BatchRun
-from .contact_batch import ContactBatchResult, ContactBatchRun
-from .mixed_batch import AnswerList, MixedRun
-from .program_batch import ProgramBatchResult, ProgramBatchRun
+from .batch_run import Asked, BatchAnswers, BatchRun
+from .program_batch import ProgramBatchRun
+from .stated import Listed, Stacked
+from .worlds import Worlds
 
 P = TypeVar("P", LCP, QuadraticProgram)
 
@@ -82,82 +80,6 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     return problem
 
 
-@overload
-def solve_batch(
-    M: QuadraticProgramBatch,
-    *,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-6,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-) -> ProgramBatchResult: ...
-@overload
-def solve_batch(
-    M: FrictionalContact | FrictionalContactBatch,
-    *,
-    z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-) -> ContactBatchResult: ...
-@overload
-def solve_batch(
-    M: QuadraticProgram,
-    q: Sequence[Mapping[str, ArrayLike]],
-    *,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-6,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-) -> ProgramBatchResult: ...
-@overload
-def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
-    M: Sequence[LCP],
-    *,
-    z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-) -> BatchResult: ...
-@overload
-def solve_batch(
-    M: Sequence[LCP | QuadraticProgram | EquilibriumProgram | BoundedLeastSquares],
-    *,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-) -> AnswerList: ...
-@overload
-def solve_batch(
-    M: Any,
-    q: ArrayLike | None = None,
-    *,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-) -> BatchResult: ...
 def solve_batch(
     M: Any,
     q: Any = None,
@@ -172,8 +94,8 @@ def solve_batch(
     absolute_tolerance: float = 0.0,
     prove_infeasibility: bool = True,
     threads: int | None = None,
-) -> Any:
-    """Return the results of many problems; small ones are solved in one compiled loop.
+) -> BatchAnswers:
+    """Return the results of many problems; small ones are solved as stacks.
 
     Parameters
     ----------
@@ -183,10 +105,10 @@ def solve_batch(
         With one LCP and a q of shape (B, n), all problems share the cached properties of its matrix, as after
         :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
         mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
-        A sequence may contain LCPs of different sizes and all problem classes that :func:`lcp_plugin.solve` takes
-        without further data; do not pass q, lower or upper with it. Programs of one shape are tested together, as in a
-        QuadraticProgramBatch; small problems over cones with dense matrices share a compiled loop; others are solved
-        one by one. Arrays of shape (B, n, n) are not copied: do not change their entries while you use the result.
+        A sequence may contain problems of different sizes and of all classes that :func:`lcp_plugin.solve` takes
+        without further data; do not pass q, lower or upper with it. Small LCPs of one size, small problems over the
+        same cones, and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
+        (B, n, n) are not copied: do not change their entries while you use the result.
     q : array, shape (B, n) or (n,)
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
@@ -196,19 +118,17 @@ def solve_batch(
     max_seconds : float, optional
         In seconds, for the entire batch: problems not solved by then end with MAX_SECONDS.
     threads : int, optional
-        Number of threads of the compiled loop; by default all that the process may use. Problems that the loop does not
-        solve use one thread. Results are the same bit for bit for any number.
+        Number of threads that solve stacks; by default all that the process may use. Results are the same bit for
+        bit for any number.
 
     Returns
     -------
-    BatchResult, ProgramBatchResult for programs of one shape, ContactBatchResult, or AnswerList for other problems
-        All have arrays x, status, objective and iterations with one row per problem, and ``explain()``, and are
-        sequences of the results of :func:`lcp_plugin.solve`; accessing an invalid problem raises its error. Each
-        problem has its own certificate; a program is tested as in
+    BatchAnswers
+        Arrays x, status, objective and iterations with one row per problem, and ``explain()``; a sequence of the
+        results of :func:`lcp_plugin.solve`. Accessing an invalid problem raises its error. Each problem has its own
+        certificate; a program is tested as in
         :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`. A NaN or an infeasible problem does not
-        affect the others: problems that the compiled loop does not solve are solved one by one. After Ctrl-C the
-        remaining ones are INTERRUPTED. If the compiled loop finds a Farkas certificate, the status is INFEASIBLE even
-        with prove_infeasibility=False.
+        affect the others. After Ctrl-C the remaining ones are INTERRUPTED.
 
     Raises
     ------
@@ -238,36 +158,30 @@ def solve_batch(
     >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
-    checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
-    programs = _programs_of(M, q, lower, upper, z0)
-    asked: dict[str, Any] = {
-        "max_iterations": max_iterations,
-        "prove_infeasibility": prove_infeasibility,
-        "threads": 1,
+    given = {
+        "tolerance": (tolerance, None),
+        "max_iterations": (max_iterations, None),
+        "absolute_tolerance": (absolute_tolerance, 0.0),
+        "prove_infeasibility": (prove_infeasibility, True),
     }
-    default = PROGRAM_TOLERANCE if programs is not None else Settings.tolerance
-    asked["tolerance"] = default if tolerance is None else tolerance
+    options = {
+        name: value
+        for name, (value, default) in given.items()
+        if not (value is default or (np.isscalar(value) and value == default))
+    }
+    limit = Settings(max_seconds=max_seconds).max_seconds
+    asked = Asked(algorithm, options, checked_threads(threads), limit)
+    programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or absolute_tolerance != 0.0:
             raise InvalidOption(
                 "a batch of programs takes no z0 or absolute_tolerance; leave them out"
             )
-        return ProgramBatchRun(programs, algorithm, asked, threads=checked, limit=limit).run()
-    asked["absolute_tolerance"] = absolute_tolerance
-    every, defaults = (
-        {**asked, "algorithm": algorithm, "z0": z0},
-        {**(solve_batch.__kwdefaults__ or {}), "threads": 1, "tolerance": default},
-    )
-    wishes = {
-        name: wish
-        for name, wish in every.items()
-        if not (wish is defaults[name] or (np.isscalar(wish) and wish == defaults[name]))
-    }
+        options.setdefault("tolerance", PROGRAM_TOLERANCE)
+        return ProgramBatchRun(programs, asked._replace(item="program")).run()
     if isinstance(M, FrictionalContactBatch):
-        _refuse_data("contacts", "FrictionalContact(W, b, friction)", q, lower, upper)
-        wishes.pop("z0", None)
-        return ContactBatchRun(M, wishes, z0, threads=checked, limit=limit).run()
-    items: Items
+        _refuse_data("contacts", "FrictionalContact.worlds(W, b, friction)", q, lower, upper)
+        return BatchRun(Worlds(M, z0), asked._replace(item="world"), M.errors).run()
     if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
         write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(
             type(M), "[problem]"
@@ -275,24 +189,25 @@ def solve_batch(
         raise InvalidProblem(
             f"solve_batch needs many problems, got one {name}; write solve_batch({write})"
         )
-    others = [one for one in M if class_of(one)] if isinstance(M, Sequence) else []
-    for one in others:
-        if not takes("solve_batch", one):
-            raise InvalidProblem(refusal("solve_batch", one))
-    if any(not isinstance(one, LCP) for one in others):
+    are_problems = isinstance(M, Sequence) and (not len(M) or any(map(class_of, M)))
+    if are_problems:
         for k, one in enumerate(M):
             if class_of(one) is None:
-                raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
-        _refuse_data("these problems", "new ones", q, lower, upper)
-        return MixedRun(M, wishes, threads=checked, limit=limit).run()
-    if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
-        items = Listed(_checked_list(M, q, lower, upper), z0)
+                raise InvalidProblem(
+                    f"item {k} of the batch: {refusal('solve_batch', one)}; write LCP(M, q)"
+                )
+            if not takes("solve_batch", one):
+                raise InvalidProblem(refusal("solve_batch", one))
+        _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
+        stated: Any = Listed(M, z0)
     else:
         held = M if isinstance(M, LCP) else None
         lower = (0.0 if held is None else held.lower) if lower is None else lower
         upper = (np.inf if held is None else held.upper) if upper is None else upper
-        items = Stacked(M, q, lower, upper, z0)
-    return BatchRun(items, algorithm, asked, threads=checked, limit=limit).run()
+        stated = Stacked(M, q, lower, upper, z0)
+    if not are_problems or stated.are_lcps:
+        asked_of_solve(algorithm, options)
+    return BatchRun(stated, asked, stated.errors).run()
 
 
 def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticProgramBatch | None:
@@ -312,16 +227,6 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
         _refuse_data("these problems", "new ones", q, lower, upper)
         return QuadraticProgramBatch.of(M, M[0])
     return None
-
-
-def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:
-    for k, problem in enumerate(problems):
-        if not isinstance(problem, LCP):
-            raise InvalidProblem(
-                f"a list of LCPs holds {type(problem).__name__} as item {k}; write LCP(M, q)"
-            )
-    _refuse_data("LCPs", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
-    return problems
 
 
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:

@@ -1,323 +1,195 @@
-"""The run of a batch: a compiled loop over what is small, in chunks on several threads; one by one the rest."""
+"""The run of a batch: stacks solve small problems at once, :func:`lcp_plugin.solve` the others one by one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...auto import asked_of_solve, solve_lcp
-from ...core.algorithm import Algorithm
+from ...api import solve
 from ...core.certificates.residuals import Certificate
-from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.settings import Status
+from ...core.settings import Settings, Status
+from ...core.solving.answer import Answer
 from ...core.solving.result import Result, StageRecord
-from ...methods.small.rounds import CHUNK, solve_stack
-from ..many.answers import AnswerSequence, T
+from ..cones.data import Blocks
+from ..cones.solving import result_of
+from ..many.answers import AnswerSequence
 from ..many.chunks import in_chunks
-from .batch_groups import Group
-from .batch_items import Items, put
+
+MOST_ITERATIONS = 200  # that a stack takes
 
 
-class BatchLoop:
-    """Tables with a row an item: a compiled loop fills some at once, and what it leaves open is solved one by one.
+class Asked(NamedTuple):
+    """The arguments of solve_batch next to the problems; `options` are those that differ from their defaults."""
+
+    algorithm: Any
+    options: dict[str, Any]
+    threads: int
+    limit: float
+    item: str = "problem"
+
+
+class BatchRun:
+    """The results in tables with a row per problem.
 
     Parameters
     ----------
-    count : int
-    algorithm : str or Algorithm
-    wishes : dict
-        Whatever else :func:`lcp_plugin.solve` takes, for each item.
+    problems : Listed, Stacked or Worlds
+        ``problems[k]``, ``problems.start(k)``, ``problems.points``: a table of z at the start,
+        ``problems.stacks(tolerance, has_time)``: pairs of item numbers and a function that returns z, residual,
+        iterations and is_solved of these.
+    asked : Asked
     errors : dict
-        What is wrong with item k, where something is.
-    threads : int
-    limit : float
-        Seconds for all items together.
+        The error of problem k, if its data are no problem.
     """
 
-    def __init__(
-        self,
-        count: int,
-        algorithm: str | Algorithm,
-        wishes: dict[str, Any],
-        errors: dict[int, LCPError],
-        *,
-        threads: int,
-        limit: float,
-    ) -> None:
-        self.algorithm, self.wishes, self.errors, self.threads, self.limit = (
-            algorithm,
-            wishes,
-            errors,
-            threads,
-            limit,
-        )
-        self.policy, self.settings = asked_of_solve(algorithm, wishes)
+    def __init__(self, problems: Any, asked: Asked, errors: dict[int, LCPError]) -> None:
+        self.problems, self.asked, count = problems, asked, len(problems)
+        self.errors = {**errors}
+        known = {"tolerance", "max_iterations", "absolute_tolerance", "prove_infeasibility"}
+        self.settings = Settings(**{k: v for k, v in asked.options.items() if k in known})
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
-        self.is_open = np.ones(count, np.bool_)
-        self.is_open[[*errors]] = False
+        self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
+        self.is_open[[*self.errors]] = False
+        self.results: dict[int, Any] = {}  # of those that were solved one by one
         self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
 
     @property
     def has_time(self) -> bool:
         """Whether the clock of all has not run out."""
-        return self.clock.read() < self.limit
+        return self.clock.read() < self.asked.limit
 
-    def _in_chunks(self, solve_chunk: Callable[[int, int], None], count: int) -> None:
-        """Call ``solve_chunk(first, end)`` for all items of a compiled loop, on the threads, while there is time."""
-        in_chunks(
-            lambda first, end: solve_chunk(first, end) if self.has_time else None,
-            count,
-            self.threads,
-        )
-
-    def run(self) -> Any:
-        """Solve all, and gather what was found."""
-        self._solve_all()
-        left = np.flatnonzero(self.is_open)
-        self._leave(left)
-        self.status[left] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
-        self.seconds = self.clock.read()
-        return self._answers()
-
-    def _answers(self) -> Any:
-        """Return what was found."""
-        raise NotImplementedError
-
-    def _leave(self, items: Any) -> None:
-        """Write where those begin that were not begun."""
-
-    def _solve_compiled(self) -> None:
-        """Solve what compiled loops can."""
-        raise NotImplementedError
-
-    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
-        """Solve item k by itself."""
-        raise NotImplementedError
+    @property
+    def is_plain(self) -> bool:
+        """Whether a stack may solve what `auto` would."""
+        settings, few = self.settings, self.settings.max_iterations < MOST_ITERATIONS
+        return self.asked.algorithm == "auto" and not (settings.absolute_tolerance or few)
 
     @np.errstate(under="ignore")
-    def _solve_all(self) -> None:
-        """Solve until all are done, the clock runs out, or Ctrl-C comes; what an item itself raises is kept."""
+    def run(self) -> BatchAnswers:
+        """Solve until all are done, the clock runs out, or Ctrl-C comes."""
+        self.begin()
         try:
-            self._solve_compiled()
+            if self.is_plain:
+                self.solve_at_once()
             for k in np.flatnonzero(self.is_open).tolist():
                 if self.is_interrupted or not self.has_time:
                     break
                 self._solve_or_keep_error(k)
         except KeyboardInterrupt:
             self.is_interrupted = True
+        end = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.status[self.is_open] = end
+        self.seconds = self.clock.read()
+        return BatchAnswers(self)
+
+    def begin(self) -> None:
+        """Write the points at which problems begin."""
+        self.z = self.problems.points
+        for k in self.errors if isinstance(self.z, np.ndarray) else ():
+            self.z[k] = np.nan
+
+    def solve_at_once(self) -> None:
+        """Solve small problems in stacks, on the threads, while there is time."""
+        stacks = [*self.problems.stacks(self.settings.tolerance, lambda: self.has_time)]
+
+        def take(first: int, end: int) -> None:
+            for items, solve_stack in stacks[first:end]:
+                if self.has_time:
+                    z, residual, iterations, is_solved = solve_stack()
+                    good = np.flatnonzero(is_solved & self.is_open[items])
+                    self.write(items[good], z[good], residual[good], iterations[good])
+
+        in_chunks(take, len(stacks), self.asked.threads)
+
+    def write(self, items: Any, z: Any, residual: Any, iterations: Any) -> None:
+        """Write solved problems."""
+        if isinstance(self.z, np.ndarray):
+            self.z[items] = z
+        else:
+            for k, row in zip(items.tolist(), z, strict=True):
+                self.z[k] = row
+        self.residual[items], self.iterations[items] = residual, iterations
+        self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _solve_or_keep_error(self, k: int) -> None:
-        wishes = dict(self.wishes)
-        if self.limit < np.inf:
-            wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
+        options = dict(self.asked.options)
+        if self.asked.limit < np.inf:
+            options["max_seconds"] = max(self.asked.limit - self.clock.read(), 0.0)
         try:
-            self._solve(k, wishes)
+            self.solve_alone(k, options)
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
             self.errors[k], self.is_open[k] = error, False
 
-
-class BatchAnswers(AnswerSequence[T]):
-    """The answers of a batch, each put together when it is looked at.
-
-    Parameters
-    ----------
-    run : BatchLoop
-        At its end.
-    answer_of : callable
-        The answer to item k, which has no error.
-    tables : arrays
-        What nobody may change any more.
-    """
-
-    status: Any
-
-    def __init__(self, run: BatchLoop, answer_of: Callable[[int], T], *tables: Any) -> None:
-        self.status, self.seconds, self.errors, self._answer_of = (
-            run.status,
-            run.seconds,
-            run.errors,
-            answer_of,
-        )
-        for table in (run.status, run.residual, *tables):
-            if isinstance(table, np.ndarray):
-                table.flags.writeable = False
-
-    def __len__(self) -> int:
-        return len(self.status)
-
-    @cached_property
-    def x(self) -> Any:
-        """The unknowns of each, shape (B, n), NaN where there are none; a list of arrays where sizes differ."""
-        rows = [np.empty(0) if one is None or one.x is None else one.x for one in self._each]
-        sizes = {row.size for row in rows if row.size} or {0}
-        if len(sizes) > 1:
-            return rows
-        x = np.full((len(rows), *sizes), np.nan)
-        for k, row in enumerate(rows):
-            x[k, : row.size] = row
-        return x
-
-    @cached_property
-    def objective(self) -> Any:
-        """What was minimised of each, shape (B,); NaN where nothing is."""
-        values = [None if one is None else one.objective for one in self._each]
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-
-    @cached_property
-    def iterations(self) -> Any:
-        """How many steps each took, shape (B,)."""
-        return np.array(
-            [0 if one is None else one.iterations for one in self._each], dtype=np.int64
-        )
-
-    @property
-    def _each(self) -> list[Any]:
-        """Every answer, None where the item is no problem."""
-        return [None if k in self.errors else self._answer_of(k) for k in range(len(self))]
-
-    def at(self, k: int) -> T:
-        """Return answer k, or raise what is wrong with its item."""
-        if k in self.errors:
-            raise self.errors[k]
-        return self._answer_of(k)
-
-
-class ComplementarityAnswers(BatchAnswers[T]):
-    """The answers to complementarity problems, in tables.
-
-    Parameters
-    ----------
-    run : BatchRun or ContactBatchRun
-        At its end.
-    """
-
-    def __init__(self, run: Any) -> None:
-        super().__init__(run, run.result_of, run.z, run.iterations)
-        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
-        self.threads = run.threads
-
-    @property
-    def x(self) -> Any:
-        """The same as z."""
-        return self.z
-
-    @property
-    def objective(self) -> Any:
-        """NaN for each, shape (B,): nothing is minimised."""
-        return np.full(len(self), np.nan)
-
-
-class BatchRun(BatchLoop):
-    """The answers as they come, in tables with a row a problem.
-
-    Parameters
-    ----------
-    items : Items
-    algorithm, wishes, threads, limit
-        As in `BatchLoop`.
-    """
-
-    def __init__(
-        self,
-        items: Items,
-        algorithm: str | Algorithm,
-        wishes: dict[str, Any],
-        *,
-        threads: int,
-        limit: float,
-    ) -> None:
-        super().__init__(items.count, algorithm, wishes, items.errors, threads=threads, limit=limit)
-        self.items = items
-        count, sizes = items.count, items.sizes
-        self.z: Any = np.full((count, *sizes), np.nan) if len(sizes) <= 1 else [np.empty(0)] * count
-        self.iterations = np.zeros(count, np.int64)
-        self.results: dict[int, Result] = {}  # of those that were solved one by one
-
-    def _answers(self) -> BatchResult:
-        return BatchResult(self)
-
-    def _leave(self, items: Any) -> None:
-        for k in items.tolist():
-            self.z[k] = self.items.projected_start(k)
-
-    def _solve_compiled(self) -> None:
-        if self.algorithm != "auto" or not self.settings.is_unobserved:
-            return
-        if self.settings.absolute_tolerance or not self.settings.max_iterations:
-            return
-        for group in self.items.groups():
-            size = max(1, CHUNK // group.shape[1] ** 2)
-            for first in range(0, group.items.size, size):
-                if not self.has_time:
-                    return
-                rows = np.arange(first, min(first + size, group.items.size))
-                self._solve_together(group.chosen(rows))
-
-    def _solve_together(self, group: Group) -> None:
-        starts = group.starts if group.starts.shape[1] else None
-        found = solve_stack(
-            group.M, group.q, group.lower, group.upper, starts, self.settings.tolerance
-        )
-        good = np.flatnonzero(found.is_solved)
-        residual = np.broadcast_to(found.residual, group.items.shape)[good]
-        z = np.broadcast_to(found.z, group.shape)[good]
-        starts = np.clip(0.0, group.lower, group.upper) if starts is None else starts
-        moved = (z != np.broadcast_to(starts, group.shape)[good]).any(1)
-        self._write(group.items[good], z, Status.SOLVED, residual, moved.astype(np.int64))
-
-    def _write(self, items: Any, z: Any, status: Status, residual: Any, iterations: Any) -> None:
-        put(self.z, items, z if isinstance(z, list) else read_only(z))
-        self.status[items], self.residual[items], self.iterations[items] = (
-            status,
-            residual,
-            iterations,
-        )
-        self.is_open[items] = False
-
-    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
-        found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
-        self.results[k] = found
+    def solve_alone(self, k: int, options: dict[str, Any]) -> None:
+        """Solve problem k by itself."""
+        found = self.results[k] = self._solved(k, options)
+        if isinstance(self.z, np.ndarray):
+            self.z[k], self.z[k, : found.x.size] = 0.0, found.x
+        else:
+            self.z[k] = np.empty(0) if found.x is None else found.x
+        if isinstance(found, Result):
+            self.residual[k] = found.certificate.relative_residual
+        self.status[k], self.iterations[k], self.is_open[k] = found.status, found.iterations, False
         self.is_interrupted |= found.status is Status.INTERRUPTED
-        self._write(
-            [k], [found.z], found.status, found.certificate.relative_residual, found.iterations
-        )
 
-    def result_of(self, k: int) -> Result:
-        """Return the result of problem k, which has no error."""
+    def _solved(self, k: int, options: dict[str, Any]) -> Any:
+        start = self.problems.start(k)
+        given = {} if start is None else {"z0": start}
+        named = {} if self.asked.algorithm == "auto" else {"algorithm": self.asked.algorithm}
+        return solve(self.problems[k], **given, **named, **options)
+
+    def result_of(self, k: int) -> Any:
+        """Return the result of problem k, which has no error; one that was not begun has its start's."""
         if k in self.results:
             return self.results[k]
-        if self.status[k] is not Status.SOLVED:  # not begun
-            wishes = self.wishes | {"max_iterations": 0}
-            found = solve_lcp(
-                self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes
-            )
-            return found if found.is_solved else replace(found, status=self.status[k])
-        certificate = Certificate.of(self.items.problem(k), self.z[k])
+        if self.status[k] is not Status.SOLVED:
+            found = self._solved(k, {**self.asked.options, "max_seconds": 0.0})
+            return replace(found, status=self.status[k])
+        problem, iterations = self.problems[k], int(self.iterations[k])
+        share = self.seconds / len(self.status)
+        if isinstance(problem, Blocks):
+            return result_of(problem, self.z[k][: problem.n], iterations, self.settings, share)
+        certificate, work = Certificate.of(problem, self.z[k]), float(problem.n)
         return Result(
             z=certificate.z,
             w=certificate.w,
             status=Status.SOLVED,
             certificate=certificate,
             algorithm="auto: rounds",
-            iterations=int(self.iterations[k]),
-            work=float(certificate.problem.n),
-            seconds=self.seconds / self.items.count,
+            iterations=iterations,
+            work=work,
+            seconds=share,
             setup_seconds=0.0,
             tolerance=self.settings.tolerance,
-            stages=(StageRecord("rounds", "", 1, float(certificate.problem.n)),),
+            stages=(StageRecord("rounds", "", 1, work),),
         )
 
+    def tables(self) -> dict[str, Any]:
+        """Return the arrays of the answers by name."""
+        z = self.z
+        if not isinstance(z, np.ndarray) and len(sizes := {len(row) for row in z if len(row)}) <= 1:
+            z = np.full((len(z), *(sizes or {0})), np.nan)
+            for k, row in enumerate(self.z):
+                z[k, : len(row)] = row
+        return {"x": z, "z": z, "relative_residual": self.residual, "iterations": self.iterations}
 
-class BatchResult(ComplementarityAnswers[Result]):
-    """The answers to a batch of problems.
+    def objectives(self) -> Any:
+        """Return the objective of each problem, NaN if it has none."""
+        values = np.full(len(self.status), np.nan)
+        for k, found in self.results.items():
+            values[k] = np.nan if found.objective is None else found.objective
+        return values
+
+
+class BatchAnswers(AnswerSequence[Any]):
+    """The answers to a batch of problems; ``answers[k]`` is the result that :func:`lcp_plugin.solve` gives.
 
     Parameters
     ----------
@@ -326,37 +198,69 @@ class BatchResult(ComplementarityAnswers[Result]):
 
     Attributes
     ----------
-    z : array, shape (B, n), or a list of arrays where the sizes differ
-        NaN where the problem is none.
+    x, z : array, shape (B, n), or a list of arrays if the sizes differ
+        NaN if the data are no problem; 0 if a world has no contact there.
     status : array of Status, shape (B,)
-        None where the problem is none.
+        None if the data are no problem.
     relative_residual : array, shape (B,)
-        As in :class:`lcp_plugin.Certificate`; NaN where the problem is none, or was not begun.
+        Upper bound of the residual of the stopping criterion; NaN if it was not measured.
+    inequality, equality, lower, upper, residual : array
+        Of programs of one shape: multipliers, as those of a QPSolution, and an upper bound of its largest measure.
     iterations : array of int, shape (B,)
     seconds : float
-        Seconds of the whole batch, compilation excluded.
+        Seconds of the whole batch, compilation excluded; results that a stack found have a share of it.
     errors : dict
-        What is wrong with problem k, an InvalidProblem, where something is; ``batch[k]`` raises it.
-    items : Items
-        The problems.
+        The error of problem k, if its data are no problem; ``answers[k]`` raises it.
+    problems : Listed, Stacked, FrictionalContactBatch or QuadraticProgramBatch
     threads : int
-        How many took part.
-
-    Notes
-    -----
-    ``batch[k]`` is the :class:`~lcp_plugin.Result` that :func:`lcp_plugin.solve` gives for problem k, its `seconds`
-    a share of the batch's.
+        Number of threads that took part.
     """
 
+    status: Any
+    x: Any
+    z: Any
+    relative_residual: Any
+    iterations: Any
+    inequality: Any
+    equality: Any
+    lower: Any
+    upper: Any
+    residual: Any
+
     def __init__(self, run: BatchRun) -> None:
-        super().__init__(run)
-        self.items = run.items
+        self._run, self.item, self.status, self.seconds = (
+            run,
+            run.asked.item,
+            run.status,
+            run.seconds,
+        )
+        self.errors, self.problems, self.threads = run.errors, run.problems, run.asked.threads
+        vars(self).update(run.tables())
+        for table in vars(self).values():
+            if isinstance(table, np.ndarray):
+                table.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def at(self, k: int) -> Answer:
+        """Return answer k, or raise the error of its problem."""
+        if k in self.errors:
+            raise self.errors[k]
+        found: Answer = self._run.result_of(k)
+        return found
+
+    @cached_property
+    def objective(self) -> Any:
+        """Objective of each problem, shape (B,); NaN if it has none."""
+        return self._run.objectives()
 
     @cached_property
     def w(self) -> Any:
-        """M z + q of each problem, like z; computed when it is looked at."""
-        rows = [
-            np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z)
-            for k, z in enumerate(self.z)
-        ]
-        return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows
+        """M z + q of each problem, like z; velocities of contacts, 1 if a world has no contact there."""
+        return self.problems.slacks(self.z)
+
+    @property
+    def motion(self) -> Any:
+        """Impulses and velocities of worlds contact by contact, a ContactMotion with an axis in front."""
+        return self.problems.motion(self.z, self.w)

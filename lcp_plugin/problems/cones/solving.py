@@ -148,7 +148,7 @@ def solve_cones(
     return result
 
 
-def solve_stack(
+def solve_cone_stack(
     stack: ConeStack, start: Any, tolerance: float, has_time: Callable[[], bool], *, is_warm: bool
 ) -> tuple[Any, Any, Any, Any]:
     """Return what sweeps and Newton's steps make of all problems of a stack, as `solve` does for each.

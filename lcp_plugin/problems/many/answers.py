@@ -13,8 +13,24 @@ from ...core.settings import Status
 T = TypeVar("T")
 
 
-class Results(Sequence[T]):
-    """A sequence, each item of which is put together when it is looked at: ``self.at(k)`` for 0 ≤ k < len(self)."""
+class AnswerSequence(Sequence[T]):
+    """The answers to many problems, in order; ``self.at(k)`` puts item k together, 0 ≤ k < len(self).
+
+    Attributes
+    ----------
+    status : sequence of Status
+        None where an item is no problem.
+    seconds : float
+        Wall-clock seconds of all of them.
+    """
+
+    item = "problem"
+    seconds: float
+    if TYPE_CHECKING:
+
+        @property
+        def status(self) -> Any:
+            """SOLVED, or why not."""
 
     def at(self, k: int) -> T:
         """Return item k."""
@@ -31,26 +47,6 @@ class Results(Sequence[T]):
             raise IndexError(f"there are {len(self)} results, and none has the number {k}")
         return self.at(index(k) % len(self))
 
-
-class AnswerSequence(Results[T]):
-    """The answers to many problems, in order.
-
-    Attributes
-    ----------
-    status : sequence of Status
-        None where an item is no problem.
-    seconds : float
-        Wall-clock seconds of all of them.
-    """
-
-    ITEM = "problem"
-    seconds: float
-    if TYPE_CHECKING:
-
-        @property
-        def status(self) -> Any:
-            """SOLVED, or why not."""
-
     @property
     def all_solved(self) -> bool:
         """Whether every status is SOLVED."""
@@ -63,7 +59,7 @@ class AnswerSequence(Results[T]):
 
     def counts(self) -> str:
         """Return how many there are of each status, in words."""
-        counted = Counter(f"no {self.ITEM}" if one is None else one.name for one in self.status)
+        counted = Counter(f"no {self.item}" if one is None else one.name for one in self.status)
         return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
 
     @property
@@ -72,14 +68,14 @@ class AnswerSequence(Results[T]):
         shown = self._shown()
         if shown < 0 or self.all_solved:
             return Status.SOLVED.value
-        return f"{self.ITEM} {shown}: {self._said(shown, lambda one: str(getattr(one, 'advice', one)))}"
+        return f"{self.item} {shown}: {self._said(shown, lambda one: str(getattr(one, 'advice', one)))}"
 
     def explain(self) -> str:
         """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
         shown = self._shown()
-        lines = [f"{len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s"]
+        lines = [f"{len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s"]
         if shown >= 0:
-            lines.append(f"{self.ITEM} {shown}: {self._said(shown, str)}")
+            lines.append(f"{self.item} {shown}: {self._said(shown, str)}")
         return "\n".join(lines)
 
     def _shown(self) -> int:
@@ -93,7 +89,7 @@ class AnswerSequence(Results[T]):
         try:
             return words(self.at(k))
         except LCPError as error:
-            return f"no {self.ITEM}: {error}"
+            return f"no {self.item}: {error}"
 
     def require_solved(self) -> Self:
         """Return this, or raise where one of them is not solved.
@@ -108,7 +104,7 @@ class AnswerSequence(Results[T]):
         return self
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s)"
+        return f"{type(self).__name__}({len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s)"
 
     def __str__(self) -> str:
         return self.explain()

@@ -47,7 +47,7 @@ class March(AnswerSequence[Result]):
         Wall-clock seconds of the march.
     """
 
-    ITEM = "step"
+    item = "step"
     all_solved = True
 
     def __init__(

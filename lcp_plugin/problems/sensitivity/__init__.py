@@ -13,7 +13,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,8 +33,9 @@ from ...proofs.bounds.active_rows import ActiveRows, settled_rows
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
 from ...systems.linearised import Linearised
-from ..batches.batch_run import BatchResult
-from ..batches.contact_batch import ContactBatchResult
+from ..batches.batch_run import BatchAnswers
+from ..batches.stated import Listed, Stacked
+from ..batches.worlds import Worlds
 from ..cones.derivative import ConeDerivative
 from ..cones.solving import ConeResult
 from ..march import March
@@ -42,9 +43,6 @@ from ..march.march_derivative import MarchDerivative
 from .batch_derivative import BatchDerivative
 from .contact_batch_derivative import ContactBatchDerivative
 from .free_solutions import one_sided, solution, words_on_singular
-
-if TYPE_CHECKING:
-    from ...modeling.model_derivative import ModelDerivative
 
 
 class Gradient(NamedTuple):
@@ -65,27 +63,8 @@ class Gradient(NamedTuple):
     M: sp.csr_array
 
 
-@overload
-def derivative(result: ConeResult) -> ConeDerivative: ...  # type: ignore[overload-overlap]  # it is a Result, too
-@overload
-def derivative(result: Result) -> Derivative: ...
-@overload
-def derivative(result: BatchResult) -> BatchDerivative: ...
-@overload
-def derivative(result: ContactBatchResult) -> ContactBatchDerivative: ...
-@overload
-def derivative(result: March) -> MarchDerivative: ...
 @np.errstate(under="ignore")
-def derivative(
-    result: Result | BatchResult | ContactBatchResult | March,
-) -> (
-    Derivative
-    | BatchDerivative
-    | ContactBatchDerivative
-    | MarchDerivative
-    | ConeDerivative
-    | ModelDerivative
-):
+def derivative(result: Any) -> Any:
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
     For a cvxpy problem with complementarities, solved by ``method="LCP"``, the derivative is with respect to its
@@ -93,7 +72,7 @@ def derivative(
 
     Parameters
     ----------
-    result : Result or BatchResult or ContactBatchResult or March
+    result : Result or BatchAnswers or March
         SOLVED, of an LCP; or of a NonlinearProblem, for which dq is a change of F. The hierarchy of M that the run has
         built is used again, and M is not copied: do not change its entries between the solve and this call.
         For cones see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
@@ -124,21 +103,14 @@ def derivative(
     array([[-1.25,  0.  ],
            [ 0.  ,  0.  ]])
     """
-    if isinstance(result, BatchResult):
-        if not isinstance(result.z, np.ndarray):
-            raise InvalidOption(
-                "the derivative of a batch takes problems of one size; "
-                "write [derivative(answer) for answer in batch] for several"
-            )
-        return BatchDerivative(result, derivative)
+    if isinstance(result, BatchAnswers):
+        return _derivative_of_batch(result)
     if isinstance(result, March):
         if not isinstance(result.problem, LCP):
             raise InvalidOption(
                 "no derivative leads through a march over cones; write derivative(done[k]) for that of step k by its q"
             )
         return MarchDerivative(result, Derivative)
-    if isinstance(result, ContactBatchResult):
-        return ContactBatchDerivative(result, derivative)
     if type(result).__module__.startswith("cvxpy."):
         from ...modeling.model_derivative import derivative_of
 
@@ -154,6 +126,24 @@ def derivative(
     return Derivative(
         certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised
     )
+
+
+def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchDerivative:
+    problems = batch.problems
+    if isinstance(problems, Worlds):
+        return ContactBatchDerivative(batch, derivative)
+    if not isinstance(problems, Stacked) and not (
+        isinstance(problems, Listed) and problems.are_lcps
+    ):
+        raise InvalidOption(
+            f"{refusal('derivative', batch)}; write [derivative(answer) for answer in batch]"
+        )
+    if not isinstance(batch.z, np.ndarray):
+        raise InvalidOption(
+            "the derivative of a batch takes problems of one size; "
+            "write [derivative(answer) for answer in batch] for several"
+        )
+    return BatchDerivative(batch, derivative)
 
 
 class Derivative(Linearised):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,11 +16,9 @@ from ...core.matrix.matrix import residual_scales
 from ...core.settings import Status
 from ...systems.least_norm import FreeBlocks, products
 from ...systems.linearised import Linearised
-from ..batches.batch_groups import Group
-from ..batches.batch_items import put
-from ..batches.batch_run import BatchAnswers, BatchResult
+from ..batches.batch_run import BatchAnswers
+from ..batches.stated import Group
 
-R = TypeVar("R", bound=BatchAnswers[Any])
 STEPS = 6  # rounds of active sets; from a solved problem one or two settle all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry relative to its row
 HALF = 2.0**-26  # of the digits of a double
@@ -140,7 +138,7 @@ class BatchGradient:
         return self._by_M()
 
 
-class ManyDerivatives(Generic[R]):
+class ManyDerivatives:
     """The derivatives of many answers, ``found[k]`` that of answer k: of some together, of the rest one by one.
 
     Parameters
@@ -155,7 +153,7 @@ class ManyDerivatives(Generic[R]):
         Why item k has none.
     """
 
-    def __init__(self, batch: R, each: Callable[[Any], Any]) -> None:
+    def __init__(self, batch: BatchAnswers, each: Callable[[Any], Any]) -> None:
         self.batch, self._derivative_of = batch, each
         self._each: dict[int, Any] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
@@ -163,7 +161,7 @@ class ManyDerivatives(Generic[R]):
         for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
             status = batch.status[k]
             self.errors[k] = UnsuitableProblem(
-                f"only a solution has a derivative, and {batch.ITEM} {k} ended {status.name}: {status.value}"
+                f"only a solution has a derivative, and {batch.item} {k} ended {status.name}: {status.value}"
             )
 
     def __len__(self) -> int:
@@ -203,7 +201,7 @@ class ManyDerivatives(Generic[R]):
             answers = of_part(part)
             is_done = part.is_plain & ~np.isnan(answers[0]).any(axis=1)
             for table, answer in zip(tables, answers, strict=True):
-                put(table, part.items[is_done], answer[is_done])
+                table[part.items[is_done]] = answer[is_done]
             alone += part.items[part.is_plain & ~is_done].tolist()
         for k in alone:
             try:
@@ -240,7 +238,7 @@ class ManyDerivatives(Generic[R]):
         return given
 
 
-class BatchDerivative(ManyDerivatives[BatchResult]):
+class BatchDerivative(ManyDerivatives):
     """The derivatives of the solutions of a batch with respect to the data, one for each problem.
 
     ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, which says what is proved of
@@ -248,7 +246,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
     Parameters
     ----------
-    batch : BatchResult
+    batch : BatchAnswers
     each : callable
         Gives the Derivative of a Result.
 
@@ -386,14 +384,14 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         for k in self.errors:
             if not np.any(by_q[k]):  # nothing was asked of a problem without z
                 z[k] = np.zeros_like(z[k])
-        return self.batch.items.outer(by_q, z)
+        return self.batch.problems.outer(by_q, z)
 
     @cached_property
     def _parts(self) -> list[BatchPart]:
         """The groups of small problems, settled."""
         return [
             BatchPart(group, self.batch.z[group.items], self._is_solved[group.items])
-            for group in self.batch.items.groups(every=True)
+            for group in self.batch.problems.groups()
         ]
 
     def _table(self, value: Any) -> Any:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import BoolVector, read_only
 from ...systems.least_norm import FreeBlocks, products
-from ..batches.contact_batch import ContactBatchResult, stack_of_worlds
+from ..batches.worlds import stack_of_worlds
 from ..cones.derivative import StackDerivative
 from ..cones.newton import whole_systems
 from ..cones.stack import ConeStack
@@ -77,7 +77,7 @@ class ContactBatchGradient:
         return self.q[:, :, np.newaxis] * self._z[:, np.newaxis]
 
 
-class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
+class ContactBatchDerivative(ManyDerivatives):
     """The derivatives of the impulses of many worlds by their W, b and friction.
 
     ``found[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of world k. What the arrays say of
@@ -85,7 +85,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
 
     Parameters
     ----------
-    batch : ContactBatchResult
+    batch : BatchAnswers
     each : callable
         Gives the ConeDerivative of a ConeResult.
 
@@ -107,7 +107,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     How the impulse of a block that slides depends on friction, on the push, and on W:
 
     >>> from lcp_plugin import FrictionalContact, derivative, solve_batch
-    >>> batch = solve_batch(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5))
+    >>> batch = solve_batch(FrictionalContact.worlds(np.eye(3), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5))
     >>> found = derivative(batch)
     >>> (found.jvp(dfriction=1.0).round(6) + 0.0).tolist()
     [[0.0, -0.6, -0.8], [0.0, 0.0, 0.0]]
@@ -116,10 +116,15 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     ([[-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], [[0.0], [0.0]], (2, 3, 3))
     """
 
+    @property
+    def worlds(self) -> Any:
+        """The FrictionalContactBatch."""
+        return self.batch.problems.worlds
+
     @cached_property
     def _parts(self) -> list[_Together]:
         """The derivatives of some worlds after the others."""
-        worlds, z, is_solved = self.batch.worlds, self.batch.z, self._is_solved[:, np.newaxis]
+        worlds, z, is_solved = self.worlds, self.batch.z, self._is_solved[:, np.newaxis]
         parts: list[Any] = [None] * max(-(-len(self) // TOGETHER), 1)
 
         def derive(first: int, end: int) -> None:
@@ -147,8 +152,8 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     def degenerate(self) -> Any:
         """The contacts on the edge of two cases, shape (B, k), of bool: there the derivative is one of several."""
         degenerate, counts = (
-            np.zeros(self.batch.worlds.friction.shape, np.bool_),
-            self.batch.worlds.contacts,
+            np.zeros(self.worlds.friction.shape, np.bool_),
+            self.worlds.contacts,
         )
         self._fill(
             [degenerate],
@@ -226,7 +231,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
                 self[k].jvp(
                     dq=db[k, own],
                     dM=by_matrix,
-                    dfriction=slopes[k, : self.batch.worlds.contacts[k]],
+                    dfriction=slopes[k, : self.worlds.contacts[k]],
                 )
             ]
 
@@ -235,7 +240,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
 
     def dw(self, dz: ArrayLike, *, dq: ArrayLike | None = None, dM: ArrayLike | None = None) -> Any:
         """Return the changes of the velocities w = W z + b that go with changes dz of z, shape (B, n)."""
-        dw = products(self.batch.worlds.W, self._by_world(dz, "dz"))
+        dw = products(self.worlds.W, self._by_world(dz, "dz"))
         dw += self._moved(self._by_world(dq, "dq"), self._by_world(dM, "dM"))
         dw[[*self.errors]] = np.nan
         return dw
@@ -256,7 +261,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
             For another shape, or numbers that are not finite.
         """
         by_z, by_w = self._by_world(g, "g"), self._by_world(gw, "gw")
-        tables = np.full(by_z.shape, np.nan), np.full(self.batch.worlds.friction.shape, np.nan)
+        tables = np.full(by_z.shape, np.nan), np.full(self.worlds.friction.shape, np.nan)
 
         def alone(k: int) -> Any:
             own = slice(self[k].z.size)
@@ -282,8 +287,8 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
         if name == "dM" and values is None:
             return None
         worlds, like = (
-            self.batch.worlds,
-            self.batch.worlds.friction if name == "dfriction" else self.batch.z,
+            self.worlds,
+            self.worlds.friction if name == "dfriction" else self.batch.z,
         )
         counts = worlds.contacts * (1 if name == "dfriction" else worlds.dimension)
         is_there = (np.arange(like.shape[1]) < counts[:, np.newaxis]) & self._is_solved[

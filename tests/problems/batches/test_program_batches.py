@@ -25,7 +25,8 @@ from lcp_plugin import (
     solve_batch,
     strategies,
 )
-from lcp_plugin.problems.batches.program_batch import ProgramBatchResult, ProgramBatchRun
+from lcp_plugin.problems.batches.batch_run import BatchAnswers
+from lcp_plugin.problems.batches.program_batch import ProgramBatchRun
 from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
 from lcp_plugin.strategies.programs import QPAnswer
 
@@ -93,17 +94,17 @@ def dense(count: int, n: int = 6, m: int = 12, seed: int = 0) -> tuple[Any, ...]
 def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """A list that fills with the numbers of the programs that are solved by themselves."""
     numbers: list[int] = []
-    whole = ProgramBatchRun._solve
+    whole = ProgramBatchRun.solve_alone
 
     def noted(self: ProgramBatchRun, k: int, wishes: dict[str, Any]) -> None:
         numbers.append(k)
         whole(self, k, wishes)
 
-    monkeypatch.setattr(ProgramBatchRun, "_solve", noted)
+    monkeypatch.setattr(ProgramBatchRun, "solve_alone", noted)
     return numbers
 
 
-def bits(answers: ProgramBatchResult) -> list[bytes]:
+def bits(answers: BatchAnswers) -> list[bytes]:
     """All numbers of a result."""
     names = ("x", "inequality", "equality", "lower", "upper", "objective", "residual", "iterations")
     return [getattr(answers, name).tobytes() for name in names]

@@ -29,7 +29,7 @@ def test_a_batch_of_contacts_is_solved_in_the_loop_and_judged_as_by_solve(
     """Every item within the tolerance by its own certificate, open, sticking and sliding, with the answers of solve."""
     problems = contacts(200)
     with monkeypatch.context() as patch:
-        patch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
+        patch.setattr("lcp_plugin.problems.batches.batch_run.solve", never_one_by_one)
         batch = solve_batch(problems, tolerance=1e-10)
     assert batch.all_solved
     agree = 0

@@ -464,7 +464,8 @@ def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
     with pytest.raises(InvalidOption, match="solve takes no sweeps for a FrictionalContact; known"):
         solve(problem, "npgs", sweeps=3)
     with pytest.raises(
-        InvalidOption, match=r"derivative needs the result of .* FrictionalContact, got AnswerList"
+        InvalidOption,
+        match=r"derivative needs the result of .* FrictionalContact, got BatchAnswers",
     ):
         derivative(solve_batch([problem, problem]))
     assert derivative(solve_batch([problem, problem])[1]).vjp(np.ones(6)).q.shape == (6,)

@@ -108,7 +108,7 @@ def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
     assert sticks.sum() >= 10
     gradient = found.vjp(g)
     for k in np.flatnonzero(sticks):
-        d = np.repeat(found.batch.worlds[k].scale, 3)
+        d = np.repeat(found.worlds[k].scale, 3)
         assert close(
             gradient.q[k], -np.linalg.pinv(W[k] / d[:, np.newaxis], rcond=1e-12).T @ g[k] / d, 1e-8
         )

@@ -42,7 +42,7 @@ def test_worlds_are_answered_as_each_by_itself(
     z0 = solve_batch(FrictionalContact.worlds(W, 1.01 * b, friction)).z if is_warm else None
     worlds = FrictionalContact.worlds(W, b, friction)
     with monkeypatch.context() as patch:
-        patch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
+        patch.setattr("lcp_plugin.problems.batches.batch_run.solve", never_one_by_one)
         batch, other = (solve_batch(worlds, z0=z0, threads=threads) for threads in (1, 2))
     assert batch.all_solved
     assert batch.z.tobytes() == other.z.tobytes()
@@ -145,7 +145,7 @@ def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
     worlds = FrictionalContact.worlds(*ONE)
     with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
         solve_batch(worlds, z0=np.zeros(6))
-    with pytest.raises(InvalidOption, match=r"FrictionalContact\(W, b, friction\)"):
+    with pytest.raises(InvalidOption, match=r"FrictionalContact.worlds\(W, b, friction\)"):
         solve_batch(worlds, np.zeros(3))
     assert repr(worlds) == "FrictionalContact(1 instances of up to 1 contacts in space)"
     assert len(list(worlds)) == len(solve_batch(worlds)) == 1
@@ -165,5 +165,5 @@ def test_worlds_are_taken_one_by_one(index: Any) -> None:
 def test_a_default_that_is_stated_is_no_other_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """absolute_tolerance=0.0 and an equal string for the algorithm leave the worlds in their stack."""
     worlds = FrictionalContact.worlds(*arrays(10))
-    monkeypatch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
+    monkeypatch.setattr("lcp_plugin.problems.batches.batch_run.solve", never_one_by_one)
     assert solve_batch(worlds, absolute_tolerance=0.0, algorithm="".join(["au", "to"])).all_solved

@@ -1,0 +1,269 @@
+"""The problems of a batch: a list, or arrays with an axis in front; and which of them are solved as stacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...auto import takes_rounds
+from ...core.checks import checked_start, read_only, real_array, without_huge
+from ...core.errors import InvalidOption, InvalidProblem, LCPError
+from ...core.lcp import LCP
+from ...methods.small.rounds import CHUNK, SMALL_DENSE, as_dense, is_small, solve_stack
+from ...systems.graph import outer_on_pattern
+from ...systems.least_norm import products
+from ..cones.data import Blocks
+from ..cones.solving import solve_cone_stack
+from ..cones.stack import ConeStack, Pattern
+from ..many.data import length_of_all, rows_of_a_batch
+
+CONES_UP_TO = 400  # rows of a problem over cones in a stack
+#: Items, and a function that returns z, residual, iterations and is_solved of these.
+Stacks = Iterator[tuple[Any, Callable[[], tuple[Any, Any, Any, Any]]]]
+
+
+class Group(NamedTuple):
+    """LCPs of one size as arrays; one row in front stands for all of them.
+
+    Attributes
+    ----------
+    items : array of int, shape (k,)
+        Their numbers in the batch.
+    M : array, shape (k or 1, n, n)
+    q, lower, upper, starts : arrays, shape (k or 1, n)
+        Without columns, `starts` means z°.
+    """
+
+    items: Any
+    M: Any
+    q: Any
+    lower: Any
+    upper: Any
+    starts: Any
+
+    def chosen(self, rows: Any) -> Group:
+        """Return the problems in these rows."""
+        of_rows = (one if len(one) == 1 else one[rows] for one in self[1:])
+        return Group(self.items[rows], *of_rows)
+
+    def vectors(self, *names: str) -> list[Any]:
+        """Return these vectors of all problems, each of shape (k, n)."""
+        shape = self.items.size, self.M.shape[1]
+        return [np.broadcast_to(getattr(self, name), shape) for name in names]
+
+    def stacks(self, tolerance: float) -> Stacks:
+        """Yield stacks whose matrices stay in the cache."""
+        size = max(1, CHUNK // self.M.shape[1] ** 2)
+        for first in range(0, self.items.size, size):
+            part = self.chosen(slice(first, first + size))
+            yield part.items, partial(_solve, part, tolerance)
+
+
+def _solve(group: Group, tolerance: float) -> tuple[Any, Any, Any, Any]:
+    starts = group.starts if group.starts.shape[1] else None
+    found = solve_stack(group.M, group.q, group.lower, group.upper, starts, tolerance)
+    begun = np.clip(0.0, group.lower, group.upper) if starts is None else starts
+    shape = group.items.size, group.M.shape[1]
+    z, begun = np.broadcast_to(found.z, shape), np.broadcast_to(begun, shape)
+    residual, is_solved = (
+        np.broadcast_to(one, shape[:1]) for one in (found.residual, found.is_solved)
+    )
+    return z, residual, (z != begun).any(1).astype(np.int64), is_solved
+
+
+class Listed:
+    """Problems of any classes and sizes.
+
+    Parameters
+    ----------
+    problems : sequence
+    z0 : sequence or None
+        Starts of LCPs.
+    """
+
+    def __init__(self, problems: Sequence[Any], z0: Any) -> None:
+        self.problems, self.starts = problems, z0
+        self.errors: dict[int, LCPError] = {}
+        is_list = hasattr(z0, "__len__") and not isinstance(z0, str)
+        if z0 is not None and not (is_list and len(z0) == len(problems)):
+            raise InvalidOption(
+                f"z0 must be a list of {len(problems)} starts, one per problem, or None"
+            )
+        self.are_lcps = all(isinstance(one, LCP) for one in problems)
+
+    def __len__(self) -> int:
+        return len(self.problems)
+
+    def __getitem__(self, k: int) -> Any:
+        return self.problems[k]
+
+    def start(self, k: int) -> Any:
+        """Return the start of problem k, or None."""
+        return None if self.starts is None else self.starts[k]
+
+    @property
+    def points(self) -> list[Any]:
+        """The points at which LCPs begin, nothing for other problems."""
+        return [
+            checked_start(one, self.start(k)) if isinstance(one, LCP) else np.empty(0)
+            for k, one in enumerate(self.problems)
+        ]
+
+    def slacks(self, z: Any) -> Any:
+        """Return M z + q of each problem."""
+        rows = [one.slack(at) for one, at in zip(self.problems, z, strict=True)]
+        return np.array(rows).reshape(z.shape) if isinstance(z, np.ndarray) else rows
+
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return left_i right_j in the places of the entries of each M, a list of CSR arrays."""
+        triples = zip(self.problems, left, right, strict=True)
+        return [outer_on_pattern(one.matrix, a, b) for one, a, b in triples]
+
+    def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
+        """Yield the LCPs that suit, by their sizes."""
+        by_size: dict[int, list[int]] = {}
+        for k, one in enumerate(self.problems):
+            if isinstance(one, LCP) and one.n and suits(one):
+                by_size.setdefault(one.n, []).append(k)
+        for items in by_size.values():
+            chosen = [self.problems[k] for k in items]
+            are_one = all(one.matrix is chosen[0].matrix for one in chosen)
+            M = np.concatenate([as_dense(one.matrix) for one in chosen[: 1 if are_one else None]])
+            names = ("q", "lower", "upper")
+            vectors = (np.array([getattr(one, name) for one in chosen]) for name in names)
+            yield Group(np.array(items), *map(read_only, (M, *vectors, np.empty((1, 0)))))
+
+    def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
+        """Yield small problems over the same cones, and small LCPs of one size."""
+        if self.starts is not None:
+            return
+        alike: dict[Any, list[int]] = {}
+        for k, one in enumerate(self.problems):
+            if isinstance(one, Blocks) and 0 < one.n <= CONES_UP_TO:
+                alike.setdefault((one.has_friction, one.starts.tobytes()), []).append(k)
+        for items in alike.values():
+            yield np.array(items), partial(self._solve_cones, items, tolerance, has_time)
+        for group in self.groups(takes_rounds):
+            yield from group.stacks(tolerance)
+
+    def _solve_cones(self, items: list[int], tolerance: float, has_time: Any) -> Any:
+        problems = [self.problems[k] for k in items]
+        matrices = [one.rows.M for one in problems]
+        M = np.stack([one if isinstance(one, np.ndarray) else one.toarray() for one in matrices])
+        names = ("q", "slope", "lower", "upper")
+        arrays = (np.stack([getattr(one, name) for one in problems]) for name in names)
+        with np.errstate(all="ignore"):
+            pattern = Pattern(M, problems[0].starts)
+            stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
+        z, *others = solve_cone_stack(stack, stack.origin, tolerance, has_time, is_warm=False)
+        return pattern.flat(z), *others
+
+
+class Stacked:
+    """Arrays: M of shape (B, n, n), or one (n, n) or LCP for all; the vectors of shape (B, n), (n,) or numbers."""
+
+    def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
+        need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
+        given = M if isinstance(M, LCP) else None
+        self.M = given.M if given else M if sp.issparse(M) else real_array(M, need)
+        n = self.M.shape[-1] if self.M.ndim else 0
+        if self.M.ndim not in (2, 3) or self.M.shape[-2] != n:
+            raise InvalidProblem(
+                f"M must have shape (B, n, n), or (n, n) for all, got {self.M.shape}"
+            )
+        if q is None:
+            raise InvalidProblem(
+                "q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none"
+            )
+        named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
+        rows = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
+        rows["lower"], rows["upper"] = without_huge(rows["lower"], rows["upper"])
+        counts = {name: len(one) for name, one in rows.items() if np.ndim(named[name]) == 2}
+        if self.M.ndim == 3:
+            counts["M"] = len(self.M)
+        self.count = length_of_all(counts)
+        if "z0" in rows and not np.isfinite(rows["z0"]).all():
+            raise InvalidOption("z0 must be finite, got NaN or infinite entries")
+        self.rows, self.base = rows, given
+        if given is None and self.M.ndim == 2:
+            self.base = LCP(self.M, np.zeros(n))
+        self.errors: dict[int, LCPError] = {}
+        for k in np.flatnonzero(~self._are_good()).tolist():
+            try:
+                self[k]
+            except LCPError as error:
+                self.errors[k] = error
+
+    def _are_good(self) -> Any:
+        """Return a mask of the problems with finite numbers and bounds that leave room."""
+        q, lower, upper = (self.rows[name] for name in ("q", "lower", "upper"))
+        with np.errstate(all="ignore"):
+            is_good = np.isfinite(q).all(1)
+            is_good = is_good & ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
+            if self.M.ndim == 3:
+                is_good = is_good & np.isfinite(self.M.sum(axis=(1, 2)))
+        return np.broadcast_to(is_good, self.count)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def _row(self, name: str, k: int) -> Any:
+        rows = self.rows[name]
+        return rows[k if len(rows) > 1 else 0]
+
+    def __getitem__(self, k: int) -> LCP:
+        q, lower, upper = (self._row(name, k) for name in ("q", "lower", "upper"))
+        if self.base is not None:
+            return self.base.with_q(q, lower=lower, upper=upper)
+        return LCP(self.M[k], q, lower=lower, upper=upper)
+
+    def start(self, k: int) -> Any:
+        """Return the start of problem k, or None."""
+        return self._row("z0", k) if "z0" in self.rows else None
+
+    @property
+    def points(self) -> Any:
+        """The points at which the problems begin, shape (B, n)."""
+        start = self.rows.get("z0", np.zeros((1, self.M.shape[-1])))
+        begun = np.clip(start, self.rows["lower"], self.rows["upper"])
+        return np.array(np.broadcast_to(begun, (self.count, begun.shape[1])))
+
+    def slacks(self, z: Any) -> Any:
+        """Return M z + q of each problem, shape (B, n)."""
+        return (products(self.M, z) if self.base is None else (self.M @ z.T).T) + self.rows["q"]
+
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return products of shape (B, n, n), or their sum where one M stands for all, on its pattern if sparse."""
+        if self.base is None:
+            return left[:, :, np.newaxis] * right[:, np.newaxis, :]
+        if not sp.issparse(self.M):
+            return left.T @ right
+        total = outer_on_pattern(self.base.matrix, *np.zeros((2, left.shape[1])))
+        for a, b in zip(left, right, strict=True):
+            total.data += outer_on_pattern(self.base.matrix, a, b).data
+        return total
+
+    def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
+        """Yield the problems without errors, if they suit."""
+        n, is_here = self.M.shape[-1], np.ones(self.count, np.bool_)
+        is_here[[*self.errors]] = False
+        items = np.flatnonzero(is_here)
+        is_suited = 0 < n <= SMALL_DENSE if self.base is None else suits(self.base)
+        if not is_suited or not items.size:
+            return
+        M = np.ascontiguousarray(self.M) if self.base is None else as_dense(self.base.matrix)
+        vectors = [self.rows[name] for name in ("q", "lower", "upper")]
+        starts = np.empty((1, 0))
+        if "z0" in self.rows:
+            starts = np.clip(self.rows["z0"], self.rows["lower"], self.rows["upper"])
+        whole = Group(np.arange(self.count), *map(read_only, (M, *vectors, starts)))
+        yield whole if items.size == self.count else whole.chosen(items)
+
+    def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
+        """Yield stacks of small problems."""
+        for group in self.groups(takes_rounds):
+            yield from group.stacks(tolerance)

@@ -2,12 +2,6 @@
 
 Nothing of qpsolvers is changed but its tables: ``solve_function``, from a name to a function of a problem, and the
 lists ``available_solvers``, ``dense_solvers`` and ``sparse_solvers``, the same objects wherever it shows them.
-
-A backend inside qpsolvers 4.13 stands in 13 places: ``solvers/lcp_plugin_.py`` with ``lcp_plugin_solve_problem`` and
-``lcp_plugin_solve_qp`` (1); in ``solvers/__init__.py`` a declaration of each (2, 3), the guarded import with the
-entries in ``solve_function`` and the lists (4), ``__all__`` (5); in ``__init__.py`` the import and ``__all__`` (6, 7);
-its extra in ``pyproject.toml`` (8); ``doc/supported-solvers.rst`` (9); README's table (10); CHANGELOG (11); the
-tolerances in ``tests/test_solve_qp.py`` and ``tests/test_solve_problem.py`` (12); a test of its options (13).
 """
 
 from __future__ import annotations

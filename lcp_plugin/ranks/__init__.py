@@ -16,8 +16,8 @@
 
 All ranks call every method, in the same order; vectors are the own parts, everything else agrees. Algorithms: auto
 (multigrid, then sweeps), multigrid, npsor, npaor, npgs, npj, psor, pgs. There are ``problem.save(folder)``, one chunk
-per rank, ``RowsOnRanks.load(folder, comm)`` on any number of ranks, ``RowsOnRanks.from_problem(lcp, comm)``, and
-:func:`lcp_plugin.ranks.collective.ends_together`, which ends all ranks if one of them fails.
+per rank, ``RowsOnRanks.load(folder, comm)`` on any number of ranks, and ``RowsOnRanks.from_problem(lcp, comm)``. Run
+the script by ``mpiexec -n 2 python -m mpi4py script.py``: then an exception on one rank ends all of them.
 
 The classes are in ``problem``, the criterion of SOLVED in ``certificate``, the loop in ``solving``, sweeps and
 multigrid in ``methods``, the distributed hierarchy in ``hierarchy``, MPI in ``collective`` and ``halo``.

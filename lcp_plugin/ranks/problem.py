@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 import secrets
-import shutil
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -40,6 +39,7 @@ from ..interfaces.files.files import (
     csr_in,
     read_npz,
     require_keys,
+    write_whole,
 )
 from .collective import Ranks
 from .halo import Halo, numbered_over_all, own_rows
@@ -201,26 +201,21 @@ class RowsOnRanks:
         return solve_on_ranks(self, algorithm, **options)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write one chunk per rank into a folder that all ranks see; the folder appears whole or not at all.
+        """Write one chunk per rank into a folder that all ranks see, in place of older chunks.
 
         A chunk ``rows-00000-of-00004.npz`` holds the own rows of M in CSR (data, indices counted over all ranks,
-        indptr, shape), first_row, q, lower, upper, and in ``save`` a number that all chunks of one save share. A
-        folder that exists is replaced if it holds nothing but chunks.
+        indptr, shape), first_row, q, lower, upper, and in ``save`` a number that all chunks of one save share, so that
+        `load` refuses a mixture.
 
         Raises
         ------
         UnreadableFile
-            On every rank, if one of them cannot write, or the folder holds something else.
+            On every rank, if one of them cannot write, or the folder holds another file.
         """
         ranks = self.halo
-        target = ranks.together(lambda: checked_path(path))
-        name, folder = ranks.from_first(lambda: (secrets.token_hex(8), _new_folder(target)))
-        try:
-            ranks.together(lambda: _write_chunk(self, folder, name))
-            ranks.from_first(lambda: _put_in_place(folder, target))
-        finally:
-            if ranks.rank == 0:
-                shutil.rmtree(folder, ignore_errors=True)
+        folder = ranks.together(lambda: checked_path(path))
+        name = ranks.from_first(lambda: _emptied(folder))
+        ranks.together(lambda: _write_chunk(self, folder, name))
 
     @classmethod
     def load(cls, path: str | PathLike[str], comm: Any = None) -> RowsOnRanks:
@@ -285,48 +280,26 @@ class Head(NamedTuple):
     save: str
 
 
-def _new_folder(target: Path) -> Path:
-    if target.exists() and not (
-        target.is_dir() and all(CHUNK.fullmatch(one.name) for one in target.iterdir())
+def _emptied(folder: Path) -> str:
+    """Make the folder, or remove the chunks in it; return a name for the new ones."""
+    if folder.exists() and not (
+        folder.is_dir() and all(CHUNK.fullmatch(one.name) for one in folder.iterdir())
     ):
         raise UnreadableFile(
-            f"{target} holds something else than chunks of a problem; choose another place"
+            f"{folder} holds something else than chunks of a problem; choose another place"
         )
-    folder = target.with_name(f".{target.name}-{secrets.token_hex(6)}")
-    folder.mkdir(parents=True)
-    return folder
+    folder.mkdir(parents=True, exist_ok=True)
+    for one in folder.iterdir():
+        one.unlink()
+    return secrets.token_hex(8)
 
 
 def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
     ranks = problem.halo
-    M = numbered_over_all(problem.rows, ranks)
-    try:
-        with (folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz").open("xb") as file:
-            np.savez(
-                file,
-                **arrays_of(problem, M),
-                first_row=np.array(ranks.first),
-                save=np.array(name),
-            )
-    except FileNotFoundError as error:
-        raise UnreadableFile(
-            f"the folder {folder} is not seen; all ranks must share the file system"
-        ) from error
-
-
-def _put_in_place(folder: Path, target: Path) -> None:
-    """Rename the new folder to its place; an old one steps aside before, and is removed afterwards."""
-    aside = folder.with_name(f"{folder.name}-old")
-    if not target.exists():
-        folder.rename(target)
-        return
-    target.rename(aside)
-    try:
-        folder.rename(target)
-    except OSError:
-        aside.rename(target)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+    arrays = arrays_of(problem, numbered_over_all(problem.rows, ranks))
+    arrays |= {"first_row": np.array(ranks.first), "save": np.array(name)}
+    target = folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz"
+    write_whole({target: lambda file: np.savez(file, **arrays)})
 
 
 def _heads(source: Path, ranks: Ranks) -> list[Head]:

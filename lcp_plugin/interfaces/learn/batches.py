@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -114,21 +113,22 @@ def solved(
 
 
 def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, ...]:
-    """Return the gradients by q and the bounds, each of the shape of g.
-
-    Parameters
-    ----------
-    found : BatchDerivative
-    axes : tuple of int
-    g : array, shape (…, n)
-        Axes in front as many as `axes`; where those have 1, g may have more: many gradients of one solution.
+    """Return the gradients by q and the bounds, each of the shape of g, (…, n) with the axes of the batch in front.
 
     Raises
     ------
     UnsuitableProblem
-        Where a problem that the loss looks at has no gradient.
+        If a problem that the loss depends on has no gradient.
     """
-    return _derived(lambda g: attrgetter("q", "lower", "upper")(found.vjp(g)), 3, found, axes, g)
+    rows = g.reshape(len(found), g.shape[-1])
+    gradient = found.vjp(rows)
+    wrong = {k: error for k, error in found.errors.items() if rows[k].any()}
+    if wrong:
+        raise _first(wrong, axes, type(next(iter(wrong.values()))))
+    answers = gradient.q, gradient.lower, gradient.upper
+    for one in answers:
+        one[[*found.errors]] = 0.0  # the loss does not depend on them
+    return tuple(one.reshape(g.shape) for one in answers)
 
 
 def contacts_solved(
@@ -171,34 +171,6 @@ def no_second_derivative(remedy: str) -> UnsupportedModel:
         "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
         f"is computed; {remedy}"
     )
-
-
-def _derived(
-    ask: Callable[..., tuple[Any, ...]],
-    count: int,
-    found: BatchDerivative,
-    axes: tuple[int, ...],
-    *given: Any,
-) -> tuple[Any, ...]:
-    """Return the so many arrays that are asked of all problems; axes that `found` does not have are taken in turn."""
-    *every, n = given[0].shape
-    tables = tuple(np.empty((*every, n)) for _ in range(count))
-    own = [mine == whole for mine, whole in zip(axes, every, strict=True)]
-    for place in np.ndindex(
-        *(1 if is_own else whole for is_own, whole in zip(own, every, strict=True))
-    ):
-        at = tuple(
-            slice(None) if is_own else slice(k, k + 1) for is_own, k in zip(own, place, strict=True)
-        )
-        rows = [array[at].reshape(len(found), n) for array in given]
-        answers = ask(*rows)
-        wrong = {k: error for k, error in found.errors.items() if any(row[k].any() for row in rows)}
-        if wrong:
-            raise _first(wrong, axes, type(next(iter(wrong.values()))))
-        for table, answer in zip(tables, answers, strict=True):
-            answer[[*found.errors]] = 0.0  # nothing is asked of them
-            table[at] = answer.reshape(*axes, n)
-    return tables
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:

@@ -33,12 +33,7 @@ ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
 PNG = b"\x89PNG\r\n\x1a\n"
 
 # Every scene at a size that takes no time, and some also where their picture degenerates.
-SMALL_SCENES = [
-    *SMALL,
-    "american_put:size=1",
-    "obstacle_2d:size=1",
-    "obstacle_3d:size=1",
-]
+SMALL_SCENES = [*SMALL, "american_put:size=1", "obstacle_2d:size=1", "obstacle_3d:size=1"]
 
 
 @pytest.fixture(autouse=True)
@@ -319,10 +314,7 @@ BAD_INPUT = [
         "compare obstacle_2d:size=4 -a psor --tolerance -1",
         r"tolerance must be finite and not negative",
     ),
-    (
-        "compare obstacle_2d:size=4 -a psor --repeats 0",
-        r"repeats must be an integer ≥ 1, got 0",
-    ),
+    ("compare obstacle_2d:size=4 -a psor --repeats 0", r"repeats must be an integer ≥ 1, got 0"),
     ("compare qp.npz", r"qp\.npz lacks the keys"),
     (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
     (SOLVE + "-a NPSOR", r"unknown algorithm 'NPSOR'"),

@@ -90,11 +90,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
     (FAR, {"algorithm": "psor", "relaxation": 1.9}, ["auto"]),
     (FAR, {"algorithm": "npj"}, ["auto"]),
     (TRAPPED, {"algorithm": "npsor", "scaling": None}, ["auto"]),
-    (
-        TRAPPED,
-        {"algorithm": "npsplitting", "scaling": None, "max_iterations": 1},
-        ["auto"],
-    ),
+    (TRAPPED, {"algorithm": "npsplitting", "scaling": None, "max_iterations": 1}, ["auto"]),
     # a limit
     (TRAPPED, {"algorithm": "npsor", "scaling": None, "max_iterations": 5}, ["auto"]),
     (FAR, {"algorithm": "npsor", "max_iterations": 5}, ["auto"]),

@@ -16,15 +16,7 @@ import pytest
 import scipy.sparse as sp
 from families import BOUNDED, DIRECT
 
-from lcp_plugin import (
-    LCP,
-    NotConverged,
-    QuadraticProgram,
-    Result,
-    Status,
-    gallery,
-    solve,
-)
+from lcp_plugin import LCP, NotConverged, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.proofs.guarantees import convergence_guarantee

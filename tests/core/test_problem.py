@@ -17,14 +17,7 @@ import scipy.sparse as sp
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import (
-    LCP,
-    BoundedLeastSquares,
-    Certificate,
-    ConeProblem,
-    LCPError,
-    solve,
-)
+from lcp_plugin import LCP, BoundedLeastSquares, Certificate, ConeProblem, LCPError, solve
 from lcp_plugin.problems.programs.conversion import QuadraticProgram
 
 A = np.array(

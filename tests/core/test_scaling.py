@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from badly_scaled import ANSWER, BOUNDS, M, Q
-from campaigns.scaling import (
-    KINDS,
-    answered,
-    friction,
-    game,
-    measured,
-    random_scaling,
-)
+from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
 
 from lcp_plugin import LCP, Certificate, solve, solve_batch
 from lcp_plugin.core.certificates.criterion import snapped

@@ -365,13 +365,6 @@ def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     assert (out, err) == ("", "")
     lines = check.explain().splitlines()
     assert lines[0].startswith("agree: ")
-    for word in (
-        "formulation",
-        "ours",
-        check.reference,
-        "|Δz|",
-        "objective gap",
-        "disagreement",
-    ):
+    for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "disagreement"):
         assert any(line.startswith(word) for line in lines), word
     assert str(check) == check.explain()

@@ -23,10 +23,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.modeling.registration import (
-    build,
-    is_complementarity_problem,
-)
+from lcp_plugin.modeling.registration import build, is_complementarity_problem
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
 Q = np.array([-3.0, 5.0, -4.0])

@@ -21,10 +21,7 @@ from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.program import Program
 from lcp_plugin.modeling.reading import Reader
-from lcp_plugin.modeling.registration import (
-    build,
-    is_complementarity_problem,
-)
+from lcp_plugin.modeling.registration import build, is_complementarity_problem
 
 STEP = 1e-200  # of complex differentiation: no subtraction, hence no rounding of one
 B = np.array([[1.0, 0.5, 0.0], [-0.25, 2.0, 1.0], [0.0, 1.0, 3.0]])
@@ -589,10 +586,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3),
         "1 equation, 1 of them from pairs of two expressions and 2 unknowns",
     ),
-    "two values": (
-        lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3),
-        "states no sign.*y == side",
-    ),
+    "two values": (lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3), "states no sign.*y == side"),
     "not square": (lambda: complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0), "1 unknown without"),
 }
 

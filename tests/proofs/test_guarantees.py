@@ -132,12 +132,7 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
     ],
 )
 @pytest.mark.parametrize(
-    "text",
-    [
-        "half_active:n=100,delta=0",
-        "random_h_plus:n=100",
-        "paper_example_2:n=100",
-    ],
+    "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100"]
 )
 def test_every_default_is_guaranteed_on_h_plus_matrices(
     name: str, text: str, request: pytest.FixtureRequest

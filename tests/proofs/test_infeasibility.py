@@ -18,14 +18,9 @@ from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.certificates.criterion import references_of_components
 from lcp_plugin.methods.search import NoSolution, search
 from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
-from lcp_plugin.proofs.exact.rational import (
-    exact_residuals,
-)
+from lcp_plugin.proofs.exact.rational import exact_residuals
 from lcp_plugin.proofs.no_solution.farkas import CONTRADICTION, FarkasProgram
-from lcp_plugin.proofs.no_solution.infeasibility import (
-    contradictory_row,
-    find_infeasibility,
-)
+from lcp_plugin.proofs.no_solution.infeasibility import contradictory_row, find_infeasibility
 from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
 from lcp_plugin.proofs.no_solution.proof import Choices, Infeasibility
 

@@ -22,17 +22,10 @@ from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix.symmetry import is_nearly_symmetric
 from lcp_plugin.methods.direct import _seems_monotone
 from lcp_plugin.proofs.guarantees import convergence_guarantee
-from lcp_plugin.proofs.verdicts import (
-    analyze,
-    comparison_certificate,
-    h_verdict,
-)
+from lcp_plugin.proofs.verdicts import analyze, comparison_certificate, h_verdict
 from lcp_plugin.proofs.verdicts.h_matrix import decide
 from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.systems.definiteness import (
-    is_positive_definite,
-    is_semidefinite_to_rounding,
-)
+from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding
 from lcp_plugin.systems.factors import factor_fits
 
 CAMPAIGN = Path(__file__).parents[1] / "campaigns" / "matrix_verdicts.py"

@@ -13,11 +13,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP
 from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.symmetry import (
-    ROUNDED,
-    is_symmetric_to_rounding,
-    mismatch,
-)
+from lcp_plugin.core.matrix.symmetry import ROUNDED, is_symmetric_to_rounding, mismatch
 from lcp_plugin.core.rounding import lower_end, upper_end
 from lcp_plugin.proofs.exact.linear_systems import (
     has_nonnegative_pivots,

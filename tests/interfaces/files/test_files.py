@@ -303,10 +303,7 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
         r"never read; LCP\.save writes a sparse M",
     ),
     "M dense, q missing": (NO_ARRAYS | {"M": M, "q": None}, r"lacks the keys \['q'\]"),
-    "M dense, a vector": (
-        NO_ARRAYS | {"M": np.ones(3)},
-        r"states no LCP: M must be",
-    ),
+    "M dense, a vector": (NO_ARRAYS | {"M": np.ones(3)}, r"states no LCP: M must be"),
     "M dense, texts": (NO_ARRAYS | {"M": np.array([["1", "2"]])}, r"M must hold real numbers"),
     "M NaN": ({"data": np.full(7, np.nan)}, r"M must be finite"),
     "M complex": ({"data": np.ones(7, dtype=complex)}, r"M must hold real numbers"),

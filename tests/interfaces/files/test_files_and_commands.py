@@ -107,8 +107,7 @@ def test_every_subcommand_and_every_format_has_its_row() -> None:
 
 @pytest.mark.sampled
 @pytest.mark.parametrize(
-    ("name", "command"),
-    [(name, command) for name in FILES for command in CELLS],
+    ("name", "command"), [(name, command) for name in FILES for command in CELLS]
 )
 def test_each_cell_works_or_names_what_the_command_needs(name: str, command: str) -> None:
     """Exit code 0 and something on stdout; or 2 and one line on stderr that names the class that it needs."""

@@ -84,10 +84,7 @@ def test_command_solves_a_mat_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     ("content", "words"),
     [
         ({"M": M}, r"lacks the keys \['q'\]; an LCP file holds M .*q"),
-        (
-            {"N": M, "r": [1.0]},
-            r"lacks the keys \['M', 'q'\]; .* in MATLAB save\(\"p\.mat\"",
-        ),
+        ({"N": M, "r": [1.0]}, r"lacks the keys \['M', 'q'\]; .* in MATLAB save\(\"p\.mat\""),
         (
             {"A": M, "b": [1.0]},
             r"holds a BoundedLeastSquares, not an LCP: lcp_plugin\.load_problem",

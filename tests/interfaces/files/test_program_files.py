@@ -164,11 +164,7 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
         "pickled objects, which are never read.*what is None left out",
     ),
     (parts("P", P) | dict(q=c, P_shape=[2, 1]), UnreadableFile, "no valid CSC"),
-    (
-        dict(P_data=[1.0], q=c),
-        UnreadableFile,
-        r"lacks the keys .*a sparse P is P_data, P_indices",
-    ),
+    (dict(P_data=[1.0], q=c), UnreadableFile, r"lacks the keys .*a sparse P is P_data, P_indices"),
     (
         dict(A=A, b=[1.0, 2.0]),
         UnreadableFile,

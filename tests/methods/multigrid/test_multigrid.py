@@ -7,13 +7,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from lcp_plugin import (
-    LCP,
-    Result,
-    Status,
-    gallery,
-    solve,
-)
+from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.problems.batches.batch import prepare

@@ -325,10 +325,7 @@ def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
     """Its matrix and q alone would be another problem: LCP.load says what it is, and what reads it."""
     contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
     cones = ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
-    for problem, words in (
-        (contact, "a FrictionalContact"),
-        (cones, "a ConeProblem"),
-    ):
+    for problem, words in ((contact, "a FrictionalContact"), (cones, "a ConeProblem")):
         problem.save(tmp_path / "p.npz")
         with pytest.raises(LCPError, match=rf"{words}.*load_problem\(path\) reads it"):
             LCP.load(tmp_path / "p.npz")

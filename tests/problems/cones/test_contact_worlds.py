@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 from cone_families import exact_relative_residual, planted_contacts
 
-from lcp_plugin import (
-    FrictionalContact,
-    InvalidOption,
-    InvalidProblem,
-    Status,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import FrictionalContact, InvalidOption, InvalidProblem, Status, solve, solve_batch
 
 ONE = np.eye(3)[None], [[-1.0, 3.0, 4.0]], 0.5
 

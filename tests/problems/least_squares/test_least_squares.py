@@ -21,12 +21,7 @@ from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from lcp_plugin import Status, solve
-from lcp_plugin.core.errors import (
-    InvalidOption,
-    InvalidProblem,
-    LCPError,
-    NotConverged,
-)
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residual
 from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, bounded_least_squares

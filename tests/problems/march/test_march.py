@@ -331,10 +331,7 @@ def test_strikes_at_once_are_those_one_by_one() -> None:
             ours[50].certificate.relative_residual
             <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
         )
-        assert (ours[50].status, ours[50].algorithm) == (
-            theirs[50].status,
-            theirs[50].algorithm,
-        )
+        assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
     np.testing.assert_allclose(
         derivative(found[7]).vjp(np.ones(120)).z0,
         derivative(alone[7]).vjp(np.ones(120)).z0,

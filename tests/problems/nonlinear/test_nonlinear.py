@@ -727,12 +727,7 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
 
     def jacobian(v: np.ndarray) -> np.ndarray:
         return np.array(
-            [
-                [1 / 3, 1 / 7, 0, 0],
-                [1 / 3 + 1e-9, -1 / 11, 0, 0],
-                [0, 0, 0, 1],
-                [1e-3, 0, 1, 0],
-            ]
+            [[1 / 3, 1 / 7, 0, 0], [1 / 3 + 1e-9, -1 / 11, 0, 0], [0, 0, 0, 1], [1e-3, 0, 1, 0]]
         )
 
     problem = NonlinearProblem(F, jacobian, lower=[0, 0, -INF, 0])

@@ -34,13 +34,8 @@ from lcp_plugin import (
 )
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs
-from lcp_plugin.problems.programs.dual_bounds import (
-    implied_box,
-)
-from lcp_plugin.problems.programs.feasible_points import (
-    FeasiblePoints,
-    distance_of_equations,
-)
+from lcp_plugin.problems.programs.dual_bounds import implied_box
+from lcp_plugin.problems.programs.feasible_points import FeasiblePoints, distance_of_equations
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.bounds.curvature import constrained_curvature, curvature
@@ -675,11 +670,7 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(SIMPLE, [1.0, np.nan]), InvalidProblem, r"x\[1\] = nan"),
     (lambda: certify(SIMPLE, [0.5, 1.5], [1.0]), InvalidProblem, "must be a pair"),
     (lambda: certify(SIMPLE, [0.5, 1.5], {"inequality": [1.0]}), InvalidProblem, "must be a pair"),
-    (
-        lambda: certify(SIMPLE, [0.5, 1.5], ([np.nan], [])),
-        InvalidProblem,
-        r"inequality\[0\] = nan",
-    ),
+    (lambda: certify(SIMPLE, [0.5, 1.5], ([np.nan], [])), InvalidProblem, r"inequality\[0\] = nan"),
     (
         lambda: certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]),
         UnsupportedModel,

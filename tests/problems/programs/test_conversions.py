@@ -14,11 +14,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from lcp_plugin.problems.programs.conversion import (
-    QuadraticProgram,
-    lcp_from_qp,
-    qp_from_lcp,
-)
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 

@@ -560,9 +560,7 @@ NONCONVEX = {
 
 @pytest.mark.parametrize(
     ("P", "c", "value"),
-    [
-        (np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5),
-    ],
+    [(np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5)],
 )
 def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value: float) -> None:
     """An eigenvalue of −1e-8 relative to its rows is rounding of single precision; the advice says so."""

@@ -10,15 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import (
-    InvalidOption,
-    QPSolver,
-    QuadraticProgram,
-    Status,
-    solve,
-    solve_batch,
-    trace,
-)
+from lcp_plugin import InvalidOption, QPSolver, QuadraticProgram, Status, solve, solve_batch, trace
 
 
 @pytest.mark.parametrize("n", [5_000, 200_000])

@@ -389,10 +389,12 @@ def contacts_of_bodies(
             f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
         )
     t = tangents.shape[0] // max(k, 1)
-    if (k and t not in (1, 2)) or tangents.shape != (t * k, v):
+    shape = np.shape(contacts[2])
+    is_of_others = len(shape) == 3 and shape[0] != k
+    if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or is_of_others:
         raise InvalidProblem(
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
-            f"contact one after the other, k = {k} as of the normals; got {np.shape(contacts[2])}"
+            f"contact one after the other, k = {k} as of the normals; got {shape}"
         )
     tangent = k + np.arange(t * k).reshape(k, t)
     order = np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()

@@ -299,88 +299,34 @@ def test_what_nothing_determines_rests() -> None:
 # --- words ----------------------------------------------------------------------------------------------------
 
 
+TWO, FIT = LCP(np.eye(2), [1, 1]), BoundedLeastSquares([[1.0]], [1])
+HELD = BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1)
+BENT = QuadraticProgram([[-1]], [1], lower=0, upper=1)
 REFUSED = [
-    (
-        LCP(np.eye(2), [1, 1]),
-        {"M": 1},
-        0,
-        1,
-        InvalidOption,
-        "not M: z is not piecewise affine in M",
-    ),
-    (LCP(np.eye(2), [1, 1]), {"Q": 1}, 0, 1, InvalidOption, "did you mean 'q'"),
-    (LCP(np.eye(2), [1, 1]), {}, 0, 1, InvalidOption, "along must say what moves"),
-    (
-        LCP(np.eye(2), [1, 1]),
-        {"q": 1},
-        0,
-        INF,
-        InvalidOption,
-        "stop must be a finite number, got inf",
-    ),
-    (
-        LCP(np.eye(2), [1, 1]),
-        {"upper": [1, 0]},
-        0,
-        1,
-        InvalidOption,
-        r"upper\[0\] is inf and cannot move",
-    ),
-    (QuadraticProgram([[1]], [1]), {"P": 1}, 0, 1, InvalidOption, "divide the objective by it"),
-    (
-        QuadraticProgram([[-1]], [1], lower=0, upper=1),
-        {"c": 1},
-        0,
-        1,
-        UnsupportedModel,
-        "not convex",
-    ),
-    (
-        BoundedLeastSquares([[1.0]], [1]),
-        {"l1": 1},
-        1,
-        -1,
-        InvalidOption,
-        r"l1\[0\] = -1.0 at one end",
-    ),
-    (
-        BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1),
-        {"lower": 1},
-        0,
-        2,
-        UnsuitableProblem,
-        "changes its sign",
-    ),
-    (
-        BoundedLeastSquares(sp.linalg.aslinearoperator(np.eye(1)), [1]),
-        {"b": 1},
-        0,
-        1,
-        UnsuitableProblem,
-        "LinearOp",
-    ),
-    (
-        [1],
-        {"q": 1},
-        0,
-        1,
-        InvalidOption,
-        "trace needs an LCP, QuadraticProgram or BoundedLeastSquares, got list",
-    ),
+    (TWO, {"M": 1}, 1, InvalidOption, "not M: z is not piecewise affine in M"),
+    (TWO, {"Q": 1}, 1, InvalidOption, "did you mean 'q'"),
+    (TWO, {}, 1, InvalidOption, "along must say what moves"),
+    (TWO, {"q": 1}, INF, InvalidOption, "stop must be a finite number, got inf"),
+    (TWO, {"upper": [1, 0]}, 1, InvalidOption, r"upper\[0\] is inf and cannot move"),
+    (QuadraticProgram([[1]], [1]), {"P": 1}, 1, InvalidOption, "divide the objective by it"),
+    (BENT, {"c": 1}, 1, UnsupportedModel, "not convex"),
+    (FIT, {"l1": 1}, -1, InvalidOption, r"l1\[0\] = -1.0 at one end"),
+    (HELD, {"lower": 1}, 2, UnsuitableProblem, "changes its sign"),
+    ([1], {"q": 1}, 1, InvalidOption, "trace needs an LCP, .* BoundedLeastSquares, got list"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("problem", "along", "start", "stop", "error", "words"),
+    ("problem", "along", "stop", "error", "words"),
     REFUSED,
     ids=[case[-1] for case in REFUSED],
 )
 def test_what_cannot_be_traced_is_refused_in_words(
-    problem: Any, along: Any, start: float, stop: float, error: type[Exception], words: str
+    problem: Any, along: Any, stop: float, error: type[Exception], words: str
 ) -> None:
     """Each refusal says what was given and what to write."""
     with pytest.raises(error, match=words):
-        trace(problem, along, start, stop)
+        trace(problem, along, float("l1" in along), stop)
 
 
 def test_a_path_is_shown_in_words_tables_and_pictures() -> None:

@@ -287,32 +287,12 @@ def test_batches_of_nothing() -> None:
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (
-            lambda found: found.vjp(np.ones((3, 4))),
-            r"g must have shape .*here \(5, 4\) or \(4,\), got shape \(3, 4\)",
-        ),
-        (
-            lambda found: found.vjp(np.ones(3)),
-            r"g must have shape \(B, n\) or \(n,\), here .*, got shape \(3,\)",
-        ),
-        (
-            lambda found: found.vjp(np.full((5, 4), np.nan)),
-            r"g must be finite, but g\[0, 0\] = nan",
-        ),
-        (
-            lambda found: found.vjp(np.ones(4), np.full(4, INF)),
-            r"gw must be finite, but gw\[0, 0\] = inf",
-        ),
-        (
-            lambda found: found.jvp(dM=np.ones((5, 4))),
-            r"dM must be finite|dM must be a real matrix of shape \(4, 4\)",
-        ),
-        (
-            lambda found: found.jvp(dM=np.ones((4, 4, 4))),
-            r"dM must have shape \(B, n, n\) or \(n, n\), here",
-        ),
-        (lambda found: found.jvp(dM=np.full((5, 4, 4), INF)), "dM must be finite"),
-        (lambda found: found.jvp(dlower="no"), "dlower must have shape"),
+        (lambda one: one.vjp(np.ones((3, 4))), r"g must have shape .*here \(5, 4\) or \(4,\), got"),
+        (lambda one: one.vjp(np.full((5, 4), np.nan)), r"g must be finite, but g\[0, 0\] = nan"),
+        (lambda one: one.vjp(np.ones(4), np.full(4, INF)), r"gw must be finite, but gw\[0, 0\]"),
+        (lambda one: one.jvp(dM=np.ones((4, 4, 4))), r"dM must have shape \(B, n, n\) or"),
+        (lambda one: one.jvp(dM=np.full((5, 4, 4), INF)), "dM must be finite"),
+        (lambda one: one.jvp(dlower="no"), "dlower must have shape"),
     ],
 )
 def test_what_is_refused(call: Any, said: str) -> None:

@@ -1,64 +1,42 @@
-"""The policy behind algorithm="auto": what comes next is what is predicted to need the fewest passes over M.
+"""solve() for an LCP: the plan of ``algorithm="auto"``, a list of stages, and the run that follows it.
 
-A small problem (256 unknowns where M is dense, 128 elsewhere, but not on tridiagonal M-matrices) is solved by one
-compiled call, which does the same in miniature: sweeps of npsor guess the active set, rounds solve for it, pivots
-follow; where a row without a positive diagonal entry allows no sweep these come first, up to 500 unknowns. What that
-leaves open goes to the direct methods, with which the KKT form of a program begins: neither sweeps nor pivots find much
-in it. So does a bimatrix game, with Lemke and Howson's paths: its paths from r > 0 end on a ray. Otherwise:
+A small problem (256 unknowns if M is dense, 128 otherwise, except tridiagonal M-matrices) begins with sweeps of npsor
+that guess the active set, rounds that solve for it and Lemke's path. Larger problems:
 
-The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
-and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
-`banded`, where it is predicted to cost no more than a trial of npsor, or 150 sweeps where psor is not proved quick. As
-soon as the rate of npsor is known, what it still needs is compared with what its rivals predict
-(`Algorithm.predicted_passes`, from :mod:`lcp_plugin.core.tuning`):
-
-| rival | where | predicts |
+| stage | if | until it has ended, or |
 |---|---|---|
-| psor with automatic relaxation | after npsor; positive diagonal | 3 √(npsor's sweeps), or 20 |
-| multigrid | once; sparse, n > 1000, positive diagonal | 90 passes, and 350 000 rows of passes |
-| the direct methods | M is dense and symmetric, or its diagonal not positive | 10 passes |
-| the direct methods | M is dense, but not symmetric | 0.25 n passes, or 10 |
-| the direct methods | n ≤ 1000 | 12 500 n entries, 0.06 n³ at most, or 10 passes |
-| the direct methods | otherwise | only when nothing else is left |
+| the direct methods (:mod:`lcp_plugin.methods.direct`) | a program's KKT form, or a bimatrix game | |
+| banded | a narrow band, predicted to take the time of 10 sweeps | |
+| pgs, in the order of the triangle | M is triangular: one sweep is exact | |
+| psor | rows are clearly dominated by the diagonal | |
+| banded | a narrow band, predicted to take the time of 150 sweeps | |
+| npsor, relaxation 1.7, row scaling 1/d | the diagonal is positive | another stage is cheaper |
+| psor with automatic relaxation | the diagonal is positive; predicted cheaper than the stages below | the same |
+| multigrid | M is sparse, n > 1000, positive diagonal | 270 passes, and factorizations are cheaper |
+| psor | a factorization is predicted to be too large | |
+| the direct methods | | |
 
-| the question is asked | |
-|---|---|
-| of npsor, M sparse | after 10 sweeps (from 3 on where two rates agree), then every 20 |
-| of npsor, M dense | from its first sweep on |
-| of psor | after 40 sweeps, then every 20: its first relaxation must have had its trial |
-| of multigrid | every 20 steps, once it has cost 270 passes |
-| of anything that fails: diverges, stalls, or has nothing more to offer | at once: it needs ∞ |
+So the projected-type iteration comes first if no faster way is seen: it converges for every H₊-matrix and costs no
+analysis of M. A stage of sweeps is over if its work so far and the sweeps that it still needs at its rate exceed 1.5
+times the work of the next stage. That of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; that of
+multigrid as 90 passes and its calls, that of the direct methods by n (:mod:`lcp_plugin.core.tuning`).
 
-The first sweeps are the quickest: they smooth what is left, and only then the slowest error shows. So of a symmetric M
-the free unknowns F so far are asked, too, with one pass: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by
-a factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
-below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in
-the plane the residual falls as 1/k². That is the least that npsor is reckoned to need; where multigrid needs less, it
-comes after one sweep.
+The first sweeps are the quickest: they smooth the error, and only then its slowest part shows. So after one sweep on a
+large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
+factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
+below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in the
+plane the residual falls as 1/k². Along a strong flow psor is quick, which the first sweeps of npsor do not show: if
+Σ_j √(m_ij m_ji / (m_ii m_jj)) ≤ 0.8 on every row, it comes before multigrid.
 
-A sweep costs its pass and the calls around it, as much as 10 000 entries more: so `banded` and the direct methods
-are reckoned on small M. psor's rate is that of all its sweeps, since each trial of a relaxation raises the residual.
-What sweeps have cost and still need must together stay below 1.5 times what the rival predicts, so that nothing that is
-always nearly there goes on for ever.
-
-Along a strong flow sweeps are quick, which the first ones of npsor do not show: where Σ_j √(m_ij m_ji / (m_ii m_jj)) is
-at most 0.8 on every row, psor may cost as much as multigrid is predicted to before it gives way.
-
-The direct methods follow a multigrid that fails, or that at its rate still needs more than their factors are predicted
-to take and either has cost half as much or does not settle: twice, at least half as many unknowns have come to bounds
-or left them in 20 steps as in the 20 before; or has cost as much as one factor, and that one shows that nothing holds
-z. Two exceptions: after one sweep on a triangular M with a positive diagonal, pgs in the order of the triangle is
-exact; where multigrid fails and a factor is predicted to be too large, psor goes on until it fails. No clock is asked:
-the same call gives the same answer bit for bit.
+No clock is read: the same call gives the same bits.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,187 +47,193 @@ from .core.certificates.residuals import Certificate
 from .core.checks import FloatVector, checked_start, read_only
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from .core.kernels.threads import threads_for
 from .core.lcp import LCP
 from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal, row_blocks
-from .core.matrix.symmetry import mean_coupling
-from .core.policy.policy import Policy
-from .core.policy.remaining import TRIAL_SWEEPS, Remaining
-from .core.policy.stages import Choice, Stage
+from .core.matrix.symmetry import is_nearly_symmetric, mean_coupling
 from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
-from .core.solving.driver import solved_by
+from .core.solving.judge import End
 from .core.solving.result import Result, StageRecord
-from .core.solving.run import Callback
+from .core.solving.run import Callback, Run
+from .core.solving.stage import Stage
 from .core.splittings.projected_relaxation import PGS, PSOR
 from .core.splittings.projected_type import NPSOR
-from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
+from .core.tuning import (
+    BANDED_PASSES,
+    DIRECT_CUBE,
+    DIRECT_ENTRIES,
+    DIRECT_PASSES,
+    DIRECT_ROWS,
+    DIRECT_UP_TO,
+    LINEAR_PROGRAM_UP_TO,
+    MULTIGRID_PASSES,
+    MULTIGRID_ROWS,
+    PSOR_GAIN,
+    PSOR_PASSES,
+)
 from .engines import Engine
 from .methods.small.rounds import Rounds, first_answer, is_small
 
-if TYPE_CHECKING:
-    from .methods.direct import FallbackOrder
-
-DIRECT = "newton"  # predicts for all direct methods
-SHARE_OF_SOLVED, CALLS = (
-    0.1,
-    20.0,
-)  # of the work of a run for its last system; in passes, the calls around that
-CLEARLY_DOMINANT = (
-    0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
-)
 GUESSED = "small: a few sweeps guess the active set"
-PROJECTED_TYPE = Choice(
-    NPSOR(scaling="diagonal"),
-    "cheap sweeps over the rows come first; how fast they are decides what follows",
-)
+SHORTEST_TRIAL, TRIAL_SWEEPS, TRIAL_SWEEPS_PSOR, ASKED_EVERY = 3, 10, 40, 20
+PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
+BROKEN_PROMISE = 3.0  # of multigrid: this multiple of its passes on grids
+CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor in a sweep: 1e-8 in 83 sweeps
+NEAR = 1e-2  # relative to the largest unknown: so near to a bound is not free
 
 
-class EndsWithItsCase(Policy):
-    """A policy whose runs end with the linear system of the case they found.
+def plan(
+    problem: LCP, goal: float, *, prove_infeasibility: bool = True, begin: str | None = None
+) -> Iterator[Stage]:
+    """Yield the stages of ``algorithm="auto"``, each after the one before has ended.
 
-    A residual is not an error: where M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
-    and the solution of that system is off by no more than rounding.
+    Parameters
+    ----------
+    problem : LCP
+    goal : float
+        The relative residual that the run needs.
+    prove_infeasibility : bool
+        If False, no method looks for proofs.
+    begin : {"npsor", "psor", "multigrid"}, optional
+        The method that solved a problem with this M before.
     """
-
-    def last_system(
-        self, problem: LCP, z: FloatVector, work: float, is_solved: bool
-    ) -> tuple[FloatVector, float] | None:
-        """Return the solution of the linear system of the case that z shows, and its work.
-
-        It may take a tenth of what the run has cost, or all of that where auto has not solved the problem; a method by
-        name that fails says so.
-        """
-        most = (
-            SHARE_OF_SOLVED * work - CALLS
-            if is_solved
-            else math.inf
-            if self.chosen == "auto"
-            else 0.0
-        )
-        if most <= 0.0:
-            return None
-        from .methods.newton.active_set import solve_case
-
-        found = solve_case(problem, z, min(most, work + CALLS))
-        return found and (found.z, found.work)
-
-
-class Single(EndsWithItsCase):
-    """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility.
-
-    Where `prove_infeasibility` is False, no proof is looked for.
-    """
-
-    algorithm: Algorithm
-
-    def __init__(self, algorithm: Algorithm, *, prove_infeasibility: bool = True) -> None:
-        self.algorithm = self.chosen = algorithm
-        self.name, self._prove_infeasibility = algorithm.name, prove_infeasibility
-
-    def first(self, problem: LCP) -> Choice:
-        """Return the caller's algorithm."""
-        return Choice(self.algorithm)
-
-    def next_step(
-        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
-    ) -> Choice | None:
-        """Return None, or the feasibility check after a method that ended without a solution."""
-        is_unfit = (
-            not self._prove_infeasibility
-            or self.algorithm.is_monotone
-            or problem.n > LINEAR_PROGRAM_UP_TO
-        )
-        if not failed or len(stages) > 1 or is_unfit:
-            return None
-        from .methods.search.stages import FeasibilityCheck
-
-        return Choice(FeasibilityCheck(), f"{self.name} found no solution: is there one?")
-
-
-class Auto(EndsWithItsCase):
-    """What is predicted to need the least work; where `prove_infeasibility` is False, without a look for proofs."""
-
-    name = chosen = "auto"
-
-    def __init__(self, *, prove_infeasibility: bool = True) -> None:
-        self._prove_infeasibility = prove_infeasibility
-        self._direct: FallbackOrder | None = None
-
-    def first(self, problem: LCP) -> Choice:
-        """Return what programs need, games, small problems, narrow bands or quick rows; else NPSOR."""
+    direct = partial(direct_stages, problem, goal, prove_infeasibility=prove_infeasibility)
+    if begin is None:
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
-            return Choice(Rounds(), GUESSED)
+            yield Stage(Rounds(), GUESSED)
+            yield from direct()
+            return
         if is_program or _is_game(problem):
-            self._direct = self._fallback_order(problem)
-            if (first := self._direct.first()) is not None:
-                why = "multipliers have no diagonal entry, which sweeps need"
-                return replace(first, because=f"{why}; {first.because}") if is_program else first
-            self._direct = None
-        banded = _banded()
-        passes = in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
-        cost = f"{max(passes, 1.0):.0f} sweep" + "s" * (passes > 1.5)
-        narrow = Choice(banded, f"M is a narrow band, solved in about the time of {cost}")
-        is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
-        if passes <= TRIAL_SWEEPS:
-            return narrow
-        if is_large and _triangle(problem) is None and _is_clearly_dominant(problem):
-            why = f"diagonal entries outweigh their rows: a sweep leaves at most {CLEARLY_DOMINANT:.0%} of the error"
-            return Choice(PSOR(), why)
-        return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
+            yield from direct()
+            return
+        yield from _quick_stages(problem)
+    if has_positive_diagonal(problem.matrix).all():
+        yield from _sweeping_stages(problem, goal, begin)
+    yield from direct()
 
-    def next_step(
-        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
-    ) -> Choice | None:
-        """Return what needs the least work from here, or None to go on."""
-        now = stages[-1]
-        if self._direct is not None:
-            return self._direct.after(stages, goal, failed=failed)
-        if (order := _exact_order(problem, now)) is not None:
-            return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
-        if now.algorithm.name == "banded":
-            why = "banded ended without a solution; cheap sweeps over the rows are next"
-            return replace(PROJECTED_TYPE, because=why) if failed else None
-        left = Remaining.of(problem, now, goal, failed=failed)
-        if left is None:
-            return None
-        if left.name == "multigrid":
-            from .methods.direct import factor_passes
 
-            passes = factor_passes(problem)
-            if left.has_failed and passes == math.inf:
-                return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
-            is_behind = left.sweeps > passes and (2.0 * left.work > passes or now.is_unsettled())
-            if not (left.has_failed or is_behind):
-                return None
-        else:
-            rivals = _rivals(problem, stages, left)
-            predicted = {rival: rival.predicted_passes(problem, left.sweeps) for rival in rivals}
-            rival = min(predicted, key=lambda one: predicted[one], default=None)
-            if rival is None or not left.loses_to(rival, passes := predicted[rival]):
-                return None
-            if passes < math.inf and rival.name != DIRECT:
-                return Choice(
-                    rival,
-                    f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps",
-                )
-        self._direct = self._fallback_order(problem)
-        first = self._direct.first()
-        return first and replace(first, because=f"{left}; {first.because}")
+def direct_stages(problem: LCP, goal: float, *, prove_infeasibility: bool) -> Iterator[Stage]:
+    """Yield the direct methods."""
+    from .methods.direct import direct_methods
 
-    @property
-    def left_out(self) -> Sequence[str]:  # type: ignore[override]
-        """What the direct methods did not try, where it came to them."""
-        return () if self._direct is None else self._direct.left_out
+    yield from direct_methods(problem, goal, prove_infeasibility=prove_infeasibility)
 
-    def _fallback_order(self, problem: LCP) -> FallbackOrder:
-        """Return the direct methods."""
-        from .methods.direct import FallbackOrder
 
-        return FallbackOrder(
-            problem,
-            prove_infeasibility=self._prove_infeasibility,
+def _quick_stages(problem: LCP) -> Iterator[Stage]:
+    """Yield the methods for M that are seen to be quick."""
+    from .methods.banded import Banded, banded_passes
+
+    passes = in_driven_sweeps(problem, banded_passes(problem.matrix))
+    order = _triangle(problem) if has_positive_diagonal(problem.matrix).all() else None
+    is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
+    narrow = Stage(Banded(), f"M is a narrow band, solved in about the time of {passes:.0f} sweeps")
+    if passes <= TRIAL_SWEEPS:
+        yield narrow
+    elif order is not None:
+        yield Stage(PGS(sweep=order), "M is triangular: a sweep in that order is exact", _is_swept)
+    elif is_large and _is_clearly_dominant(problem):
+        because = (
+            f"a sweep leaves at most {CLEARLY_DOMINANT:.0%} of the error: the diagonal dominates"
         )
+        yield Stage(PSOR(), because)
+    elif passes <= BANDED_PASSES:
+        yield narrow
+
+
+def _is_swept(stage: Stage) -> bool:
+    return stage.iterations > 1
+
+
+def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[Stage]:
+    """Yield npsor, psor and multigrid, which need a positive diagonal."""
+    direct, cycles = _direct_passes(problem), _cycle_passes(problem)
+
+    def is_trial_over(stage: Stage) -> bool:
+        if stage.iterations == 1 and cycles < math.inf:
+            return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
+        if stage.iterations < SHORTEST_TRIAL:
+            return False
+        needed, best = stage.steps_to_go(goal), min(PSOR_PASSES, direct)
+        return needed > best and stage.work + needed > PATIENCE * best
+
+    def is_too_slow(stage: Stage) -> bool:
+        least = max(TRIAL_SWEEPS_PSOR, cycles) if is_along_flow else TRIAL_SWEEPS_PSOR
+        if stage.iterations < least or stage.iterations % ASKED_EVERY:
+            return False
+        return stage.work + stage.steps_to_go(goal) > PATIENCE * min(direct, cycles)
+
+    sweeps = 0.0
+    if begin in (None, "npsor"):
+        why = "cheap sweeps over the rows come first; their rate decides what follows"
+        npsor = Stage(NPSOR(scaling="diagonal"), why, is_trial_over)
+        yield npsor
+        sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
+    is_along_flow = cycles < math.inf and mean_coupling(problem.matrix) <= CLEARLY_DOMINANT
+    rival = min(direct, math.inf if is_along_flow else cycles)
+    if begin != "multigrid" and _psor_passes(sweeps) <= rival:
+        yield Stage(PSOR(), "sweeps with automatic relaxation", is_too_slow)
+    if cycles < math.inf:
+        from .methods.direct import factor_passes
+        from .methods.multigrid import Multigrid
+
+        passes = factor_passes(problem)
+
+        def is_no_grid(stage: Stage) -> bool:
+            least = max(BROKEN_PROMISE * MULTIGRID_PASSES, 0.5 * passes)
+            if stage.iterations % ASKED_EVERY or stage.work <= least:
+                return False
+            return stage.steps_to_go(goal) * stage.work / stage.iterations > passes
+
+        why = "a sparse M with many rows: work in proportion to them"
+        yield Stage(Multigrid(hands_over=True), why, is_no_grid if passes < math.inf else None)
+        if passes == math.inf:
+            yield Stage(PSOR(), "a factorization of M is predicted to be too large")
+
+
+def _psor_passes(sweeps: float) -> float:
+    """Return the predicted work of psor if npsor needs so many sweeps."""
+    return max(PSOR_PASSES, PSOR_GAIN * math.sqrt(sweeps))
+
+
+def _cycle_passes(problem: LCP) -> float:
+    """Return the predicted work of multigrid in passes over M; ∞ if it does not suit."""
+    if problem.is_dense or problem.n <= DIRECT_UP_TO:
+        return math.inf
+    return MULTIGRID_PASSES + MULTIGRID_ROWS / problem.n
+
+
+def _direct_passes(problem: LCP) -> float:
+    """Return the predicted work of the direct methods in passes over M; ∞ on large sparse M."""
+    if problem.is_dense:
+        is_symmetric = is_nearly_symmetric(problem.matrix)
+        return DIRECT_PASSES if is_symmetric else max(DIRECT_PASSES, DIRECT_ROWS * problem.n)
+    if problem.n > DIRECT_UP_TO:
+        return math.inf
+    entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
+    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
+
+
+def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
+    """Return the sweeps that an error needs that is constant on the free unknowns; 0 if that is unknown."""
+    z = stage.z
+    if z is None or problem.is_dense or problem.n <= DIRECT_UP_TO:
+        return 0.0
+    if not (stage.residuals and goal > 0.0 and is_nearly_symmetric(problem.matrix)):
+        return 0.0
+    gain = stage.residuals[-1][1] / goal
+    with np.errstate(all="ignore"):
+        margin = NEAR * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
+        is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
+        free = is_free.astype(np.float64)
+        sums, diagonal = problem.csr @ free, problem.diagonal
+        share = free @ sums / (free @ diagonal)
+        least = (sums / diagonal).min(initial=1.0, where=is_free)
+        slowest = max(0.5 * (math.pi * share) ** 2, least)
+    if not (gain > 1.0 and 0.0 < slowest < 1.0):
+        return 0.0
+    return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
 
 
 def _is_game(problem: LCP) -> bool:
@@ -265,41 +249,11 @@ def takes_rounds(problem: LCP) -> bool:
     """Return whether auto begins with rounds on a dense M: a small problem, no tridiagonal M-matrix kept sparse."""
     if not is_small(problem):
         return False
-    return problem.is_dense or _banded().predicted_passes(problem, math.inf) > TRIAL_SWEEPS
+    if problem.is_dense:
+        return True
+    from .methods.banded import banded_passes
 
-
-def _rivals(problem: LCP, stages: Sequence[Stage], left: Remaining) -> list[Algorithm]:
-    """Return what could take over, in the order in which a tie is decided."""
-    from .methods.newton.semismooth_newton import Newton
-
-    now = stages[-1].algorithm
-    rivals: list[Algorithm] = []
-    if has_positive_diagonal(problem.matrix).all():
-        rivals += [PSOR()] if isinstance(now, NPSOR) else []
-        was_tried = any(stage.algorithm.name == "multigrid" for stage in stages)
-        is_suited = not (problem.is_dense or was_tried) and isinstance(now, (NPSOR, PSOR))
-        if is_suited:
-            from .methods.multigrid import Multigrid
-
-            multigrid = Multigrid(hands_over=True)
-            has_had_its_turn = isinstance(now, PSOR) and left.work > multigrid.predicted_passes(
-                problem, left.sweeps
-            )
-            if (
-                left.has_failed
-                or has_had_its_turn
-                or mean_coupling(problem.matrix) > CLEARLY_DOMINANT
-            ):
-                rivals.append(multigrid)
-    return [*rivals, Newton()]
-
-
-@cache
-def _banded() -> Algorithm:
-    """Return the rounds on a narrow band."""
-    from .methods.banded import Banded
-
-    return Banded()
+    return banded_passes(problem.matrix) > TRIAL_SWEEPS
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:
@@ -318,38 +272,23 @@ def _is_clearly_dominant(problem: LCP) -> bool:
 
 def _triangle(problem: LCP) -> str | None:
     """Return the direction of a sweep that solves a triangular problem, or None."""
-    M = problem.csr
-    # The rows are sorted; those at both ends refuse almost every other matrix.
-    if problem.n < 2 or (
-        M.indices[M.indptr[1] - 1] > 0 and M.indices[M.indptr[-2]] < problem.n - 1
-    ):
+    M = problem.M
+    if problem.n < 2 or (problem.is_dense and M[0, -1] and M[-1, 0]):
         return None
+    if (
+        not problem.is_dense
+    ):  # the rows are sorted; those at both ends rule out almost every other matrix
+        first, last = M.indptr[[1, -2]]
+        if M.indices[first - 1] > 0 and M.indices[last] < problem.n - 1:
+            return None
     from .core.matrix.structure import triangular_form
 
-    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(
-        triangular_form(problem.matrix) or ""
-    )
+    form = triangular_form(problem.matrix)
+    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(form or "")
 
 
-def _exact_order(problem: LCP, now: Stage) -> str | None:
-    """Return the order of the sweep that is exact, where M is triangular and one sweep of npsor is done."""
-    is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
-    return (
-        _triangle(problem)
-        if is_after_one_sweep and has_positive_diagonal(problem.matrix).all()
-        else None
-    )
-
-
-def policy_for(
-    algorithm: Any,
-    options: dict[str, Any],
-    *,
-    prove_infeasibility: bool = True,
-) -> Policy:
-    """Return the policy that the caller's `algorithm` and options mean.
-
-    Where `prove_infeasibility` is False, it has no stage that looks for a proof that there is no solution.
+def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
+    """Return the method that the `algorithm` and options of a call mean; None for "auto".
 
     Raises
     ------
@@ -366,8 +305,6 @@ def policy_for(
             raise InvalidOption(
                 f'{type(algorithm).__name__} has no name; write name = "…" in the class'
             )
-        return Single(algorithm, prove_infeasibility=prove_infeasibility)
-    if isinstance(algorithm, Policy):
         return algorithm
     if isinstance(algorithm, str) and algorithm == "auto":
         if options:
@@ -375,7 +312,7 @@ def policy_for(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
                 f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
-        return Auto(prove_infeasibility=prove_infeasibility)
+        return None
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(
@@ -387,13 +324,34 @@ def policy_for(
         raise UnknownAlgorithm(
             f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
         )
-    return Single(create(algorithm, options), prove_infeasibility=prove_infeasibility)
+    return create(algorithm, options)
+
+
+def stages_of(
+    problem: LCP, method: Algorithm | None, goal: float, *, prove_infeasibility: bool = True
+) -> Iterator[Stage]:
+    """Yield the stages of auto, or the method, and after one that ends by itself a look for a proof.
+
+    Parameters
+    ----------
+    method : Algorithm or None
+        None for auto.
+    """
+    if method is None:
+        yield from plan(problem, goal, prove_infeasibility=prove_infeasibility)
+        return
+    yield Stage(method)
+    is_unfit = method.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
+    if prove_infeasibility and not is_unfit:
+        from .methods.search.stages import FeasibilityCheck
+
+        yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
 
 
 @np.errstate(under="ignore")
 def solve_lcp(
     problem: LCP,
-    algorithm: str | Algorithm | Policy = "auto",
+    algorithm: str | Algorithm = "auto",
     *,
     z0: ArrayLike | None = None,
     tolerance: float = 1e-8,
@@ -416,7 +374,7 @@ def solve_lcp(
         As there.
     """
     clock = Clock()
-    policy = policy_for(algorithm, options, prove_infeasibility=prove_infeasibility)
+    method = method_of(algorithm, options)
     settings = Settings(
         tolerance,
         max_iterations,
@@ -429,29 +387,62 @@ def solve_lcp(
         prove_infeasibility,
     )
     callback, start = checked_callback(callback), checked_start(problem, z0)
-    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
-    is_plain = settings.is_unobserved and not (is_limited or settings.absolute_tolerance)
-    if algorithm == "auto" and callback is None and is_plain:
+    if method is None and callback is None:
         found = _result_of_rounds(problem, settings, start, clock)
         if found is not None:
             return found
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate():
-        return solved_by(
-            policy,
-            problem,
-            settings,
-            start,
-            clock,
-            callback,
-            header=_header,
+        return run_on(problem, method, settings, start, clock, callback)
+
+
+def run_on(
+    problem: LCP,
+    method: Algorithm | None,
+    settings: Settings,
+    start: FloatVector,
+    clock: Clock,
+    callback: Callback | None = None,
+    *,
+    begin: str | None = None,
+) -> Result:
+    """Return the result of a run with a method, or with auto for None.
+
+    Parameters
+    ----------
+    start : ndarray, shape (n,)
+        Within the bounds.
+    clock : Clock
+        Running.
+    begin : str, optional
+        For auto: the method that solved a problem with this M before.
+    """
+    proofs = settings.prove_infeasibility
+    with threads_for(settings.threads):
+        run = Run(
+            problem, method or "auto", settings, callback, clock, header=_header, polish=_polish
         )
+        goal = run.judge.goal
+        stages = (
+            plan(problem, goal, prove_infeasibility=proofs, begin=begin)
+            if begin
+            else stages_of(problem, method, goal, prove_infeasibility=proofs)
+        )
+        try:
+            return run.result(start, run.follow_all(stages, start))
+        except KeyboardInterrupt:
+            if run.iteration < 0:  # no step is made yet
+                raise
+            return run.result(start, End.INTERRUPTED)
 
 
 def _result_of_rounds(
     problem: LCP, settings: Settings, start: FloatVector, clock: Clock
 ) -> Result | None:
     """Return the result of a small problem that the first rounds, or the first path, solve; else None."""
+    is_watched = not settings.is_unobserved or settings.max_seconds < math.inf
+    if is_watched or settings.absolute_tolerance or not settings.max_iterations:
+        return None
     if getattr(problem.origin, "form", "") == "kkt" or not takes_rounds(problem):
         return None
     found = first_answer(problem, start, settings.tolerance)
@@ -474,18 +465,24 @@ def _result_of_rounds(
     )
 
 
+def _polish(problem: LCP, z: FloatVector, most: float) -> Any:
+    from .methods.newton.active_set import solve_case
+
+    return solve_case(problem, z, most)
+
+
 def _header(matrix: Matrix) -> tuple[str, str]:
     from .proofs.verdicts.report import classes_in_words, sign_remark
 
     return classes_in_words(matrix), sign_remark(matrix)
 
 
-def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:
-    """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
+def asked_of_solve(
+    algorithm: str | Algorithm, wishes: dict[str, Any]
+) -> tuple[Algorithm | None, Settings]:
+    """Return the method, None for auto, and the settings of a call; a start and a callback may be among the options."""
     settings = Settings(
         **{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE}
     )
     options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
-    return policy_for(
-        algorithm, options, prove_infeasibility=settings.prove_infeasibility
-    ), settings
+    return method_of(algorithm, options), settings

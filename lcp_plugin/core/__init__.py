@@ -7,10 +7,7 @@ Suggested reading order:
 3. ``certificates``: residuals with rounding errors, and the stopping criterion.
 4. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
    their compiled loops in ``kernels``.
-5. ``solving``: ``driver`` begins a run, ``run`` drives it, ``judge`` says when it is done, ``result`` what is given
-   back.
-6. ``policy``: what chooses the algorithms of a run; :mod:`lcp_plugin.auto` is the one behind ``auto``. ``kind``: a kind
-   of problem, and what takes it. ``deadline``: the clock of a run. ``tuning``: up to where each way is the cheaper.
-
-To be looked up: ``written``, reprs that can be pasted.
+5. ``solving``: ``stage``: one method and its budget; ``run``: the loop; ``judge``: the tests that end it; ``result``.
+6. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; :mod:`lcp_plugin.auto`
+   plans the stages of ``auto`` by them.
 """

@@ -43,9 +43,6 @@ class Step:
         A clause for the advice of a run that does not solve the problem: the undecided question, and the next step.
     label : str
         The name of the part at work, where an algorithm has several; the result shows them as its stages.
-    least_residual : float
-        Lower bound, computed in double precision and not proved, of the relative residual of every z: if the run
-        requires less, `auto` spends no work on other methods.
     """
 
     z: FloatVector
@@ -56,7 +53,6 @@ class Step:
     proof: Any = None
     remark: str = ""
     label: str = ""
-    least_residual: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,14 +109,6 @@ class Algorithm(ABC):
     ends_with_a_case: ClassVar[bool] = False  # where it is True, a run adds no last linear system
     is_watched: ClassVar[bool] = False
 
-    @property
-    def takes_scaled(self) -> bool:
-        """Whether the iteration may run in the scaling that M needs; otherwise it sees the caller's matrix.
-
-        True for methods that are invariant under scaling or profit from it: factorizations, pivots, interior points.
-        """
-        return True
-
     @abstractmethod
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start and then one step per iteration, without limit.
@@ -140,13 +128,6 @@ class Algorithm(ABC):
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
         return z
-
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return about how many passes over M an answer takes where npsor needs so many more sweeps.
-
-        ∞ if the method does not compete with npsor by its predicted work.
-        """
-        return math.inf
 
     def facts(self, problem: LCP) -> IterationFacts | None:
         """Return the facts of the iteration that convergence theorems require, or None if no theorem covers it.

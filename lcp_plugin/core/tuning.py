@@ -5,7 +5,7 @@ A number that a theorem, or the precision of a double, fixes stands beside its p
 
 from __future__ import annotations
 
-# What an answer costs in passes over M, for the policy of ``auto``.
+# Work of a solution in passes over M, for the plan of ``auto``.
 DIRECT_PASSES = 10.0  # interior_point on a dense symmetric M: a third of what is measured, as npsor promises too much
 DIRECT_ROWS = 0.25  # by n: newton or interior_point where a dense M is not symmetric
 DIRECT_ENTRIES = 12_500.0  # entries that the same touches for a row of a sparse M
@@ -34,7 +34,7 @@ FULL_CHOLESKY_FROM = (
     0.02  # share of the entries that are not zero, in no order that a sparse factor could use
 )
 
-# Sizes that a policy never exceeds.
+# Sizes that a plan never exceeds.
 FULL_CHOLESKY_UP_TO = (
     1500  # rows: what a dense factor gains grows with them, and what it loses on a band as well
 )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from ..algorithms import REGISTRY, create
-from ..auto import policy_for
+from ..auto import method_of
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption
 
@@ -91,9 +91,7 @@ def _is_pair(one: Any) -> bool:
 def _method(label: Any, one: Any) -> Method:
     if isinstance(one, str) or _is_pair(one):
         name, options = (one, {}) if isinstance(one, str) else one
-        one = (
-            policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
-        )
+        one = method_of(name, dict(options)) or "auto"
     elif not isinstance(one, Algorithm):
         raise InvalidOption(
             'a method is a name, an Algorithm object or a pair as ("npsor", {"relaxation": 1.5}), '

@@ -85,11 +85,6 @@ class NPSplitting(ScaledByRows):
             is_part_of_matrix=isinstance(self.splitting, str),
         )
 
-    @property
-    def takes_scaled(self) -> bool:
-        """False, because the caller's splitting refers to the unscaled matrix."""
-        return False
-
     def _scaling(self, problem: LCP) -> FloatVector:
         is_named = isinstance(self.splitting, str)
         return self.row_scaling(

@@ -222,19 +222,19 @@ MECHANISMS = (
     Mechanism(
         "banded",
         "rounds of active sets on narrow bands",
-        {"methods.banded:Banded.predicted_passes": says(math.inf)},
+        {"methods.banded:banded_passes": says(math.inf)},
         "methods/banded",
     ),
     Mechanism(
         "multigrid",
         "truncated V-cycles where sweeps are slow",
-        {"methods.multigrid:Multigrid.predicted_passes": says(math.inf)},
+        {"auto:_cycle_passes": says(math.inf)},
         "methods/multigrid systems/hierarchy",
     ),
     Mechanism(
         "psor",
         "relaxation found during the run, after npsor",
-        {"core.splittings.projected_relaxation:PSOR.predicted_passes": says(math.inf)},
+        {"auto:_psor_passes": says(math.inf)},
     ),
     Mechanism(
         "clear dominance",
@@ -245,8 +245,8 @@ MECHANISMS = (
     Mechanism(
         "triangles of M",
         "one exact sweep of a triangular M",
-        {"auto:_exact_order": says(None), "auto:_triangle": says(None)},
-        "auto.py:_exact_order auto.py:_triangle",
+        {"auto:_triangle": says(None)},
+        "auto.py:_triangle",
     ),
     Mechanism(
         "coupling",
@@ -257,20 +257,20 @@ MECHANISMS = (
     Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
-        {"auto:EndsWithItsCase.last_system": says(None)},
-        "auto.py:EndsWithItsCase methods/newton/active_set.py:solve_case",
+        {"core.solving.run:Run._polished": given_back(1)},
+        "core/solving/run.py:Run._polished methods/newton/active_set.py:solve_case",
     ),
     # --- LCPs: the direct methods
     Mechanism(
         "search",
         "all cases of few unknowns: solutions and proofs",
-        {f"{DIRECT}:_at_last": without("search")},
+        {f"{DIRECT}:direct_methods": without("search")},
         "methods/search",
     ),
     Mechanism(
         "feasibility",
         "a linear program looks for a proof that there is no solution",
-        {f"{DIRECT}:_by_prospects": without("feasibility")},
+        {f"{DIRECT}:direct_methods": without("feasibility")},
         "methods/search/stages.py:FeasibilityCheck",
     ),
     Mechanism(
@@ -283,7 +283,7 @@ MECHANISMS = (
         "some pivots",
         "pivots before a factor of a dense M",
         {
-            f"{DIRECT}:_by_prospects": yielding(
+            f"{DIRECT}:direct_methods": yielding(
                 lambda _, one: getattr(one.algorithm, "max_pivots", None) is None
             )
         },
@@ -292,20 +292,20 @@ MECHANISMS = (
     Mechanism(
         "lemke",
         "complementary pivoting",
-        {f"{DIRECT}:_by_prospects": without("lemke")},
+        {f"{DIRECT}:direct_methods": without("lemke")},
         "methods/lemke",
     ),
     Mechanism(
         "newton",
         "semismooth Newton on LCPs",
-        {f"{DIRECT}:_by_prospects": without("newton")},
+        {f"{DIRECT}:direct_methods": without("newton")},
         "methods/newton/semismooth_newton.py methods/newton/active_set.py",
         claim="core/test_choice.py::test_a_grid_with_strong_flows_is_solved_by_newton",
     ),
     Mechanism(
         "interior point",
         "PIQP on the program of an LCP",
-        {f"{DIRECT}:_by_prospects": without("interior_point")},
+        {f"{DIRECT}:direct_methods": without("interior_point")},
         "methods/interior_point.py",
     ),
     Mechanism(
@@ -532,8 +532,8 @@ MECHANISMS = (
     Mechanism(
         "lesson",
         "a step of a march begins with what ended the one before",
-        {"problems.march.marching:StepPolicy.following": says(None)},
-        "problems/march/marching.py",
+        {"problems.march:beginning_of_next": says(None)},
+        "problems/march/__init__.py:beginning_of_next",
         "problems/march/test_march_beginnings.py::test_what_has_become_slow_is_left",
     ),
     Mechanism(

@@ -91,7 +91,7 @@ def test_a_loss_is_seen() -> None:
         return lambda *_, **__: 1 / 0
 
     tally = measuring.Tally("none", "tiny")
-    measuring.measure(one(), [Patch("auto:Auto.first", Instead(wrong))], tally)
+    measuring.measure(one(), [Patch("auto:first_answer", Instead(wrong))], tally)
     assert (tally.met, tally.solved, tally.solved_off, tally.raised_off) == (1, 1, 0, 1)
     assert table.lost([dict(zip(tally.columns(), tally.cells(), strict=True))]) == [
         "1 solved",

@@ -1,4 +1,4 @@
-"""The two decision tables of the automatic choice, row by row, and what its runs end with."""
+"""The plan of the automatic choice, and how its runs end."""
 
 from __future__ import annotations
 
@@ -10,25 +10,13 @@ from small_families import falling_bodies
 from textbook_scenes import murty
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
-from lcp_plugin.algorithms import Algorithm
-from lcp_plugin.auto import Auto
+from lcp_plugin.auto import plan
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.symmetry import mean_coupling
-from lcp_plugin.core.policy.stages import Stage
+from lcp_plugin.core.representation import in_words
 from lcp_plugin.gallery.stencil import stencil_matrix
 
 TARGET = 1e-8
-
-
-def after(algorithm: Algorithm, iterations: int, rate: float) -> Stage:
-    """A stage so many iterations old whose residual fell from 1 by that rate an iteration."""
-    residuals = [(k, rate**k) for k in range(iterations + 1)]
-    return Stage(algorithm, iterations=iterations, residuals=residuals)
-
-
-def following(problem: LCP, stage: Stage, *, failed: bool = False) -> str | None:
-    choice = Auto().next_step(problem, [stage], TARGET, failed)
-    return None if choice is None else choice.algorithm.name
 
 
 def names(result: Result) -> list[str]:
@@ -36,6 +24,28 @@ def names(result: Result) -> list[str]:
 
 
 # --- The first table ---------------------------------------------------------------------------------------------
+
+
+def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
+    """As many full diagonals on either side."""
+    sides = [k for k in range(-width, width + 1) if k]
+    M = sp.diags_array([coupling] * len(sides) + [diagonal], offsets=[*sides, 0], shape=(n, n))
+    return LCP(M, -np.ones(n))
+
+
+@pytest.mark.parametrize(
+    ("problem", "first"),
+    [
+        (band(1, 2.0, -1.0), "banded"),
+        (band(40, 1.0, 0.5), "npsor"),
+        (band(15, 99.0, 0.5), "psor"),
+        (band(1, 2.0, 1.0, n=128), "rounds"),
+        (LCP(np.eye(300) - np.diag(np.ones(250), 50), -np.ones(300)), "pgs"),
+    ],
+)
+def test_the_plan_begins_with_a_stage_that_suits_the_matrix(problem: LCP, first: str) -> None:
+    """Narrow bands, triangles, dominated rows and small problems have a stage of their own; npsor begins otherwise."""
+    assert next(plan(problem, TARGET)).algorithm.name == first
 
 
 @pytest.mark.parametrize("orientation", ["upper", "lower"])
@@ -180,5 +190,5 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
         0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work
     )  # the rest: measuring
     for stage in result.stages:
-        assert f"  {stage.name}, {stage.iterations} iterations" in result.explain()
+        assert f"  {stage.name}, {in_words(stage.iterations, 'iteration')}" in result.explain()
         assert stage.because in result.explain()

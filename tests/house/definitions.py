@@ -19,7 +19,6 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parents[2]
 FROM_AUTO = (
-    "FallbackOrder",
     "SmallDenseSolver",
     "Banded",
     "Multigrid",

@@ -168,11 +168,9 @@ def says_solved(function: ast.AST) -> bool:
 
 
 ANOTHER_JOB = {  # looked at by eye
-    "methods/direct.py: FallbackOrder.after": "whether another method has its turn",
-    "core/policy/stages.py: CheckSchedule.is_due": "when to measure",
-    "core/policy/stages.py: Stage.steps_to_go": "a prediction",
+    "core/solving/stage.py: Stage.is_due": "when to measure",
+    "core/solving/stage.py: Stage.steps_to_go": "a prediction",
     "core/solving/advice.py: advice_of_run": "words",
-    "core/solving/run.py: Run.ended": "whether the start is given back",
     "problems/equilibria/equilibrium_program.py: EquilibriumProgram.distances": "distances of pairs",
     "problems/least_squares/certificate.py: _relative_gap": "whether a nearer dual point is worth its work",
     "problems/nonlinear/josephy_newton.py: _NewtonRun._progress": "the goal of a linear problem inside",

@@ -260,7 +260,7 @@ def test_a_solve_loads_no_package_it_does_not_use() -> None:
 
 def test_public_names_resolve() -> None:
     """Every name in ``__all__`` can be had, also after the submodules were imported."""
-    import lcp_plugin.core.solving.driver
+    import lcp_plugin.core.solving.run
 
     for name in lcp_plugin.__all__:
         assert getattr(lcp_plugin, name) is not None

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from ..algorithm import Algorithm
 from ..lcp import LCP
-from ..policy.stages import Stage
 from ..settings import Status
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
@@ -19,9 +18,7 @@ NOTHING_TO_DO = "the residual of the start is within the tolerance already; no i
 def advice_of_run(
     problem: LCP,
     chosen: Any,
-    stages: Sequence[Stage],
     words: Mapping[Status, str],
-    left_out: Sequence[str] = (),
 ) -> dict[Status, str]:
     """Return the advice of each possible termination status of the run.
 
@@ -30,16 +27,12 @@ def advice_of_run(
     problem : LCP
     chosen : str or Algorithm
         The algorithm of the call.
-    stages : sequence of Stage
-        The stages of the run.
     words : mapping from Status to str
         Texts that replace the default text of a status.
-    left_out : sequence of str
-        The methods that auto did not try, and why.
 
     Examples
     --------
-    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", (), {})[Status.MAX_ITERATIONS]
+    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", {})[Status.MAX_ITERATIONS]
     'iteration limit reached; next: raise max_iterations, or continue from z0=result.z'
     """
     said = {status: words.get(status, status.value) for status in (*LIMITS, *WITHOUT_END)}
@@ -48,8 +41,7 @@ def advice_of_run(
         said[status] += ", or continue from z0=result.z"
         if other:
             said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
-    but_not = f", but not {', nor '.join(left_out)}" if left_out else ""
-    end = f"next: try {other}" if other else f"{TRIED}{but_not}; next: try another start z0"
+    end = f"next: try {other}" if other else f"{TRIED}; next: try another start z0"
     if (negative := (problem.diagonal < 0.0)).any():
         end = f"M is not monotone (m_ii < 0 for i = {int(negative.argmax())}); {end}"
     return {**words, **said, **{status: f"{said[status]}; {end}" for status in WITHOUT_END}}

@@ -40,13 +40,19 @@ class End(Enum):
     AT_FLOOR = "the residual is no larger than rounding explains"
     STALLED = "the residual has stopped falling, or falls too slowly"
     DIVERGED = "the residual left every reasonable range"
+    OVER_BUDGET = "another method takes over"
     NOTHING_LEFT = "the last algorithm had no further step"
     STEP_LIMIT = "max_iterations came first"
     TIME_LIMIT = "max_seconds came first"
     INTERRUPTED = "Ctrl-C or the callback came first"
 
 
-FAILED = (End.STALLED, End.DIVERGED, End.NOTHING_LEFT)  # another algorithm may do better
+FAILED = (
+    End.STALLED,
+    End.DIVERGED,
+    End.OVER_BUDGET,
+    End.NOTHING_LEFT,
+)  # another algorithm may do better
 STATUS_OF = {
     End.STEP_LIMIT: Status.MAX_ITERATIONS,
     End.TIME_LIMIT: Status.MAX_SECONDS,
@@ -61,7 +67,7 @@ class Judge:
     A problem of another class brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run`
     asks: at each step `residual_of` (the residual that the algorithm knows), `measure`, `certified` and
     `meets_tolerance`; if nothing falls `is_at_floor`; of a proof `accept_proof` and `misses_by_rounding`; at the end
-    `final`, whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the
+    `final`, whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.result`` makes the
     Result of an LCP of them.
 
     Attributes
@@ -144,10 +150,6 @@ class Judge:
         small = float(self._references.min(initial=math.inf, where=self._references > 0.0))
         return float(max(self.settings.tolerance, self.settings.absolute_tolerance / small))
 
-    def may_meet_tolerance(self, residual: float) -> bool:
-        """Return whether a relative residual is so small that a certificate is worth its work."""
-        return residual <= self.goal
-
     def meets_tolerance(
         self, z: FloatVector, residual: float, iteration: int, power: float = POWER
     ) -> bool:
@@ -156,7 +158,7 @@ class Judge:
         `power` is that of the tolerance next to the terms of a row.
         """
         is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
-        if not self.may_meet_tolerance(residual) or is_asked_in_vain:
+        if not residual <= self.goal or is_asked_in_vain:
             return False
         meets = self.certificate_of(z).meets(self.settings, self.answered, power=power)
         if not meets:

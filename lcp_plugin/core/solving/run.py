@@ -1,16 +1,16 @@
-"""One run: its loop, its incumbent, its state."""
+"""The loop of a run: methods propose points, the judge measures them, and the first reason to end ends it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ..algorithm import Step
+from ..algorithm import Algorithm, Step
 from ..certificates.criterion import POWER
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import ratio
@@ -18,259 +18,265 @@ from ..checks import FloatVector, read_only
 from ..deadline import Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
-from ..policy.policy import Policy, name_of, with_reasons
-from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_of_run
 from .judge import FAILED, End, Judge
-from .result import BoundOrReason, Result, Sample, StageRecord
+from .result import BoundOrReason, Result, Sample
 from .run_log import Header, RunLog
+from .stage import Stage
 
 Callback = Callable[[Sample, FloatVector], Any]
 
-NO_STEP = object()  # an algorithm has no further one
-WITH_A_CASE = (End.CONVERGED, End.AT_FLOOR, *FAILED)
-DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
+Polish = Callable[[LCP, FloatVector, float], Any]
+
+ENDS_ON_ACTIVE_SET = (End.CONVERGED, End.AT_FLOOR, *FAILED)
+DIVERGED_BEYOND = 1e8  # relative to the residual of the start and of z°
+SHARE_OF_POLISH, CALLS = 0.1, 20.0  # of the work of a solved run; passes for the calls around it
 
 
 class Run:
-    """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it.
+    """One run: its stages, its best point, its status.
 
-    A judge of another problem than the one that the algorithms take may be given (see
-    :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which that one is the linearization at
-    the start. `header` is what ``verbose=True`` prints of M.
+    Parameters
+    ----------
+    problem : LCP
+    chosen : str or Algorithm
+        The algorithm of the call.
+    settings : Settings
+    callback : callable or None
+    clock : Clock
+        Running.
+    judge : Judge, optional
+        Of another problem than the one that the methods take: of a nonlinear problem, of which that one is the
+        linearization at the start.
+    header : callable, optional
+        The lines on M that ``verbose=True`` prints.
+    polish : callable, optional
+        Returns the solution of the linear system on the active set of z, and its work, from (problem, z, most work).
     """
 
     def __init__(
         self,
         problem: LCP,
-        policy: Policy,
+        chosen: str | Algorithm,
         settings: Settings,
         callback: Callback | None,
         clock: Clock,
         judge: Judge | None = None,
         header: Header | None = None,
+        polish: Polish | None = None,
     ) -> None:
-        self.problem, self.policy, self.settings = problem, policy, settings
+        self.problem, self.chosen, self.settings = problem, chosen, settings
         self.callback, self.clock = callback, clock
-        self.judge = judge or Judge(problem, settings)
-        self.incumbent, self.state = Incumbent(), RunState()
-        self.progress = Progress(problem.n, settings.max_iterations)
-        self.checks = CheckSchedule(ratio(1.0, self.judge.reference), self.judge.goal)
-        self.start_residual = math.inf
+        self.judge, self.polish = judge or Judge(problem, settings), polish
+        self.stages: list[Stage] = []
+        self.samples: list[Sample] = []
+        self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
+        self.best: FloatVector | None = None
+        self.residual = self.start_residual = math.inf
+        self.unmeasured: FloatVector | None = None  # the latest iterate
         with clock.paused():
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
-        self._is_watched = settings.record or settings.verbose or callback is not None
         self._next_sample = 0
 
-    def drive(self, start: FloatVector, first: Choice) -> End:
-        """Run the chain of algorithms within the time that is left; return why it ended."""
-        following: Choice | None = first
+    def follow_all(self, plan: Iterable[Stage], start: FloatVector) -> End:
+        """Follow the stages until one of them ends the run, within the time that is left; return why it ended."""
         left = self.settings.max_seconds - self.clock.read()
-        start = self.judge.started(start)
+        start, end = self.judge.started(start), End.NOTHING_LEFT
         try:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
-                while following is not None:
-                    if self.log is not None:
-                        self.log.begin(following)
-                    self.state.open(Stage(following.algorithm, following.because))
-                    z = (
-                        start
-                        if following.from_start or self.incumbent.z is None
-                        else self.incumbent.z
-                    ).copy()
-                    end, following = self._follow(following.iterates(self.problem, z))
+                for stage in plan:
+                    end = self.follow(stage, start if self.best is None else self.best)
+                    if end not in FAILED:
+                        break
         except OutOfTimeError:
             return End.TIME_LIMIT
         return end
 
-    def _follow(self, steps: Iterator[Step]) -> tuple[End, Choice | None]:
-        """Take the steps of one algorithm until the run or the policy wants an end; return why, and what comes next."""
-        self.progress.restart(max(self.state.iteration, 0), self.incumbent.residual)
+    def follow(self, stage: Stage, start: FloatVector) -> End:
+        """Take the steps of one method until the run, the stage's budget or the method itself ends them."""
+        if self.log is not None:
+            self.log.begin(stage)
+        if self.stages:
+            self.stages[-1].z = None
+        self.stages.append(stage)
         end: End | None = None
-        while end is None and (step := self._step_of(steps)) is not NO_STEP:
-            end = self._observe(step)
-            if end is None and (following := self._next(has_failed=False)) is not None:
-                return End.STALLED, following
-        self.clock.read()  # what ends by itself may have done so because time is over
+        for step in self._steps_of(stage, start):
+            end = self._observe(stage, step)
+            if end is None and stage.is_over is not None and stage.is_over(stage):
+                end = End.OVER_BUDGET
+            if end is not None:
+                break
+        self.clock.read()  # a method may end by itself because time is over
         is_late = self.clock.elapsed >= self.settings.max_seconds
         end = end or (End.TIME_LIMIT if is_late else End.NOTHING_LEFT)
+        if end is End.OVER_BUDGET:
+            return end
         self._measure_last()
-        if end in FAILED and self.judge.is_at_floor(self.incumbent.z):
-            end = End.AT_FLOOR
-        return end, self._next(has_failed=True) if end in FAILED else None
+        return End.AT_FLOOR if end in FAILED and self.judge.is_at_floor(self.best) else end
 
-    def _measure_last(self) -> None:
-        """Measure the latest iterate if that has not been done, and keep the better one."""
-        last = self.incumbent.unmeasured
-        if last is not None:
-            self.incumbent.offer(last, self.judge.measure(last))
-
-    def _step_of(self, steps: Iterator[Step]) -> Any:
-        """Return the next step, NO_STEP where there is none, or where auto tried what does not take this problem."""
-        stages = self.state.stages
+    def _steps_of(self, stage: Stage, start: FloatVector) -> Iterator[Step]:
+        """Yield the steps; none if a method of auto does not take this problem."""
         try:
-            return next(steps, NO_STEP)
+            yield from stage.algorithm.iterates(self.problem, start.copy())
         except (UnsuitableMatrix, UnsuitableProblem):
-            if len(stages) == 1 or stages[-1].iterations > 0:
+            if len(self.stages) == 1 or stage.iterations > 0:
                 raise
-            return NO_STEP
 
-    def _next(self, *, has_failed: bool) -> Choice | None:
-        return self.policy.next_step(self.problem, self.state.stages, self.judge.goal, has_failed)
-
-    def _observe(self, step: Any) -> End | None:
-        """Take note of one step; return why the run ends with it, if it does."""
-        if not isinstance(step, Step):  # as an algorithm of somebody else's may yield
-            name = self.state.stages[-1].algorithm.name
+    def _observe(self, stage: Stage, step: Any) -> End | None:
+        """Take note of one step; return why the run ends with it, or None."""
+        if not isinstance(step, Step):  # of an algorithm from outside
             raise InvalidOption(
-                f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
+                f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
             )
-        is_first = self.state.enter(step, self.clock.read())
-        if self.settings.absolute_tolerance:
-            self.state.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
-        residual = self._residual_of(step, is_first)
-        end = self._end_with(step, residual)
-        if self._is_watched and self._report(step, residual, end is not None):
+        self.seconds = self.clock.read()
+        is_first = stage.count(step)
+        self.work += step.work
+        self.iteration = max(self.iteration + (not is_first), 0)
+        if is_first and self.iteration == 0:
+            self.setup_seconds = self.seconds
+        residual = self._measured(stage, step, is_first)
+        end = self._end_of(stage, step, residual)
+        if self._report(stage, step, residual, is_last=end is not None):
             end = end or End.INTERRUPTED
-        return self._end_with_proof(step.proof) if end is None and step.proof is not None else end
+        if end is not None or step.proof is None:
+            return end
+        if self.judge.accept_proof(step.proof):
+            return End.NO_SOLUTION
+        return End.AT_FLOOR if self.judge.misses_by_rounding(self.best) else None
 
-    def _residual_of(self, step: Step, is_first: bool) -> float | None:
-        """Return the residual of a step where it is known or due, proved where it may be small enough; keep the best z.
-
-        An algorithm knows it, or it is measured at the first step of a stage and at intervals.
-        """
-        state, judge = self.state, self.judge
-        self.incumbent.unmeasured = step.z
-        known = residual = judge.residual_of(step)
+    def _measured(self, stage: Stage, step: Step, is_first: bool) -> float | None:
+        """Return the residual of a step if it is known or due, proved if it may be small enough; keep the best z."""
+        judge, self.unmeasured = self.judge, step.z
+        change = step.residual if step.increment is None else step.increment
+        increment = None if change is None else ratio(change, judge.reference)
+        residual = known = judge.residual_of(step)
         if residual is None:
-            change = step.residual if step.increment is None else step.increment
-            if not (is_first or self.checks.is_due(state.iteration, change)):
+            if not (is_first or stage.is_due(increment, judge.goal)):
                 return None
             residual = judge.measure(step.z)
-            state.work += (
-                1.0 if state.iteration > 0 else 0.0
-            )  # the start is measured for every problem
-        if judge.may_meet_tolerance(residual):
+            self.work += 1.0 if self.iteration > 0 else 0.0  # the start is always measured
+        if residual <= judge.goal:
             residual = judge.certified(step.z)
-        if known is None and change is not None:
-            self.checks.learn(state.iteration, change, residual)
-        self.incumbent.offer(step.z, residual)
-        state.stages[-1].note(residual)
-        if state.iteration == 0:
+        if known is None and increment is not None:
+            stage.learn(increment, residual)
+        self._offer(step.z, residual)
+        stage.note(residual)
+        if self.iteration == 0:
             self.start_residual = residual
         return residual
 
-    def _end_with_proof(self, proof: Any) -> End | None:
-        """Return why the run ends with a proof that there is no solution, or none nearby, if it does."""
-        if self.judge.accept_proof(proof):
-            return End.NO_SOLUTION
-        return End.AT_FLOOR if self.judge.misses_by_rounding(self.incumbent.z) else None
+    def _offer(self, z: FloatVector, residual: float, *, is_taken: bool = False) -> None:
+        """Keep a copy of z if its residual is smaller than the best, or if it is taken; NaN counts as ∞."""
+        self.unmeasured = None
+        if self.best is None or residual < self.residual or is_taken:
+            self.best = z.copy()
+            self.residual = math.inf if math.isnan(residual) else residual
 
-    def _end_with(self, step: Step, residual: float | None) -> End | None:
+    def _measure_last(self) -> None:
+        if self.unmeasured is not None:
+            self._offer(self.unmeasured, self.judge.measure(self.unmeasured))
+
+    def _end_of(self, stage: Stage, step: Step, residual: float | None) -> End | None:
         """Return why the run ends with this step, or None."""
-        iteration, best = self.state.iteration, self.incumbent.residual
-        progress, settings = self.progress, self.settings
-        algorithm = self.state.stages[-1].algorithm
-        is_monotone = algorithm.is_monotone
+        algorithm, settings, judge = stage.algorithm, self.settings, self.judge
         if residual is not None:
             power = 1.0 if algorithm.ends_with_a_case else POWER
-            if self.judge.meets_tolerance(step.z, residual, iteration, power):
-                self.incumbent.take(step.z, residual)
+            if judge.meets_tolerance(step.z, residual, self.iteration, power):
+                self._offer(step.z, residual, is_taken=True)
                 return End.CONVERGED
-            is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
-            is_beyond = is_lost and not residual <= DIVERGED_BEYOND * self.start_residual
-            if is_beyond and not residual <= DIVERGED_BEYOND:
-                return End.DIVERGED
+            is_lost = algorithm.is_monotone and stage.is_rising()
+            if is_lost or not math.isfinite(residual):
+                beyond = DIVERGED_BEYOND * max(1.0, self.start_residual)
+                if not residual <= beyond:
+                    return End.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
             return End.DIVERGED
-        if iteration >= settings.max_iterations:
+        if self.iteration >= settings.max_iterations:
             return End.STEP_LIMIT
         if self.clock.elapsed >= settings.max_seconds:
             return End.TIME_LIMIT
-        if step.is_settling:
-            progress.restart(iteration, best)
         if residual is None:
             return None
-        if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
+        if stage.is_flat() and judge.is_at_floor(self.best):
             return End.AT_FLOOR
-        is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(
-            iteration, best, self.judge.goal
-        )
-        return End.STALLED if is_stalled else None
+        left = settings.max_iterations - self.iteration
+        is_watched = algorithm.is_monotone or algorithm.is_watched
+        if is_watched and stage.is_stalled(self.problem.n, judge.goal, left):
+            return End.STALLED
+        return None
 
-    # --- telling ----------------------------------------------------------------------------------------
-
-    def _report(self, step: Step, residual: float | None, is_last: bool) -> bool:
-        """Record and call back, the clock stopped; return whether the caller wants to stop."""
-        state, stage, log = self.state, self.state.stages[-1], self.log
-        is_due = self.settings.record and (is_last or state.iteration >= self._next_sample)
+    def _report(self, stage: Stage, step: Step, residual: float | None, *, is_last: bool) -> bool:
+        """Record, print and call back, the clock stopped; return whether the callback wants to stop."""
+        settings, log, callback = self.settings, self.log, self.callback
+        if not (settings.record or log is not None or callback is not None):
+            return False
         with self.clock.paused():
-            sample = Sample(
-                state.iteration, state.work, state.seconds, residual, stage.algorithm.name
+            sample = Sample(self.iteration, self.work, self.seconds, residual, stage.algorithm.name)
+            wants_to_stop = callback is not None and bool(callback(sample, read_only(step.z)))
+            is_due = self.iteration >= self._next_sample or is_last or wants_to_stop
+            is_recorded, is_printed = (
+                settings.record and is_due,
+                log is not None and log.is_due(stage),
             )
-            wants_to_stop = self._called_back(sample, step.z)
-            is_due |= self.settings.record and wants_to_stop
-            is_printed = log is not None and log.is_due(stage)
-            if is_due or is_printed:
-                sample = replace(
-                    sample, residual=self.judge.measure(step.z) if residual is None else residual
-                )
+            if residual is None and (is_recorded or is_printed):
+                sample = replace(sample, residual=self.judge.measure(step.z))
             if log is not None and is_printed:
                 log.step(stage, sample)
-            if is_due:
-                self._next_sample = max(
-                    state.iteration + 1, math.ceil(state.iteration * 1.05)
-                )  # geometric
-                state.samples.append(sample)
+            if is_recorded:  # at geometric intervals
+                self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
+                self.samples.append(sample)
         return wants_to_stop
 
-    def _called_back(self, sample: Sample, z: FloatVector) -> bool:
-        """Return whether a callback wants to stop."""
-        callback = self.callback
-        return callback is not None and bool(callback(sample, read_only(z)))
+    # --- the end ----------------------------------------------------------------------------------------
 
     def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
-        """Return what the judge makes of the best iterate, cleaned up, and of why the run ended."""
-        incumbent, state = self.incumbent, self.state
+        """Return the certificate of the best iterate, polished, and the status."""
+        judge = self.judge
         self._measure_last()
-        last = state.stages[-1] if state.stages else None
-        # Where no z is near a solution, what is given back is the start, as in a batch.
-        is_excluded = (
-            last is not None and last.least_residual > self.judge.goal and end is not End.CONVERGED
-        )
-        best = start if incumbent.z is None or is_excluded else incumbent.z
-        certificate = self.judge.final(best, end, None if last is None else last.algorithm)
-        is_open = not is_excluded and isinstance(self.judge.asked, LCP)
-        has_case = is_open and (
-            end in WITH_A_CASE or self.judge.is_solved_by(certificate)
-        )  # or a limit came first
-        if last is not None and has_case and not last.algorithm.ends_with_a_case:
-            certificate = self._with_last_system(certificate, last)
-        return certificate, self.judge.verdict(certificate, end, is_chain=len(state.stages) > 1)
+        last = self.stages[-1] if self.stages else None
+        best = start if self.best is None else self.best
+        certificate = judge.final(best, end, None if last is None else last.algorithm)
+        has_active_set = end in ENDS_ON_ACTIVE_SET or judge.is_solved_by(certificate)
+        if (
+            last is not None
+            and not last.algorithm.ends_with_a_case
+            and has_active_set
+            and isinstance(judge.asked, LCP)
+        ):
+            certificate = self._polished(certificate, last)
+        return certificate, judge.verdict(certificate, end, is_chain=len(self.stages) > 1)
 
-    def _with_last_system(self, certificate: Certificate, last: Stage) -> Certificate:
-        """Return the certificate of the solution of the linear system of the case that was found, if it is no worse."""
-        judge, state, z = self.judge, self.state, certificate.z
-        found = self.policy.last_system(
-            self.problem, z, state.work, judge.is_solved_by(certificate)
-        )
+    def _polished(self, certificate: Certificate, last: Stage) -> Certificate:
+        """Return the certificate of the solution of the linear system on the active set of z, if it is no worse.
+
+        A residual is not an error: if M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
+        and the solution of that system is off by rounding errors. It may take a tenth of the work of the run, or all of
+        that if auto has not solved the problem.
+        """
+        judge, z, problem = self.judge, certificate.z, self.problem
+        most = math.inf if self.chosen == "auto" else 0.0
+        if judge.is_solved_by(certificate):
+            most = SHARE_OF_POLISH * self.work - CALLS
+        if self.polish is None or most <= 0.0:
+            return certificate
+        found = self.polish(problem, z, min(most, self.work + CALLS))
         if found is None:
             return certificate
-        z, work = found
-        state.work += work
-        last.take("", 0, work)
-        return judge.better_of(
-            certificate, judge.certificate_of(np.clip(z, self.problem.lower, self.problem.upper))
-        )
+        self.work += found.work
+        last.add(0, found.work)
+        polished = np.clip(found.z, problem.lower, problem.upper)
+        return judge.better_of(certificate, judge.certificate_of(polished))
 
-    def judged(self, start: FloatVector, end: End) -> Result:
+    def result(self, start: FloatVector, end: End) -> Result:
         """Return the result, whose status the certificate names."""
-        state, settings = self.state, self.settings
+        settings = self.settings
         certificate, status = self.ended(start, end)
-        stages = state.records()
-        if status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None:
+        stages = tuple(record for stage in self.stages for record in stage.records())
+        if status is Status.SOLVED and self.iteration <= 0 and self.best is not None:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+        name = self.chosen if isinstance(self.chosen, str) else self.chosen.name
+        chain = [stage.name for stage in stages]
         result = Result(
             z=certificate.z,
             w=certificate.w,
@@ -278,95 +284,30 @@ class Run:
             certificate=certificate,
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
-            algorithm=name_of(self.policy, stages),
-            iterations=max(state.iteration, 0),
-            work=state.work,
+            algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
+            iterations=max(self.iteration, 0),
+            work=self.work,
             seconds=self.clock.read(),
-            setup_seconds=state.setup_seconds,
-            history=tuple(state.samples),
+            setup_seconds=self.setup_seconds,
+            history=tuple(self.samples),
             stages=stages,
             infeasibility=self.judge.proof,
-            _asked=self.policy.chosen,
-            _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
-            _advice=self._advice(certificate, status),
+            _asked=self.chosen,
+            _bound=self.judge.bound_at_the_end(certificate) if self.stages else BoundOrReason(),
+            _advice=self._advice(status),
         )
         if self.log is not None:
             self.log.end(result)
         return result
 
-    def _advice(self, certificate: Certificate, status: Status) -> dict[Status, str]:
+    def _advice(self, status: Status) -> dict[Status, str]:
         """Return what to do next, by the status."""
-        words, policy, settings = dict(self.judge.words), self.policy, self.settings
+        words = dict(self.judge.words)
         if isinstance(self.judge.asked, LCP) and status is not Status.SOLVED:
-            words = advice_of_run(
-                self.problem, policy.chosen, self.state.stages, words, policy.left_out
-            )
-        if not settings.prove_infeasibility:
+            words = advice_of_run(self.problem, self.chosen, words)
+        if not self.settings.prove_infeasibility:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = (
                 f"{stalled}; not proved infeasible, because prove_infeasibility=False"
             )
         return words
-
-
-class Incumbent:
-    """The best iterate whose residual was measured, and the latest one that was not."""
-
-    def __init__(self) -> None:
-        self.z: FloatVector | None = None
-        self.residual = math.inf
-        self.unmeasured: FloatVector | None = None
-
-    def offer(self, z: FloatVector, residual: float) -> None:
-        """Keep a copy of z where its residual is smaller than the best; NaN counts as ∞."""
-        self.unmeasured = None
-        if self.z is None or residual < self.residual:
-            self.take(z, math.inf if math.isnan(residual) else residual)
-
-    def take(self, z: FloatVector, residual: float) -> None:
-        """Keep a copy of z, whatever was there."""
-        if self.z is None:
-            self.z = z.copy()
-        np.copyto(self.z, z)
-        self.residual = residual
-
-
-class RunState:
-    """What was done so far: stages, iterations, work, seconds, samples."""
-
-    def __init__(self) -> None:
-        self.stages: list[Stage] = []
-        self.samples: list[Sample] = []
-        self.iteration, self.work = -1, 0.0
-        self.seconds = self.setup_seconds = 0.0
-
-    def open(self, stage: Stage) -> None:
-        """Begin a stage."""
-        if self.stages:
-            self.stages[-1].z = None
-        self.stages.append(stage)
-
-    def enter(self, step: Step, seconds: float) -> bool:
-        """Count a step; return whether it is its stage's first, which a later stage begins where the last one ended."""
-        stage = self.stages[-1]
-        is_first = stage.z is None
-        self.seconds, stage.z = seconds, step.z
-        self.work += step.work
-        stage.take(step.label, 0 if is_first else 1, step.work)
-        stage.remark = step.remark or stage.remark
-        stage.least_residual = max(stage.least_residual, step.least_residual)
-        stage.settles = stage.settles or step.is_settling
-        self.iteration = max(self.iteration + (not is_first), 0)
-        if is_first and self.iteration == 0:
-            self.setup_seconds = seconds
-        return is_first
-
-    def records(self) -> tuple[StageRecord, ...]:
-        """Return the stages, and their parts, as a result shows them."""
-        return tuple(record for stage in self.stages for record in _records(stage))
-
-
-def _records(stage: Stage) -> list[StageRecord]:
-    parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
-    records = [StageRecord(*part) for part in with_reasons(parts, stage.algorithm, stage.because)]
-    return [*records[:-1], records[-1]._replace(remark=stage.remark)]

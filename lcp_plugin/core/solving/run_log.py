@@ -9,8 +9,8 @@ from typing import Any
 
 from ..lcp import LCP
 from ..matrix.matrix import Matrix
-from ..policy.stages import Choice, Stage
 from .result import Result, Sample
+from .stage import Stage
 
 GROWTH = 1.5  # of a stage's iterations from one line to the next
 
@@ -40,10 +40,10 @@ class RunLog:
             say(remark)
         say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
-    def begin(self, choice: Choice) -> None:
+    def begin(self, stage: Stage) -> None:
         """Print which algorithm begins, and why."""
         self._next = 0
-        say(choice.algorithm.name + (choice.because and f": {choice.because}"))
+        say(stage.algorithm.name + (stage.because and f": {stage.because}"))
 
     def is_due(self, stage: Stage) -> bool:
         """Return whether the present iteration of a stage has a line."""

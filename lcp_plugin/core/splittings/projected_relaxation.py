@@ -15,7 +15,6 @@ from ..errors import InvalidOption
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
 from ..matrix.row_sums import inverse_residual_scale, row_splits
-from ..tuning import PSOR_GAIN, PSOR_PASSES
 from . import Splitting
 
 # The automatic relaxation of PSOR.
@@ -121,10 +120,6 @@ class PSOR(_InPlace):
             raise InvalidOption(
                 f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"'
             )
-
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return a multiple of the root of npsor's, as relaxation has it at best, and some in any case."""
-        return max(PSOR_PASSES, PSOR_GAIN * math.sqrt(sweeps))
 
     def weights(self) -> tuple[float, float] | tuple[None, None]:
         """Return (ω, ω), or None for each where ω is "auto"."""

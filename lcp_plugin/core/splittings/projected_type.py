@@ -53,11 +53,6 @@ class ScaledByRows(Algorithm):
                 f"with {self.scaling!r} it does nothing"
             )
 
-    @property
-    def takes_scaled(self) -> bool:
-        """Whether a row scaling takes the units of rows out; without one the iteration depends on them."""
-        return self.scaling is not None
-
     def row_scaling(
         self, problem: LCP, automatic: Callable[[], FloatVector | float]
     ) -> FloatVector:

@@ -67,10 +67,6 @@ class Banded(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True
 
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return the predicted passes of the usual number of active-set iterations; ∞ if M is dense."""
-        return math.inf if problem.is_dense else _predicted_passes(problem.matrix)
-
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on M-matrices."""
         is_one_sided = _is_one_sided(problem)
@@ -107,7 +103,10 @@ def _is_one_sided(problem: LCP) -> bool:
 
 
 @fact
-def _predicted_passes(matrix: Matrix) -> float:
+def banded_passes(matrix: Matrix) -> float:
+    """Return the work of as many rounds as there usually are, in passes over M; ∞ if M is dense or no narrow band."""
+    if matrix.is_dense:
+        return math.inf
     M, middle = matrix.csr, matrix.n // 2
     columns = M.indices[M.indptr[middle] : M.indptr[middle + 1]] if matrix.n else np.zeros(0)
     if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > BANDED_PASSES:

@@ -107,11 +107,6 @@ class ModulusBased(Splitting):
         return omega
 
     @property
-    def takes_scaled(self) -> bool:
-        """Whether omega is a multiple of the diagonal; a vector refers to the unscaled matrix."""
-        return self._has_one_omega
-
-    @property
     def _has_one_omega(self) -> bool:
         """Whether omega is a multiple of the diagonal (or nothing that could be a vector)."""
         return is_number(self.omega) or isinstance(self.omega, (str, bool)) or self.omega is None

@@ -6,7 +6,6 @@ finer one (nested iteration), so that the free set is nearly right before the fi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -24,7 +23,6 @@ from ...core.algorithm import (
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption
 from ...core.lcp import LCP
-from ...core.tuning import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 
 SMOOTHERS = ("pgs", "psor")
 
@@ -121,12 +119,6 @@ class Multigrid(Algorithm):
         if self.hands_over or not (report.is_symmetric and report.is_positive_definite):
             return None
         return "M is symmetric positive definite: the safeguard lets no energy rise for good (Gräser, Kornhuber 2009)"
-
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return about what a run costs: as many passes whatever n is, and its calls."""
-        if problem.is_dense or problem.n <= DIRECT_UP_TO:
-            return math.inf
-        return MULTIGRID_PASSES + MULTIGRID_ROWS / problem.n
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""

@@ -13,14 +13,10 @@ import scipy.sparse as sp
 from ...core.algorithm import (
     Algorithm,
     Step,
-    in_driven_sweeps,
     without_warnings,
 )
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.row_sums import has_positive_diagonal
-from ...core.matrix.symmetry import is_nearly_symmetric
-from ...core.tuning import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...systems.factors import factorise
 from ...systems.graph import bandwidth
 from .active_set import LARGE_PATIENCE, NewtonState, classify
@@ -78,10 +74,6 @@ class Newton(Algorithm):
     )
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True
-
-    def predicted_passes(self, problem: LCP, sweeps: float) -> float:
-        """Return the predicted passes of a direct solve."""
-        return direct_passes(problem)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the best z so far after each factorization; end if no further step is possible."""
@@ -299,17 +291,3 @@ def phi_jacobian(
     jacobian = M * rows[:, None]
     jacobian[np.diag_indices_from(jacobian)] += diagonal
     return jacobian
-
-
-def direct_passes(problem: LCP) -> float:
-    """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
-    if not has_positive_diagonal(problem.matrix).all() or (
-        problem.is_dense and is_nearly_symmetric(problem.matrix)
-    ):
-        return DIRECT_PASSES
-    if problem.is_dense:
-        return max(DIRECT_PASSES, DIRECT_ROWS * problem.n)
-    if problem.n > DIRECT_UP_TO:
-        return math.inf
-    entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
-    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))

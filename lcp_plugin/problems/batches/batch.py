@@ -17,7 +17,7 @@ from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import Settings, checked_threads
-from ...methods.banded import Banded
+from ...methods.banded import banded_passes
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..programs.convexity import refuse_nonconvex
@@ -71,7 +71,7 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
 
     with threads_for(checked_threads(threads)):
         inverse_residual_scale(problem.matrix)
-        if Banded().predicted_passes(problem, math.inf) < math.inf:
+        if banded_passes(problem.matrix) < math.inf:
             bands(problem.matrix)
         for backward in (False, True):
             row_splits(problem.matrix, backward)

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...api import solve
-from ...auto import asked_of_solve, solve_lcp
+from ...auto import asked_of_solve, run_on, solve_lcp, stages_of
 from ...core.algorithm import Algorithm
-from ...core.checks import FloatVector, check_kind, is_number, real_array
+from ...core.checks import FloatVector, check_kind, checked_start, is_number, real_array
 from ...core.deadline import Clock
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
@@ -21,9 +21,9 @@ from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ..cones.data import Blocks
 from ..many.answers import AnswerSequence
-from .marching import StepPolicy
 from .on_band import Marches, needs_no_scaling
 
+ITERATIVE = ("npsor", "psor", "multigrid")
 BLOCK = 64  # steps between two checks for Ctrl-C, and nothing before them is lost
 
 
@@ -141,11 +141,12 @@ def take_steps_together(
     problem, clock = marches[0].problem, Clock()
     if not isinstance(problem, LCP) or not problem.n:
         return
-    policy, settings = asked_of_solve(algorithm, wishes)
+    method, settings = asked_of_solve(algorithm, wishes)
+    begin = next(stages_of(problem, method, settings.goal))
     if (
         not settings.is_unobserved
         or wishes.get("callback") is not None
-        or not isinstance(policy.first(problem).algorithm, Banded)
+        or not isinstance(begin.algorithm, Banded)
         or not all(needs_no_scaling(one.problem) for one in marches)
     ):
         return
@@ -185,26 +186,29 @@ def take_steps(
     """Take the further steps of a march within so many seconds, up to one that is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
     is_lcp, clock = isinstance(problem, LCP), Clock()
-    settings = asked_of_solve(algorithm, wishes if is_lcp else {})[1]
-    state, begin = done.z[-1] if done.z else done.z0, None
+    state = done.z[-1] if done.z else done.z0
+    begin: str | None = None  # the iteration that finished the step before
     while len(done) < total and done.all_solved:
         step = len(done)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused by name
                 stated = problem.with_q(done.forcing[step] + propagator @ state)
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
-            of_step = None
-            if is_lcp and algorithm == "auto":
-                of_step = StepPolicy(begin, prove_infeasibility=settings.prove_infeasibility)
-            if is_lcp:
-                found = solve_lcp(stated, of_step or algorithm, z0=state, **{**wishes, **left})
+            if is_lcp and begin is not None:
+                within = asked_of_solve("auto", {**wishes, **left})[1]
+                near = checked_start(stated, state)
+                found = run_on(
+                    stated, None, within, near, Clock(), wishes.get("callback"), begin=begin
+                )
+            elif is_lcp:
+                found = solve_lcp(stated, algorithm, z0=state, **{**wishes, **left})
             else:  # a start at rest is none: over cones Newton begins where one is given
                 start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
                 found = solve(stated, algorithm, **{**wishes, **left, **start})
             done.all_solved = found.is_solved
             done.is_interrupted = found.status is Status.INTERRUPTED
-            if of_step is not None and found.is_solved:
-                begin = of_step.following(problem, step)
+            if is_lcp and algorithm == "auto" and found.is_solved and found.iterations:
+                begin = beginning_of_next(found, step)
             done.take(found.z, found)
             state = found.z
         except InvalidProblem as error:
@@ -216,6 +220,15 @@ def take_steps(
                 raise
             done.is_interrupted, done.all_solved = True, False
     done.seconds += clock.read()
+
+
+def beginning_of_next(found: Result, step: int) -> str | None:
+    """Return the iteration that finished this step, with which the next one begins; None: auto plans it.
+
+    The first step begins anywhere, the second one near its solution, as all later ones do.
+    """
+    last = found.stages[-1].name
+    return last if step and last in ITERATIVE else None
 
 
 def checked_forcing(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...auto import policy_for
+from ...auto import method_of, stages_of
 from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import largest_of_components
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
@@ -20,11 +20,10 @@ from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
-from ...core.policy.policy import Policy
-from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
+from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister
 from .certificate import NonlinearCertificate, Reference
@@ -269,28 +268,18 @@ def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
     return weights
 
 
-class LinearPolicy(Policy):
-    """What solves a linearisation: the caller's policy without a look for proofs; pivots are its last resort."""
-
-    def __init__(self, algorithm: str | Algorithm) -> None:
-        self._policy = policy_for(algorithm, {}, prove_infeasibility=False)
-        self.name, self.chosen = self._policy.name, self._policy.chosen
-
-    def first(self, problem: LCP) -> Choice:
-        """Return what the policy begins with."""
-        return self._policy.first(problem)
-
-    def next_step(
-        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
-    ) -> Choice | None:
-        """Return the policy's next choice; pivots are the last, and nothing has two turns."""
-        if isinstance(stages[-1].algorithm, Lemke):
-            return None
-        choice = self._policy.next_step(problem, stages, goal, failed)
-        if choice is None or any(stage.algorithm == choice.algorithm for stage in stages):
-            return None
-        is_pivoting = isinstance(choice.algorithm, Lemke)
-        return replace(choice, algorithm=Lemke(restarts=PATHS)) if is_pivoting else choice
+def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
+    """Yield the stages of a linearization: no look for proofs, pivots come last, and no method comes twice."""
+    tried: list[Algorithm] = []
+    for stage in stages_of(problem, method, goal, prove_infeasibility=False):
+        if stage.algorithm in tried:
+            return
+        if tried and isinstance(stage.algorithm, Lemke):
+            stage.algorithm = Lemke(restarts=PATHS)
+        tried.append(stage.algorithm)
+        yield stage
+        if isinstance(stage.algorithm, Lemke):
+            return
 
 
 def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
@@ -299,12 +288,14 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
     From the projected gradient step: the methods see a start and look for a solution near it.
     """
     left, clock = seconds_left(), Clock()
-    policy = LinearPolicy(algorithm)
+    method = method_of(algorithm, {})
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
-    run = Run(problem, policy, settings, _Patience() if problem.n > SMALL else None, clock)
-    return run.judged(start, run.drive(start, policy.first(problem)))
+    patience = _Patience() if problem.n > SMALL else None
+    run = Run(problem, method or "auto", settings, patience, clock)
+    stages = _stages_of_step(problem, method, run.judge.goal)
+    return run.result(start, run.follow_all(stages, start))
 
 
 class _Patience:

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...auto import Single, policy_for
+from ...auto import method_of
 from ...core.algorithm import Algorithm
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
-from ...core.policy.stages import Choice
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result
 from ...core.solving.run import Callback, Run
+from ...core.solving.stage import Stage
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations, NonlinearProblem
 from .josephy_newton import JosephyNewton
@@ -120,7 +120,7 @@ def solve_nonlinear(
         threads=threads,
         verbose=verbose,
     )
-    policy_for(algorithm, {})
+    method_of(algorithm, {})
     checked_callback(callback)
     start = _checked_start(problem, x0)
     problem = problem.sized(start.size)
@@ -136,21 +136,14 @@ def solve_nonlinear(
             points=points, compared_with=reference, linear=algorithm, tolerance=asked
         )
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(
-            judge.problem,
-            Single(newton, prove_infeasibility=False),
-            settings,
-            callback,
-            clock,
-            judge,
-        )
+        run = Run(judge.problem, newton, settings, callback, clock, judge)
         try:
             if check_jacobian and problem.jacobian is not None:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            end = run.drive(start, Choice(newton, TANGENTS))
+            end = run.follow_all([Stage(newton, TANGENTS)], start)
         except KeyboardInterrupt:
             end = End.INTERRUPTED
-        return replace(run.judged(start, end), begun=begun)
+        return replace(run.result(start, end), begun=begun)
 
 
 def begun_at(points: Linearisations, start: FloatVector) -> tuple[FloatVector, str]:

@@ -80,13 +80,13 @@ def convergence_guarantee(
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("convergence_guarantee", problem))
-    from ...auto import policy_for
+    from ...auto import method_of
     from ...methods.direct import last_resort
 
-    policy = policy_for(algorithm, options)
+    method = method_of(algorithm, options)
     with np.errstate(all="ignore"):  # what overflows proves nothing
-        if policy.algorithm is not None:
-            return _of_one(problem, policy.algorithm)
+        if method is not None:
+            return _of_one(problem, method)
         return _of_auto(problem, last_resort(problem))
 
 

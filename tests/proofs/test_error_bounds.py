@@ -94,26 +94,28 @@ def near_singular_problem(seed: int) -> LCP:
     return LCP(M, rng.integers(-20, 21, n) / 10, upper=upper)
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="open: a definite M whose smallest eigenvalue is rounding is proved exactly, but has no error bound",
-)
 @pytest.mark.full
 @pytest.mark.parametrize("block", range(10))
 def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> None:
-    """Each M that `analyze` proves H₊ or definite has a rigorous bound, which no exact solution violates."""
+    """Each M that `analyze` proves H₊ has a bound that holds; a definite M is refused if only fractions prove it."""
     proved = 0
     for seed in range(60 * block, 60 * block + 60):
         problem = near_singular_problem(seed)
         report = analyze(problem)
         if not (report.is_h_plus or report.is_positive_definite):
             continue
-        proved += 1
         exact = exact_solution(problem).z
         for step in (0.0, 1e-9, 1.0):
             z = near(exact, np.random.default_rng(seed).standard_normal(5).tolist(), step)
-            bound = error_bound(problem, z, sharp=bool(seed % 3))
+            try:
+                bound = error_bound(problem, z, sharp=bool(seed % 3))
+            except UnsuitableMatrix:
+                dense = problem.csr.toarray()
+                assert not report.is_h_plus
+                assert np.linalg.cond(dense + dense.T) > 1e14
+                break
             check(problem, z, exact, bound)
+            proved += step == 1.0
     assert proved > 20
 
 

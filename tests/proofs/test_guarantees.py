@@ -134,13 +134,8 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
 @pytest.mark.parametrize(
     "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100"]
 )
-def test_every_default_is_guaranteed_on_h_plus_matrices(
-    name: str, text: str, request: pytest.FixtureRequest
-) -> None:
+def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
     """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
-    if name in ("npsor", "npgs") and text.startswith("half_active"):
-        why = "open: the weights of the H-certificate leave no margin here; others would prove convergence"
-        request.applymarker(pytest.mark.xfail(strict=False, reason=why))
     guarantee = convergence_guarantee(gallery.parse(text).problem, name)
     assert guarantee.is_guaranteed, str(guarantee)
 

@@ -288,13 +288,11 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 
 
-@pytest.mark.xfail(strict=False, reason="open: the campaign reads QPSolution.status, which is gone")
 def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> None:
     """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is infeasible."""
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 
-@pytest.mark.xfail(strict=False, reason="open: the campaign reads QPSolution.status, which is gone")
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("case", range(24))
 def test_margins_are_told_as_they_were_planted(case: int) -> None:

@@ -171,8 +171,8 @@ def test_p_at_sixteen_rows() -> None:
     M = rng.normal(size=(16, 16))
     M = (
         (M - M.T + 0.5 * np.eye(16))
-        * 10.0 ** rng.uniform(-4, 4, (16, 1))
-        * 10.0 ** rng.uniform(-4, 4, 16)
+        * 10.0 ** rng.uniform(-40, 40, (16, 1))
+        * 10.0 ** rng.uniform(-40, 40, 16)
     )
     report = analyze(M)
     assert report.is_p_matrix is True

@@ -194,12 +194,13 @@ class Judge:
         return measured_residual(problem, certificate.z) <= rounding_of_data(problem)
 
     def accept_proof(self, proof: Any) -> bool:
-        """Keep the proof of the largest margin; return whether it excludes that any z is SOLVED."""
+        """Return whether the proof excludes that any z is SOLVED; keep this one, or that of the largest margin."""
         if not proof.verify():
             return False
-        if self.proof is None or proof.margin > self.proof.margin:
+        excludes = proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance)
+        if excludes or self.proof is None or proof.margin > self.proof.margin:
             self.proof = proof
-        return bool(proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance))
+        return bool(excludes)
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm if that is no worse."""

@@ -40,15 +40,14 @@ Rows = list[list[int]]
 
 def exact_rows(M: Any) -> Rows:
     """Return the entries of a CSR array as integers, each row times a power of two."""
-    return [_shortened(row) for row in _whole(M)]
+    return [shortened(row) for row in _whole(M)]
 
 
 def exact_symmetric_part(M: Any) -> Rows:
     """Return M + Mᵀ as integers, each row times a power of two."""
     rows = _whole(M)
     return [
-        _shortened([entry + rows[j][i] for j, entry in enumerate(row)])
-        for i, row in enumerate(rows)
+        shortened([entry + rows[j][i] for j, entry in enumerate(row)]) for i, row in enumerate(rows)
     ]
 
 
@@ -59,7 +58,8 @@ def _whole(M: Any) -> Rows:
     return [entries[first : first + width] for first in range(0, len(entries), width)]
 
 
-def _shortened(row: list[int]) -> list[int]:
+def shortened(row: Sequence[int]) -> list[int]:
+    """Return integers divided by the largest power of two that divides all of them."""
     zeros = min(((entry & -entry).bit_length() - 1 for entry in row if entry), default=0)
     return [entry >> zeros for entry in row]
 

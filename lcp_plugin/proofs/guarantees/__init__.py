@@ -161,16 +161,20 @@ def _guaranteed(
 
 
 def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
-    """Return a contraction with the weights of the H₊ certificate, or None.
+    """Return a contraction with the weights v of the H₊ certificate, or with 1 + v/(2‖v‖∞), or None.
 
-    Every row bound implies ⟨M⟩v > 0 and a positive diagonal.
+    Every row bound implies ⟨M⟩v > 0 and a positive diagonal. Nearly equal weights help a row at its bound (τ = 0),
+    whose sweep needs no margin of ⟨M⟩v but a small |L|v.
     """
     if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
         return None
     if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
         return None
     certificate = comparison_certificate(problem.matrix)
-    return contraction(facts, problem, np.ones(problem.n) if certificate is None else certificate.v)
+    v = np.ones(problem.n) if certificate is None else certificate.v
+    return contraction(facts, problem, v) or contraction(
+        facts, problem, 1.0 + 0.5 * v / v.max(initial=0.0)
+    )
 
 
 def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:

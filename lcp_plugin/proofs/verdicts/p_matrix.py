@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.kernels.floats import UNIT
 from ...core.matrix.structure import row_numbers
-from ..exact.linear_systems import exact_rows, has_positive_minors
+from ..exact.linear_systems import exact_rows, has_positive_minors, shortened
 
 LARGEST_SIZE = 16  # a third of a second; the time doubles with each row
 MOST_BITS = 160  # of an entry, beyond 10 rows
@@ -42,7 +42,8 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
     """
     if not (M.diagonal() > 0.0).all():
         return False
-    rows = exact_rows(M)
+    columns = [shortened(column) for column in zip(*exact_rows(M), strict=True)]
+    rows = [list(row) for row in zip(*columns, strict=True)]
     bits = max((entry.bit_length() for row in rows for entry in row), default=0)
     return None if len(rows) > 10 and bits > MOST_BITS else has_positive_minors(rows)
 

@@ -1,4 +1,4 @@
-"""What `explain()` says where a small residual may mislead, and why a chosen method may have failed."""
+"""Warnings of `explain()`: a small residual that may mislead, and a chosen method without a convergence proof."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def what_may_mislead(result: Result) -> list[str]:
 
 
 def _uncovered(result: Result) -> str:
-    """Return what to say where a chosen method failed that nothing proves to converge."""
+    """Return the warning after a failure of a chosen method that no theorem covers, or ""."""
     is_auto = isinstance(result._asked, str)
     if result.status not in FAILED or is_auto:
         return ""
@@ -42,11 +42,11 @@ def _uncovered(result: Result) -> str:
         f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem})"
     )
     is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, result.advice))
-    return unproven if is_said else f"{unproven}; what to do: {guarantee.remedy}"
+    return unproven if is_said else f"{unproven}; remedy: {guarantee.remedy}"
 
 
 def _stiffness(result: Result) -> str:
-    """Return what to say where a small residual goes, or may go, with a much larger error."""
+    """Return the warning that a small residual goes, or may go, with a much larger error, or ""."""
     relative = result.certificate.relative_residual
     if result.error_bound is not None:
         factor = result.error_bound.relative / relative if relative > 0.0 else 0.0
@@ -86,7 +86,7 @@ def _bound(result: Result) -> ErrorBound | None:
 
 
 def _nearness_to_singular(result: Result) -> str:
-    """Return what to say where the error may be a good part of z although the residual is small."""
+    """Return the warning that M is nearly singular on the free rows, so that z may have a large error, or ""."""
     problem = result.certificate.problem
     residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
     error = estimated_error(problem, result.z, result.w, residual)
@@ -99,7 +99,7 @@ def _nearness_to_singular(result: Result) -> str:
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (
         f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
-        f"residual of {residual:.0e} goes with an error of z {known}, beside a largest |z_i| of {size:.0e}{wrong}"
+        f"residual of {residual:.0e} goes with an error of z {known}, while the largest |z_i| is {size:.0e}{wrong}"
         f"{_advised(result)}"
     )
 
@@ -112,7 +112,7 @@ def _of_several(same: BoolVector, loose: BoolVector) -> str:
 
 
 def _advised(result: Result) -> str:
-    """Return the advice to ask for a bound, where it was not asked for in vain."""
+    """Return the advice to request a bound, unless the request already failed."""
     return (
         ""
         if result.no_error_bound

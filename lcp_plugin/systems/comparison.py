@@ -52,7 +52,7 @@ class ComparisonMatrix:
     matrix : CSR array, shape (n, n)
         ⟨M⟩ with entries scaled by 2^(row_i + column_j).
     exponents : Exponents or None
-        None where nothing was scaled.
+        None if nothing was scaled.
     diagonal : array, shape (n,)
         Of `matrix`; positive.
     """
@@ -73,13 +73,13 @@ class ComparisonMatrix:
 
     @cached_property
     def direct_solver(self) -> Solver | None:
-        """Rhs ↦ matrix⁻¹ rhs by a factor, or None where the matrix is singular or too large for one."""
+        """Rhs ↦ matrix⁻¹ rhs by a factor, or None if the matrix is singular or too large for one."""
         return solver_of(self.matrix) if factor_fits(self.matrix) else None
 
     def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
-        """Return an approximate solution, shape (n,), or None where no method applies.
+        """Return an approximate solution, shape (n,), or None if no method applies.
 
-        The matrix is then singular, or too large for a factorisation where multigrid fails. `tolerance` bounds
+        The matrix is then singular, or too large for a factorization where multigrid fails. `tolerance` bounds
         ‖residual‖₂/‖rhs‖₂ where the solution is iterative.
         """
         if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:

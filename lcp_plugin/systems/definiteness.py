@@ -33,10 +33,10 @@ def positive_definite_solver(P: Any) -> Solver | None:
 
     Notes
     -----
-    P is scaled to a unit diagonal. Its factorisation has a backward error of at most n γ_{k+1} in the 2-norm, k the
+    P is scaled to a unit diagonal. Its factorization has a backward error of at most n γ_{k+1} in the 2-norm, k the
     longest row of the factor: where the matrix less twice that margin still factorises with positive pivots, P is
     positive definite. None means: it is not, or so nearly singular (condition number about 1/(n k ε)) that double
-    precision cannot tell. Cost: two factorisations; a diagonal P costs nothing.
+    precision cannot tell. Cost: two factorizations; a diagonal P costs nothing.
 
     References
     ----------
@@ -65,7 +65,7 @@ def positive_definite_solver(P: Any) -> Solver | None:
 
 
 def is_semidefinite_to_rounding(P: Any) -> bool | None:
-    """Return whether P has no negative eigenvalue beyond rounding; None where n is too large to say.
+    """Return whether P has no negative eigenvalue beyond rounding; None if n is too large to say.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     Notes
     -----
     True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵²; it may be indefinite by less, and
-    no factorisation can say more of a singular matrix. It is what may be asked of a P that was computed. False is a
-    proof that P is not semidefinite. None: δ > 1e-6 (n above some 67 000), or the fill of a factorisation would be too
+    no factorization can say more of a singular matrix. It is what may be asked of a P that was computed. False is a
+    proof that P is not semidefinite. None: δ > 1e-6 (n above some 67 000), or the fill of a factorization would be too
     large.
 
     Examples
@@ -194,7 +194,7 @@ def _margin(n: int, terms: int) -> float:
 
 
 def scaled_to(P: Any, scale: FloatVector) -> Any:
-    """Return P in these units of its rows and columns; None where it overflows, or is too large to be factorised."""
+    """Return P in these units of its rows and columns; None if it overflows, or is too large to be factorised."""
     if not sp.issparse(P):
         with np.errstate(over="ignore", invalid="ignore"):
             dense = scale[:, None] * P * scale
@@ -216,7 +216,7 @@ def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:
 
 
 def factorised(unit: Any, shift: float) -> PositiveFactor | None:
-    """Return a factorisation of unit + shift·I with positive pivots, or None where there is none.
+    """Return a factorization of unit + shift·I with positive pivots, or None if there is none.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
 
 
 def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
-    """Return powers of two that bring the diagonal near 1 and balance the rest, or None where M needs none.
+    """Return powers of two that bring the diagonal near 1 and balance the rest, or None if M needs none.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
 (:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).
-:func:`factor_fits` says beforehand whether a factorisation has its end in sight. None is begun that is predicted to end
+:func:`factor_fits` says beforehand whether a factorization has its end in sight. None is begun that is predicted to end
 after the limit of a run; Ctrl-C acts after the one under way. :func:`bands` has the diagonals of a matrix, where a
 factor within them is small.
 """
@@ -53,7 +53,7 @@ class Factor:
     solve, solve_transposed : callable
         right ↦ x with A x = right, or Aᵀx = right, shape (n,); not finite where A is singular.
     work : float
-        Multiplications that the factorisation took.
+        Multiplications that the factorization took.
     solve_work : float
         Multiplications that one solve takes.
     """
@@ -69,7 +69,7 @@ class Factor:
 class PositiveFactor:
     """A factor with positive pivots: `terms` is the longest sum of products in it.
 
-    `superlu` holds L and U where the matrix is sparse, and is None where it is dense.
+    `superlu` holds L and U where the matrix is sparse, and is None if it is dense.
     """
 
     solve: Callable[[Any], Any]
@@ -84,7 +84,7 @@ def factorise(
     has_symmetric_pattern: bool = False,
     bandwidth: tuple[int, int] | None = None,
 ) -> Factor | None:
-    """Return a factor of a square matrix, or None where a pivot is exactly zero or the entries overflow.
+    """Return a factor of a square matrix, or None if a pivot is exactly zero or the entries overflow.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def lapack() -> Any:
 
 
 def positive_triangle(matrix: FloatVector, *, overwrite: bool = False) -> FloatVector | None:
-    """Return the triangle of Cholesky's factor, as LAPACK has it; None where the matrix is not positive definite."""
+    """Return the triangle of Cholesky's factor, as LAPACK has it; None if the matrix is not positive definite."""
     require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
     # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
     factor, info = lapack().dpotrf(matrix.T, lower=1, clean=0, overwrite_a=overwrite)
@@ -133,7 +133,7 @@ def positive_triangle(matrix: FloatVector, *, overwrite: bool = False) -> FloatV
 
 
 def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
-    """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None where A is not positive definite."""
+    """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None if A is not positive definite."""
     factor, n = positive_triangle(matrix, overwrite=overwrite), matrix.shape[0]
     if factor is None:
         return None
@@ -147,7 +147,7 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
 def dense_lu(
     matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False
 ) -> Factor | None:
-    """Return the LU factor of a dense matrix with partial pivoting, or None where a pivot is zero.
+    """Return the LU factor of a dense matrix with partial pivoting, or None if a pivot is zero.
 
     It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A. No rows are regular too, as on the
     coarsest grid of a rank that has none left; LAPACK calls them an illegal value.
@@ -231,7 +231,7 @@ def _suits_one_order(matrix: sp.csr_array, has_symmetric_pattern: bool) -> bool:
 
 
 def sparse_work(factor: Any) -> float:
-    """Return the multiplications that a factorisation by SuperLU took."""
+    """Return the multiplications that a factorization by SuperLU took."""
     columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
     rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
     return float(columns_of_lower @ rows_of_upper)
@@ -294,7 +294,7 @@ def diagonal_pivot_factor(matrix: Any) -> Any | None:
 def solver_of(
     matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL
 ) -> Callable[[Any], Any] | None:
-    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal where it is large, or None where it is singular.
+    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal where it is large, or None if it is singular.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def positive_factor(matrix: Any) -> PositiveFactor | None:
 
 
 def factor_fits(matrix: Any) -> bool:
-    """Return whether a factorisation of a CSR or CSC array has its end in sight, by the counts of its columns."""
+    """Return whether a factorization of a CSR or CSC array has its end in sight, by the counts of its columns."""
     from .minimum_degree import factor_sizes  # numba, which many a question does without
 
     return (
@@ -368,7 +368,7 @@ class Bands(NamedTuple):
     weights : ndarray, shape (n,)
         Powers of two that bring the rows to size 1.
     is_tridiagonal_z : bool
-        There is one diagonal on either side at the most, no positive entry on them, and only such on the main one.
+        There is one diagonal on either side at most, no positive entry on them, and only such on the main one.
     """
 
     entries: FloatVector
@@ -379,7 +379,7 @@ class Bands(NamedTuple):
 
 @fact
 def bands(matrix: Matrix) -> Bands | None:
-    """Return the bands of M, None where a factor of them would be too large."""
+    """Return the bands of M, None if a factor of them would be too large."""
     M = matrix.csr
     rows = row_numbers(M)
     offsets = M.indices - rows

@@ -89,7 +89,7 @@ class FreeSystem:
     def solve(
         self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL
     ) -> FloatVector | None:
-        """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None where none is to be had.
+        """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None if none is to be had.
 
         The block is singular then, to working precision, or Krylov steps fail and it is too large for a factor.
 
@@ -111,9 +111,9 @@ class FreeSystem:
 
     @np.errstate(all="ignore")
     def solve_near(self, right: FloatVector, start: FloatVector) -> FloatVector | None:
-        """Return x with M_FF x_F = right_F as nearly as can be by a factor, 0 elsewhere; None where none is finite.
+        """Return x with M_FF x_F = right_F as nearly as can be by a factor, 0 elsewhere; None if none is finite.
 
-        Where the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
+        If the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
         start; where that leaves an error, the most accurate of all attempts is returned.
 
         Parameters
@@ -159,7 +159,7 @@ class FreeSystem:
 
     @cached_property
     def determined_slack(self) -> BoolVector | None:
-        """Which rows of M x are the same for all solutions of M_FF x = b, shape (n,); None where that is not known."""
+        """Which rows of M x are the same for all solutions of M_FF x = b, shape (n,); None if that is not known."""
         if self.pseudo_inverse is None:
             return None
         share = self.pseudo_inverse @ self.block  # of each change of x_F, what M x depends on
@@ -170,7 +170,7 @@ class FreeSystem:
 
     @cached_property
     def determined(self) -> BoolVector:
-        """Which unknowns are the same in all solutions of M_FF x = b, shape (|F|,); none where that is not known."""
+        """Which unknowns are the same in all solutions of M_FF x = b, shape (|F|,); none if that is not known."""
         if not self.is_singular:
             return np.ones(self.rows.size, np.bool_)
         if self.pseudo_inverse is None:
@@ -206,13 +206,13 @@ class FreeSystem:
 
     @cached_property
     def _factor(self) -> Factor | None:
-        """The factor of the block, None where it is singular to working precision."""
+        """The factor of the block, None if it is singular to working precision."""
         factor = self._doubtful_factor
         return None if factor is None or self._cancels(factor) else factor
 
     @cached_property
     def _doubtful_factor(self) -> Factor | None:
-        """The factor of the block, None where a pivot is zero."""
+        """The factor of the block, None if a pivot is zero."""
         return self._counted(self._even_factor(self.block))
 
     @cached_property
@@ -362,7 +362,7 @@ class FreeSystem:
         return _largest(np.divide(left, size, out=np.zeros(left.size), where=left != 0.0))
 
     def _least_squares(self, right: FloatVector, start: FloatVector) -> FloatVector:
-        """Return the point closest to start that makes the row-scaled system's error least, NaN where there is none."""
+        """Return the point closest to start that makes the row-scaled system's error least, NaN if there is none."""
         from scipy.linalg import LinAlgError, lstsq
 
         even = self._dense_block / self._scale[:, None]
@@ -390,7 +390,7 @@ class FreeSystem:
 
     @np.errstate(all="ignore")
     def _iterated(self, right: FloatVector, transposed: bool, goal: float) -> FloatVector | None:
-        """Return the solution by Krylov steps, one V-cycle each, None where they do not converge."""
+        """Return the solution by Krylov steps, one V-cycle each, None if they do not converge."""
         from .hierarchy.truncation import KrylovCorrection
         from .hierarchy.vectors import dot
 
@@ -416,7 +416,7 @@ class FreeSystem:
                 steps += 1
             better = np.empty(right.size)
             correction.apply_to(x, better)
-            # Computed anew: the residual of the steps is rounded on the way.
+            # Computed again: the residual of the steps is rounded on the way.
             remainder = np.where(self.free, right - matrix.array @ better, 0.0)
             if not size(remainder * unit) < size(left * unit):
                 break

@@ -107,7 +107,7 @@ def _decades(values: FloatVector) -> float:
 
 @fact
 def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
-    """Return the numbers of sub- and superdiagonals of a sparse M, None where M is kept dense."""
+    """Return the numbers of sub- and superdiagonals of a sparse M, None if M is kept dense."""
     M = matrix.array
     if not sp.issparse(M):
         return None

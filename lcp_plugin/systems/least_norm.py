@@ -1,4 +1,4 @@
-"""Inverses of many small blocks, generalised where they are singular: what a system without one solution has."""
+"""Inverses of many small blocks, generalized where they are singular: what a system without one solution has."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
 
 
 def solved(blocks: Any, right: Any) -> Any:
-    """Return the solutions of B X = right, shapes (k, f, f) and (k, f, r); NaN where a pivot is 0.
+    """Return the solutions of B X = right, shapes (k, f, f) and (k, f, r); NaN if a pivot is 0.
 
     Examples
     --------

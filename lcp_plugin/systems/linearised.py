@@ -1,6 +1,6 @@
 """The derivative at a solution: a linear system on the rows that are free, for one problem or for many in a row.
 
-With z = P(z − w/d), w = M z + q, and R_z dz + R_w dw = 0 the generalised derivative of the natural map, a row is free
+With z = P(z − w/d), w = M z + q, and R_z dz + R_w dw = 0 the generalized derivative of the natural map, a row is free
 where R_w ≠ 0. Of a complementarity problem R_w is 1 on the rows between their bounds, of cones it couples the rows of a
 block. J = R_z + R_w M, h = dM z + dq, b the bounds that hold:
 

@@ -1,8 +1,8 @@
 """What a sparse factor will take, before it is made: column counts in an order of minimum degree.
 
-Eliminating an unknown joins its neighbours to each other. They are not written down: the eliminated ones stay as
-*elements*, lists of their neighbours, and an element whose unknowns another one has is absorbed, so that the graph
-never grows. Degrees are approximate, no smaller than the true ones; unknowns with the same neighbours are eliminated
+Eliminating an unknown joins its neighbors to each other. They are not written down: the eliminated ones stay as
+*elements*, lists of their neighbors, and an element whose unknowns another one has is absorbed, so that the graph
+never grows. Degrees are approximate, no smaller than the true ones; unknowns with the same neighbors are eliminated
 together. So the counts come with the order, in a time near that of reading the pattern. SuperLU's and QDLDL's orders
 are of the same kind: the factors they make have about as many entries.
 
@@ -79,7 +79,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     Parameters
     ----------
     begins : array of int, shape (n + 1,)
-        Of each unknown's list of neighbours.
+        Of each unknown's list of neighbors.
     workspace : array of int
         The lists, and at least 2 n places behind them; overwritten.
     last : float
@@ -114,7 +114,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
         # Lists move together where there is no space for another one.
         if free + left > workspace.size:
             free = _together(begin, size, weight, elements, is_gone, workspace, free)
-        # The neighbours of p make a new element of it.
+        # The neighbors of p make a new element of it.
         tag += 1
         together, reached, start = weight[p], 0, free
         weight[p] = 0
@@ -170,7 +170,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
                 if weight[j] > 0 and mark[j] != tag:
                     held[count] = j
                     count, total, sum_of = count + 1, total + weight[j], sum_of + j
-            if count == 0:  # it has no other neighbour: it is eliminated with p
+            if count == 0:  # it has no other neighbor: it is eliminated with p
                 together, reached = together + weight[i], reached - weight[i]
                 weight[i] = 0
                 continue
@@ -181,7 +181,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
             degree[i] = min(degree[i], total)
             key[i] = sum_of % n
             chain[i], bucket[key[i]] = bucket[key[i]], i
-        # Those with the same neighbours become one.
+        # Those with the same neighbors become one.
         for m in range(start, free):
             i = workspace[m]
             if weight[i] == 0 or bucket[key[i]] < 0:

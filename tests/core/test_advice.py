@@ -262,7 +262,7 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
 def test_the_remedy_of_a_guarantee_is_followed() -> None:
     """The line "What to do" in explain() is guaranteed, and solves the problem."""
     result = solve(TRAPPED, "npsor", scaling=None)
-    assert 'what to do: scaling="auto"' in result.explain()
+    assert 'remedy: scaling="auto"' in result.explain()
     assert solve(TRAPPED, "npsor", scaling="auto").is_solved
     uncovered = convergence_guarantee(CONTACT, "npsor")
     assert 'algorithm="auto"' in uncovered.remedy

@@ -210,12 +210,12 @@ def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
 
 @pytest.mark.parametrize(("example", "number"), [(1, "3.84"), (2, "3.32")])
 def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, number: str) -> None:
-    """ρ|L+U| is 3.84 and 3.32, where Theorem 4.2 as stated asks for less than 1; scaled they are covered."""
+    """ρ|L+U| is 3.84 and 3.32, where the original Theorem 4.2 asks for less than 1; scaled they are covered."""
     problem = gallery.build(f"paper_example_{example}", n=100).problem
     for name in ("npgs", "npsor"):
         said = convergence_guarantee(problem, name, **UNSCALED).paper
         assert said.startswith(
-            f"not covered by Theorem 4.2 as stated (ρ|L+U| = {number}); covered after diagonal scaling"
+            f"not covered by the original Theorem 4.2 (ρ|L+U| = {number}); covered after diagonal scaling"
         )
         assert convergence_guarantee(problem, name, scaling="diagonal").is_guaranteed
 
@@ -223,8 +223,8 @@ def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, numbe
 @pytest.mark.parametrize(
     ("M", "alpha", "says"),
     [
-        ([[2.0, -0.5], [-0.5, 2.0]], 1.0, "covered by Theorem 4.2 as stated, case 1"),
-        ([[0.5, -0.2], [-0.2, 0.5]], 1.0, "covered by Theorem 4.2 as stated, case 2"),
+        ([[2.0, -0.5], [-0.5, 2.0]], 1.0, "covered by the original Theorem 4.2, case 1"),
+        ([[0.5, -0.2], [-0.2, 0.5]], 1.0, "covered by the original Theorem 4.2, case 2"),
         ([[0.5, -0.2], [-0.2, 0.5]], 1.7, "not covered .*0 ≤ β ≤ α ≤ 1"),
         ([[0.5, -0.2], [-0.2, 2.0]], 1.0, "not covered .*neither D ≥ I nor D < I"),
         ([[1.0, -2.0], [-2.0, 1.0]], 1.0, "not covered .*not proven to be an H₊-matrix"),
@@ -466,7 +466,7 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
     for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
         assert words in result.stdout
     assert (
-        "not covered by Theorem 4.2 as stated (ρ|L+U| = 3.84); covered after diagonal scaling"
+        "not covered by the original Theorem 4.2 (ρ|L+U| = 3.84); covered after diagonal scaling"
         in result.stdout
     )
     lines = result.stdout.splitlines()

@@ -296,7 +296,7 @@ def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:
     """1e-7 that stands on one side only, in rows of 1e11, is told beside the rows; a triangle is no noise."""
     stiffness = [[1e11, -5e10, 1e-7], [-5e10, 1e11, 0.0], [-2e-7, 0.0, 1e11]]
     assert analyze(np.array(stiffness)).evidence["is_symmetric"] == (
-        "symmetric up to rounding: its largest asymmetry beside the rows is 3e-18"
+        "symmetric up to rounding: its largest asymmetry relative to the rows is 3e-18"
     )
     assert analyze(np.array([[2.0, 1.0], [0.0, 2.0]])).evidence["is_symmetric"] == (
         "asymmetry 1 beside the entries, 0.5 beside rows"

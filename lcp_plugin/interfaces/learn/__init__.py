@@ -25,13 +25,13 @@ axes in front are those of a batch, and broadcast as everywhere. One M of shape 
 may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a single problem may be as large as
 :func:`~lcp_plugin.solve` takes. So M may also be a sparse scipy array, a constant of the layer.
 
-**What comes back** is z, solved for once more on its free rows, so that it is exact to rounding whatever the tolerance
-was; w = M z + q is easily written beside it. Where a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says
+**What comes back** is z, solved for again on its free rows, so that it is exact to rounding whatever the tolerance
+was; w = M z + q is easily written beside it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says
 which of the batch it is. (JAX puts its own error around these words.)
 
 **Gradients** by all four are those of :meth:`BatchDerivative.vjp`: exact if no row is both at a bound and has w = 0.
 If a row is, as where a ReLU gets 0, they are those of one of the pieces that meet there. A second derivative is
-refused. If the block of M on the free rows is singular, they are those of the least change, as
+rejected. If the block of M on the free rows is singular, they are those of the least change, as
 :class:`lcp_plugin.problems.sensitivity.Derivative` describes.
 
 **Transformations.** Gradients go backward: in JAX ``grad``, ``vjp``, ``jacrev``, also under ``jit`` and ``vmap``, which
@@ -41,6 +41,6 @@ that of :meth:`BatchDerivative.jvp` in numpy.
 **Contact with friction.** ``contact_layer(W, b, friction)`` gives the impulses of many worlds, with the gradients of
 :class:`~lcp_plugin.problems.sensitivity.contact_batch_derivative.ContactBatchDerivative`.
 
-**Double precision**, on the CPU: single precision is refused in words, as a certificate of what was rounded certifies
+**Double precision**, on the CPU: single precision is rejected in words, as a certificate of what was rounded certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.
 """

@@ -1,4 +1,4 @@
-"""What the layers of both frameworks share: axes in front made one batch, solved, or refused in words."""
+"""What the layers of both frameworks share: axes in front made one batch, solved, or rejected in words."""
 
 from __future__ import annotations
 

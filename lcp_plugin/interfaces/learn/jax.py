@@ -273,7 +273,7 @@ def _with_matrix(wishes: Wishes, data: Any) -> list[Any]:
 
 
 def _array(values: Any, name: str) -> Any:
-    """Return the values as an array of doubles, constants as one of numpy; floats of another kind are refused."""
+    """Return the values as an array of doubles, constants as one of numpy; floats of another kind are rejected."""
     need = f"{name} must be an array of real numbers"
     if not isinstance(values, jax.Array):
         if not any(isinstance(part, jax.Array) for part in jax.tree.leaves(values)):

@@ -195,7 +195,7 @@ class _Impulses(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
-        *_, z = ctx.saved_tensors  # torch refuses where one was changed in place
+        *_, z = ctx.saved_tensors  # torch rejects where one was changed in place
         by_W, by_b, by_friction = _Gradient.apply(contact_gradients, ctx.run, z, g)
         return by_W, by_b, by_friction.sum() if ctx.has_one_friction else by_friction, None, None
 
@@ -218,7 +218,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
-        M, *_, z = ctx.saved_tensors  # torch refuses where one was changed in place
+        M, *_, z = ctx.saved_tensors  # torch rejects where one was changed in place
         by_q, by_lower, by_upper = _Gradient.apply(gradients, ctx.run, z, g)
         by_M = None
         if ctx.needs_input_grad[0]:  # ∂L/∂m_ij is ∂L/∂q_i z_j, summed if one M is for all
@@ -228,7 +228,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
 
 
 class _Gradient(torch.autograd.Function):  # type: ignore[misc]
-    """Gradients by a function of batches.py at a solution z; a derivative of them is refused."""
+    """Gradients by a function of batches.py at a solution z; a derivative of them is rejected."""
 
     @staticmethod
     def forward(function: Callable[..., Any], run: Wishes, z: Any, g: Any) -> tuple[Any, ...]:
@@ -241,12 +241,12 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def backward(ctx: Any, *_: Any) -> Any:
-        """Refuse."""
+        """Reject."""
         raise no_second_derivative("leave out create_graph, or detach the gradient")
 
 
 def _tensor(values: Any, name: str) -> Any:
-    """Return the values as a tensor of doubles on the CPU; what is a tensor of another kind is refused."""
+    """Return the values as a tensor of doubles on the CPU; what is a tensor of another kind is rejected."""
     if not isinstance(values, torch.Tensor):
         return torch.from_numpy(
             real_array(values, f"{name} must be an array of real numbers").copy()

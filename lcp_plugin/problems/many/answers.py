@@ -1,4 +1,4 @@
-"""Sequences of answers, one a problem."""
+"""Sequences of answers, one per problem."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class March(AnswerSequence[Result]):
     z : list of arrays, shape (n,)
         The solution of each step.
     all_solved : bool
-        Whether every step that was taken is SOLVED, and none was refused or interrupted.
+        Whether every step that was taken is SOLVED, and none was rejected or interrupted.
     error : LCPError or None
         Error of the q of the step that ended the march.
     seconds : float
@@ -191,7 +191,7 @@ def take_steps(
     while len(done) < total and done.all_solved:
         step = len(done)
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused by name
+            with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected by name
                 stated = problem.with_q(done.forcing[step] + propagator @ state)
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
             if is_lcp and begin is not None:

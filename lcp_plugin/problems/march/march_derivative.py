@@ -91,7 +91,7 @@ def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVe
 class Steps:
     """Some steps that follow each other; `here` are their numbers.
 
-    On a narrow band each solution is first computed once more on its free rows, and its rows are told apart: −1 at the
+    On a narrow band each solution is first computed again on its free rows, and its rows are told apart: −1 at the
     lower bound, 0 between, 1 at the upper one, ∓2 if w = 0 there as well. A step with rows that rounding leaves open,
     or with a free block that is about singular, is left to its Derivative.
 
@@ -251,7 +251,7 @@ class MarchGradient:
 
     @cached_property
     def forcing(self) -> FloatVector:
-        """The gradients by the forcing, shape (k, n); the steps are gone back once more when it is looked at."""
+        """The gradients by the forcing, shape (k, n); the steps are gone back again when it is looked at."""
         return self._by_forcing()
 
 
@@ -312,7 +312,7 @@ class MarchDerivative:
     def is_unique(self) -> bool | None:
         """Whether each step's derivative exists, at the q that the step before gave it: see ``Derivative``.
 
-        True where that is proved of all steps, False where rows of one are degenerate, None where neither is known.
+        True if that is proved of all steps, False if rows of one are degenerate, None if neither is known.
         """
         if self.degenerate.size:
             return False
@@ -386,7 +386,7 @@ class MarchDerivative:
     def vjp(self, g: ArrayLike) -> MarchGradient:
         """Return the gradients of a function L of the answers by M, the forcing, the propagator, z0 and the bounds.
 
-        Where rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
+        If rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
 
         Parameters
         ----------
@@ -487,7 +487,7 @@ def _vector(
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
-    """Return a row a step, or the vector that stands for one thing."""
+    """Return a row per step, or the vector that stands for one thing."""
     need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for {one}"
     rows = real_array(given, need)
     if rows.shape not in ((steps, n), (n,)):
@@ -500,7 +500,7 @@ def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVec
 
 
 def _require_all_steps(march: March) -> None:
-    """Refuse a march that ended before its last step, or where that is not solved."""
+    """Reject a march that ended before its last step, or where that is not solved."""
     if march.all_solved and len(march) == len(march.forcing):
         return
     last = len(march) - 1

@@ -150,7 +150,7 @@ def _has_more_axes(forcing: Any, of_states: tuple[Any, ...]) -> bool:
     """Return whether one of these has an axis for several marches."""
     try:
         return np.ndim(forcing) == 3 or any(np.ndim(one) == 2 for one in of_states)
-    except ValueError:  # rows of different lengths, which one march refuses in words
+    except ValueError:  # rows of different lengths, which one march rejects in words
         return False
 
 
@@ -164,7 +164,7 @@ def _begin(
     *,
     are_many: bool,
 ) -> list[March]:
-    """Return the marches before their first steps; whatever is wrong is refused."""
+    """Return the marches before their first steps; whatever is wrong is rejected."""
     n = getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
         if not takes("march", one):
@@ -228,5 +228,5 @@ def _is_one_a_march(propagator: Any) -> bool:
         return True
     try:
         return np.ndim(propagator) in (1, 3)  # numbers, or matrices
-    except ValueError:  # rows of different lengths, which one march refuses in words
+    except ValueError:  # rows of different lengths, which one march rejects in words
         return False

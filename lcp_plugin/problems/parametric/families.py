@@ -102,7 +102,7 @@ class PathPoint:
 
     @cached_property
     def objective(self) -> float | None:
-        """What is minimised, at x."""
+        """What is minimized, at x."""
         return self._family.objective(self)
 
     @cached_property
@@ -112,7 +112,7 @@ class PathPoint:
 
     @property
     def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
+        """True if the status is SOLVED."""
         return self.status is Status.SOLVED
 
     @cached_property
@@ -262,7 +262,7 @@ class Family:
         return z
 
     def objective(self, point: PathPoint) -> float | None:
-        """Return what is minimised."""
+        """Return what is minimized."""
         return None
 
     def judge(self, point: PathPoint) -> Status:
@@ -284,7 +284,7 @@ class ComplementarityFamily(Family):
 
     @cached_property
     def is_monotone(self) -> bool:
-        """Whether M is known to be, to rounding: one factorisation."""
+        """Whether M is known to be, to rounding: one factorization."""
         M = self.problem.M
         return is_semidefinite_to_rounding(M + M.T) is True
 

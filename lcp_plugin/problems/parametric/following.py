@@ -1,12 +1,12 @@
 """Following the solution of a parametric complementarity problem from breakpoint to breakpoint.
 
-Between two breakpoints each row stays on its step: z of the free rows solves M_FF z_F = …, affine in t. Where the first
+Between two breakpoints each row stays on its step: z of the free rows solves M_FF z_F = …, affine in t. If the first
 row comes to the end of its step it changes to the next one, and a new system is factorized. Of rows that come to their
 ends at once that one changes which moves fastest; the others follow at the same t.
 
 If M_FF is singular, z moves from where it is by the least change that the rows ask for. If there is none, the solutions
 at this t are a segment, which leads to where another row changes. If the path would turn back, or if rounding decides
-which row changes, the path is lost here, and is begun anew just beyond.
+which row changes, the path is lost here, and is begun again just beyond.
 """
 
 from __future__ import annotations
@@ -238,7 +238,7 @@ class Follower:
 def _solved(
     block: FloatVector, right: FloatVector, sizes: FloatVector, near: FloatVector
 ) -> FloatVector | None:
-    """Return values and rates of block · z = right, shape (2, k); None where no z is a solution.
+    """Return values and rates of block · z = right, shape (2, k); None if no z is a solution.
 
     If the block is singular, the values are the solution nearest to a point, the rates the least.
     """

@@ -129,17 +129,17 @@ class Path:
 
     @property
     def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
+        """True if the status is SOLVED."""
         return self.status is Status.SOLVED
 
     @property
     def has_no_solution(self) -> bool:
-        """True where a proof says that there is no solution just beyond `reached`."""
+        """True if a proof says that no solution exists just beyond `reached`."""
         return self.status in PROVEN
 
     @property
     def proof(self) -> Any:
-        """What proves that there is no solution just beyond `reached`; None where nothing does."""
+        """What proves that no solution exists just beyond `reached`; None if nothing does."""
         return None if self.beyond is None else self.beyond.proof
 
     def require_solved(self) -> Path:
@@ -236,7 +236,7 @@ class Path:
 
     @property
     def _why(self) -> str:
-        """What keeps the path from going on, in words."""
+        """What keeps the path from continuing, in words."""
         if self.beyond is None:
             return self.crossed
         if self.beyond.is_solved:

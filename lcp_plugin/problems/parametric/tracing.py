@@ -146,7 +146,7 @@ class _Trace:
         return path
 
     def _begun(self, shares: tuple[float, ...]) -> Follower | None:
-        """Return the first follower just beyond; None if there is no solution or it determines no way on."""
+        """Return the first follower just beyond; None if no solution exists or it determines no way on."""
         for share in shares:
             t = min(self.reached + share * self.span, self.end)
             if t == 0.0 and (follower := self._at_corners()) is not None:

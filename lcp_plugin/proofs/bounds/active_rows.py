@@ -1,4 +1,4 @@
-"""Which rows of a solution are held at a bound, free, or both at a bound and without slack; what errors may hide there.
+"""Classification of the rows of a solution: at a bound, free, or degenerate (at a bound with w = 0); hidden errors.
 
 To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
 ‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. LAPACK estimates the norm up to 500 rows; this proves nothing (see
@@ -21,24 +21,24 @@ from .row_inequality import ActiveSetSteps, RowInequality
 DENSE_UP_TO = 500  # free rows: a few milliseconds
 STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
 GOAL = 1e-6  # of a linear solve in such a step, where it is iterative
-EXACT = 1e-14  # relative: what a step may leave of the error
-ROUNDING = 4.0  # times the rounding floor: what PRECISION_LIMIT grants a residual
+EXACT = 1e-14  # relative error after a step
+ROUNDING = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
 
 
 class ActiveRows(NamedTuple):
-    """What each row of a solution does; every row is in one of the first four sets.
+    """Classification of the rows of a solution; every row is in one of the first four sets.
 
     Attributes
     ----------
     free, at_lower, at_upper, degenerate : ndarray of bool, shape (n,)
-        Strictly between its bounds; at a bound with w ≠ 0, or where both are equal; at a bound with w = 0, as far as
-        rounding of the data can tell.
+        Strictly between its bounds; at a bound with w ≠ 0, or where both are equal; at a bound with w = 0, up to
+        rounding of the data.
     is_upper : ndarray of bool, shape (n,)
         Of the rows that are not free, those at their upper bound.
     z : ndarray, shape (n,)
-        The solution, solved for once more on its free rows.
+        The solution, solved for again on its free rows.
     system : FreeSystem or None
-        That which was solved, its rows those of `free` and perhaps of `degenerate`.
+        The solved system, its rows `free` and perhaps `degenerate`.
     """
 
     free: BoolVector
@@ -53,9 +53,9 @@ class ActiveRows(NamedTuple):
 def settled_rows(
     problem: LCP, z: FloatVector, w: FloatVector, system: FreeSystem | None = None
 ) -> ActiveRows:
-    """Return what each row of a solution does, after steps of the active-set method in twice the working precision.
+    """Return the classification of the rows, after steps of the active-set method in twice the working precision.
 
-    Where those settle nothing (the block of the free rows is singular) the rows are judged by z and w as they are.
+    If the steps fail (the block of the free rows is singular) the rows are classified by the given z and w.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ def _settled(
 ) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
     """Return a point whose rows solve their own equations, with that system and about how far the solution may be.
 
-    None where steps do not get there. Rows that are exactly degenerate may change sides for ever, by the rounding of
-    others; the point stands still then, whichever side they are on.
+    None if steps do not get there. Rows that are exactly degenerate may change sides indefinitely, by the rounding of
+    other rows; the point then does not change with their side.
     """
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
@@ -112,7 +112,7 @@ def _judged(
     system: FreeSystem | None,
     left: FloatVector | None = None,
 ) -> ActiveRows:
-    """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
+    """Return the classification of the rows by z and w, if `left` bounds the distance of z from the solution."""
     scale = problem.residual_scale
     floor = rounding_floor(problem, magnitude(problem, z), scale)
     beside_largest = np.minimum(
@@ -136,13 +136,13 @@ def _judged(
 
 @np.errstate(all="ignore")
 def free_rows(problem: LCP, z: FloatVector, w: FloatVector) -> BoolVector:
-    """Return which rows are between their bounds as far as z and its slack w tell, shape (n,)."""
+    """Return the mask of rows between their bounds according to z and its slack w, shape (n,)."""
     target = z - w / problem.residual_scale
     return (target > problem.lower) & (target < problem.upper)
 
 
 def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
-    """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None where it is too costly.
+    """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None if it is too costly.
 
     Parameters
     ----------

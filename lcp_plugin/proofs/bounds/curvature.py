@@ -1,11 +1,11 @@
 """How far a quadratic form is bent upwards at least: weights μ with P − diag(μ) positive semidefinite, proved.
 
 P falls into the blocks that its pattern connects. A block of one entry is its own weight. A larger one is definite by a
-factorisation with a rounding margin, semidefinite by its row sums or by exact elimination, or semidefinite to rounding:
-then its weights are negative, by what rounding can hide.
+factorization with a rounding margin, semidefinite by its row sums or by exact elimination, or semidefinite to rounding:
+then its weights are negative, by a bound of the rounding error.
 
-On the solutions of A x = b the objective is also f(x) + ½ ρ‖A x − b‖². Where P + ρ AᵀA is positive definite, ρ > 0, its
-weights may serve in place of those of P, between points that satisfy the equations exactly.
+On the solutions of A x = b the objective is also f(x) + ½ ρ‖A x − b‖². If P + ρ AᵀA is positive definite, ρ > 0, its
+weights may replace the weights of P, between points that satisfy the equations exactly.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..exact.linear_systems import exact_symmetric_part, has_nonnegative_pivots
 from .solution_bounds import UNDERFLOW, smallest_eigenvalue_bound
 
 EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second, and six times that at 60
-OUTWARD = 1.0 + 2.0**-40  # more than what rounds in a margin of a few operations
+OUTWARD = 1.0 + 2.0**-40  # more than the rounding of a margin of a few operations
 UNKNOWN = "P could not be shown to be positive semidefinite"
 
 
@@ -42,7 +42,7 @@ class Curvature:
     indefinite : str
         Why P is certainly not positive semidefinite, or nothing.
     penalty : float
-        ρ: xᵀP x + ρ‖A x‖² is what the weights are below, for every x.
+        ρ: the weights are a lower bound of xᵀP x + ρ‖A x‖² for every x.
     """
 
     weights: FloatVector
@@ -56,7 +56,7 @@ class Curvature:
 
     @property
     def evidence(self) -> str:
-        """What is known of P, in words."""
+        """Description of the result about P."""
         if self.is_semidefinite:
             where = " on the null space of A" if self.penalty else ""
             return f"P is positive {'definite' if (self.weights > 0.0).all() else 'semidefinite'}{where}"
@@ -66,7 +66,7 @@ class Curvature:
 
 
 def curvature(P: Any) -> Curvature:
-    """Return the largest weights that can be proved at the cost of two factorisations.
+    """Return the largest weights that can be proved at the cost of two factorizations.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def curvature(P: Any) -> Curvature:
 
 
 def constrained_curvature(P: Any, A: Any) -> Curvature:
-    """Return the curvature of P, or that of P + ρ AᵀA where only this is definite.
+    """Return the curvature of P, or of P + ρ AᵀA if only this matrix is definite.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
     if not np.isfinite(form.data).all():
         return own
     found = curvature(form)
-    # What rounded in an entry is below γ (|P| + ρ|A|ᵀ|A|), and a matrix is below the diagonal one of its row sums.
+    # An entry's rounding error is below γ (|P| + ρ|A|ᵀ|A|), and a matrix is below the diagonal matrix of its row sums.
     ones, magnitude = np.ones(own.weights.size), abs(rows)
     size = abs(sp.csr_array(P)) @ ones + penalty * (magnitude.T @ (magnitude @ ones))
     weights = found.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW * (1.0 + penalty)
@@ -144,7 +144,7 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
 
 
 def _weights(P: sp.csr_array) -> FloatVector | None:
-    """Return the weights of a block that does not fall apart; None where it is proved to be indefinite."""
+    """Return the weights of a block that does not fall apart; None if it is proved to be indefinite."""
     bound = smallest_eigenvalue_bound(Matrix(P))
     if bound is not None:
         return np.asarray(bound.value / bound.scale / bound.scale)

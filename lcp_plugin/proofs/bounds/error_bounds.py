@@ -1,6 +1,6 @@
 """How far z is from the solution, as a number that cannot be too small.
 
-The stages stand in `row_inequality` (v-certificate, reference point) and `solution_bounds`.
+The stages are in `row_inequality` (v-certificate, reference point) and `solution_bounds`.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ class ErrorBound:
     infinity : float
         Their maximum, ‖z − z*‖∞ ≤ infinity.
     relative : float
-        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every component of the problem by itself; ∞ where z = 0 there and nothing says
-        that z* = 0.
+        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every component of the problem by itself; ∞ if z = 0 there and z* = 0 is not
+        proved.
     method : str
         "v-certificate", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
     proven_active, proven_inactive : ndarray of bool, shape (n,)
         z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0.
     n, active, inactive : int
-        How many rows there are, and how many of them are proven to be what.
+        Number of rows, and numbers of rows that are proven active and inactive.
     residual : float
         ‖r(z)‖∞, the numerator of the relative residual: in the unit of z, as `infinity` is.
     near : NearPoint or None
-        The point near z* at which most is known; None where nothing is.
+        The point near z* at which most is known; None if nothing is.
     seconds : float
         Seconds that it took to compute.
     """
@@ -78,7 +78,7 @@ class ErrorBound:
 
     @property
     def is_loose(self) -> bool:
-        """True where the bound exceeds a thousand times the residual: linear solves may make it much smaller."""
+        """True if the bound exceeds a thousand times the residual: linear solves may make it much smaller."""
         return self.infinity > LOOSE * self.residual
 
     def carried_to(self, z: FloatVector) -> FloatVector:
@@ -149,7 +149,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z, began = real_vector(z, "z", problem.n), time.perf_counter()
-    with np.errstate(all="ignore"):  # what overflows bounds nothing
+    with np.errstate(all="ignore"):  # an overflow gives no bound
         family = bounds_of(problem.matrix)
         if family is None:
             raise UnsuitableMatrix(NO_PROOF)
@@ -192,7 +192,7 @@ class BestBound:
         return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
 
     def result(self) -> ErrorBound:
-        """Return what is known."""
+        """Return the bound."""
         problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
         active, inactive = self.near.classified(self.near_y)
         if self.near is not self.at and not (active | inactive).all():

@@ -1,4 +1,4 @@
-"""What each row says about the error of a point, without rounding up to anything but the safe side.
+"""The inequality of each row for the error of a point, with outward rounding.
 
 Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i − upper_i, or w*_i ≥ 0, so that
 (M e)_i ≤ w_i; and e_i ≤ z_i − lower_i in any case. With m_ii = d_i > 0 and B the rest of M,
@@ -7,7 +7,7 @@ Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i 
 
 and the mirror image holds where e_i < 0. Together |e| ≤ Φ(|e|) with an isotone Φ. Two things follow.
 
-1. |e| ≤ y gives |e| ≤ Φ(y), whatever B is.
+1. |e| ≤ y gives |e| ≤ Φ(y), for any B.
 2. If ⟨M⟩v > 0 for some v > 0, every y ≥ 0 with Φ(y) ≤ y bounds |e|: Φ(y + σv) < y + σv for σ > 0, so the smallest σ
    with |e| ≤ y + σv cannot be positive. And t v is such a y once t is large enough, which is read off row by row: the
    v-certificate.
@@ -38,7 +38,7 @@ from ..verdicts import HCertificate
 
 @dataclass(frozen=True, eq=False)
 class RowInequality:
-    """Φ of one point, the sum `high` + `low`; every number is an upper bound of what it stands for.
+    """Φ of one point, the sum `high` + `low`; every number is an upper bound of the exact value.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class RowInequality:
     def inflation(self, certificate: HCertificate) -> FloatVector:
         """Return t ≥ 0, a number a component, with Φ(t v) ≤ t v.
 
-        Returned is that of each row's part, shape (n,), or (1,) for all of one part.
+        The result has one entry per row, shape (n,), or (1,) if there is a single component.
         """
 
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
@@ -171,7 +171,7 @@ def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> Floa
 def _slack_of_pair(
     problem: LCP, high: FloatVector, low: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
-    """Return upper bounds of w and −w at high + low; w is small beside its parts."""
+    """Return upper bounds of w and −w at high + low; w is small relative to its terms."""
     matrix = problem.matrix
     first, rest, radius = compensated_pair(matrix.csr, high, problem.q)
     second, second_radius = compensated_product(matrix.csr, low)
@@ -200,12 +200,12 @@ class NearPoint(NamedTuple):
 
 
 class ActiveSetSteps:
-    """Steps of the active-set method on one problem; a factorisation serves as long as the free set stays.
+    """Steps of the active-set method on one problem; a factorization serves as long as the free set stays.
 
     Attributes
     ----------
     system : FreeSystem
-        That of the last step; at first that of another problem with the same M, if one is given.
+        The system of the last step; initially the system of another problem with the same M, if passed.
     """
 
     def __init__(
@@ -220,7 +220,7 @@ class ActiveSetSteps:
         self.system = system or FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))
 
     def next_point(self, at: RowInequality) -> RowInequality | None:
-        """Return the inequality at the next point, or None where the step is not finite."""
+        """Return the inequality at the next point, or None if the step is not finite."""
         problem = self.problem
         w, on_lower, free = self._sides(at)
         bound = np.where(on_lower, problem.lower, problem.upper)
@@ -239,12 +239,12 @@ class ActiveSetSteps:
         return RowInequality.at(problem, np.where(free, high, bound), np.where(free, low, 0.0))
 
     def is_settled(self, at: RowInequality) -> bool:
-        """Return whether the point, that of the last step, has the free rows of that step."""
+        """Return whether the point of the last step has the free rows of this step."""
         return np.array_equal(self._sides(at)[2], self.system.free)
 
     def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
         """Return w, the rows that it holds at their lower bounds, and those that are free."""
         w = 0.5 * (at.slack - at.negative_slack)
-        step = self.scale * w  # beside a large z its own digits would be lost
+        step = self.scale * w  # next to a large z its digits would be lost
         on_lower = (at.above <= step) | (self.problem.lower == self.problem.upper)
         return w, on_lower, ~(on_lower | (at.below <= -step))

@@ -1,8 +1,8 @@
-"""How far a point is from the solution, by what M has: a v > 0 with ⟨M⟩v > 0, or a bound of its smallest eigenvalue.
+"""Distance of a point from the solution, by a v > 0 with ⟨M⟩v > 0, or by a bound of the smallest eigenvalue.
 
 By v row by row (:mod:`.row_inequality`). By λ, no larger than the eigenvalues of C (M + Mᵀ)/2 C, C = diag(c) > 0: with
 e = z − z*, any S = diag(s) > 0 and r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection
-of z − S w to the bounds. Its variational inequality at z*, and that of z* at z − r, add up row by row to
+of z − S w to the bounds. Its variational inequality at z*, and the inequality of z* at z − r, add up row by row to
 
     (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   hence   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
 
@@ -33,8 +33,8 @@ from .row_inequality import RowInequality
 
 DENSE_UP_TO = 3000
 SPARSE_UP_TO = 30_000
-OUTWARD = 1.0 + 2.0**-36  # more than what rounds in sums of 2 · SPARSE_UP_TO terms of one sign
-UNDERFLOW = 1e-290  # far more than all that underflows in a factorisation of a matrix of unit size
+OUTWARD = 1.0 + 2.0**-36  # more than the rounding of sums of 2 · SPARSE_UP_TO terms of one sign
+UNDERFLOW = 1e-290  # far more than all that underflows in a factorization of a matrix of unit size
 
 
 class EigenvalueBound(NamedTuple):
@@ -46,7 +46,7 @@ class EigenvalueBound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HPlusBounds:
-    """What ⟨M⟩v > 0 says, v > 0 and M with a positive diagonal."""
+    """Error bounds from ⟨M⟩v > 0, v > 0 and M with a positive diagonal."""
 
     matrix: Matrix
     certificate: HCertificate
@@ -60,7 +60,7 @@ class HPlusBounds:
 
 @dataclass(frozen=True, eq=False)
 class DefiniteBounds:
-    """What λ ≤ the eigenvalues of C (M + Mᵀ)/2 C says."""
+    """Error bounds from λ ≤ the eigenvalues of C (M + Mᵀ)/2 C."""
 
     eigenvalue: EigenvalueBound
 
@@ -73,7 +73,7 @@ class DefiniteBounds:
 
 
 def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
-    """Return what bounds errors by this M; None where it is neither proven H₊ nor proven positive definite."""
+    """Return the error bounds by this M; None if it is neither proven H₊ nor proven positive definite."""
     is_positive = bool(np.all(matrix.diagonal > 0.0))
     found = comparison_certificate(matrix) if is_positive else None
     if found is not None:
@@ -89,11 +89,11 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     Returns
     -------
     EigenvalueBound or None
-        None where no positive bound can be proven.
+        None if no positive bound can be proven.
 
     Notes
     -----
-    C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorised; that the factorisation succeeds proves a
+    C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorized; a successful factorization proves a
     bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
     n ≤ 30 000, where its fill is bounded.
 
@@ -126,7 +126,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
 def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
     """Return y with |z − z*| ≤ y, shape (n,), where `eigenvalue` holds."""
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
-    # Two ends of each r_i; where z_i sits on a bound that w_i keeps it at, they are the same whatever rounds in w_i.
+    # Two ends of each r_i; where z_i is at a bound with w_i of the right sign, both are equal for any rounding of w_i.
     residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
     negative = np.maximum(
         np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under
@@ -149,7 +149,7 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
 
 
 def norm_above(x: FloatVector) -> np.float64:
-    """Return a double above ‖x‖₂ for x ≥ 0, whatever underflows."""
+    """Return a double above ‖x‖₂ for x ≥ 0, also with underflow."""
     largest = np.float64(x.max(initial=0.0))
     if largest == 0.0 or not np.isfinite(largest):
         return largest
@@ -159,7 +159,7 @@ def norm_above(x: FloatVector) -> np.float64:
 
 
 def _norms_above(x: FloatVector, several: Components) -> FloatVector:
-    """Return the same of each component, shape (components,)."""
+    """Return doubles above ‖x_P‖₂ of each component P, shape (components,)."""
     largest = several.largest(x)
     is_usual = (largest > 0.0) & np.isfinite(largest)
     unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
@@ -213,7 +213,7 @@ def _proven_bound(part: Any, blur: float) -> float | None:
 
 
 def _rounding(matrix: Any, factor: PositiveFactor) -> float:
-    """Return how far from a semidefinite matrix one is that was factorised: Cholesky's bound, or what is measured."""
+    """Return a bound of the distance of a factorized matrix from a semidefinite one: Cholesky's bound, or measured."""
     if factor.superlu is not None:
         return _factor_error(factor.superlu)
     n = matrix.shape[0]
@@ -237,7 +237,7 @@ def _factor_error(factor: Any) -> float:
 
 
 def _inverse_iteration(solve: Any, part: Any) -> float:
-    """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound but for rounding."""
+    """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound except for rounding."""
     x = np.random.default_rng(0).standard_normal(part.shape[0])
     for _ in range(30):  # an estimate, which is proved afterwards
         x /= np.linalg.norm(x)

@@ -155,7 +155,7 @@ def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
 
 
 def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
-    """Return the solution of A x = b in fractions, or None where A is singular (modulo three primes).
+    """Return the solution of A x = b in fractions, or None if A is singular (modulo three primes).
 
     None too where the time limit of a run passes meanwhile.
 
@@ -278,7 +278,7 @@ def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
 def solved_nearby(
     rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]
 ) -> Vector | None:
-    """Return an exact solution y of rows · y = right near the guess, changed only where it may and has to be.
+    """Return an exact solution y of rows · y = right near the guess, changed only if it may and has to be.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def solved_nearby(
     Returns
     -------
     list of Fraction or None
-        None where the equations contradict one another, or are too many for exact arithmetic.
+        None if the equations contradict one another, or are too many for exact arithmetic.
 
     Notes
     -----

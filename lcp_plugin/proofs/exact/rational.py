@@ -1,4 +1,4 @@
-"""Exact arithmetic on what is stored in doubles.
+"""Exact arithmetic on what is stored in double precision.
 
 Integers with an exponent, fractions, products of sparse rows, slack and complementarity.
 """

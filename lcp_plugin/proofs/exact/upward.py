@@ -21,7 +21,7 @@ def sum_above(a: Any, b: Any) -> FloatVector:
     with np.errstate(all="ignore"):
         total = np.add(a, b)
         part = total - a
-        error = (a - (total - part)) + (b - part)  # NaN where something overflowed or was infinite
+        error = (a - (total - part)) + (b - part)  # NaN if something overflowed or was infinite
         return _choice(error <= 0.0, total, _above(total))
 
 
@@ -39,7 +39,7 @@ def quotient_above(a: Any, b: Any) -> FloatVector:
 
 def _above(value: Any) -> FloatVector:
     """Return a double above the value: the next one or the one after; the least one for −∞."""
-    # In [1, 2) units in the last place; the product underflows only where TINY is one unit.
+    # In [1, 2) units in the last place; the product underflows only if TINY is one unit.
     return _choice(value < LEAST, LEAST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 

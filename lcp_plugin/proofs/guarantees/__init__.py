@@ -84,7 +84,7 @@ def convergence_guarantee(
     from ...methods.direct import last_resort
 
     method = method_of(algorithm, options)
-    with np.errstate(all="ignore"):  # what overflows proves nothing
+    with np.errstate(all="ignore"):  # an overflow proves nothing
         if method is not None:
             return _of_one(problem, method)
         return _of_auto(problem, last_resort(problem))
@@ -92,7 +92,7 @@ def convergence_guarantee(
 
 def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
     if problem.n == 0:
-        return Guarantee(GUARANTEED, "there are no rows")
+        return Guarantee(GUARANTEED, "the problem has no rows")
     try:
         facts = algorithm.facts(problem)
     except (UnsuitableMatrix, UnsuitableProblem) as error:
@@ -116,13 +116,11 @@ def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
 
 
 def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
-    """Return that of the method which auto follows to its end where the ones before it fail."""
+    """Return the guarantee of the last method of auto, which runs to its end if the methods before it fail."""
     last = _of_one(problem, method)
     if not last.is_guaranteed:
         return Guarantee(NOT_COVERED, last.theorem)
-    return Guarantee(
-        GUARANTEED, f"whatever it tries before, it comes to {method.name}: {last.theorem}"
-    )
+    return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
 
 
 def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
@@ -195,7 +193,7 @@ def _is_h_plus(problem: LCP) -> bool:
 
 
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
-    """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
+    """Return the theorem on positive definite matrices that covers it; M is factorized only if one could apply."""
     sums = np.add(*unit_triangle_sums(problem.matrix)) / (
         problem.diagonal * inverse_residual_scale(problem.matrix)
     )
@@ -228,7 +226,7 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
 
 
 def _remedy(problem: LCP, facts: IterationFacts) -> str:
-    """Return what to change."""
+    """Return the remedy: the change that gives a guarantee."""
     if _is_h_plus(problem):
         if facts.family in (PROJECTED_RELAXATION, MODULUS):
             return (

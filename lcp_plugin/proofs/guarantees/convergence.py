@@ -1,28 +1,28 @@
 """Which theorem makes an iteration converge, and how fast: plain facts in, a statement out.
 
-Every rate here is that of a contraction in ‖x‖_v = max |x_i|/v_i, between any two points, so that it proves existence
-and uniqueness of the solution as well. What rows do is covered by one argument for all bounds: the residual
+Every rate here is the rate of a contraction in ‖x‖_v = max |x_i|/v_i, between any two points, so that it also proves
+existence and uniqueness of the solution. One argument covers all bounds of a row: the residual
 z − mid(lower, upper, z − S w) changes, row by row, by (1 − τ)e + τ S M e with some τ in [0, 1] (τ = 1 on a free row),
 and the projection of a component onto its bounds, which hold z*, never takes it further from z*. A bound that is
 convex in τ holds if it holds for τ = 0 and τ = 1. So boxes, free rows and the projection within a sweep cost nothing.
 
-θ = s_i m_ii, ℓ = |L|v/(d v), u = |U|v/(d v), g = β/α; L is what the sweep has already updated (a backward sweep
-exchanges L and U; a symmetric one is the product of both). The pivots p and the two cases:
+θ = s_i m_ii, ℓ = |L|v/(d v), u = |U|v/(d v), g = β/α; L is the part that the sweep has already updated (a backward
+sweep exchanges L and U; a symmetric one is the product of both). The pivots p and the two cases:
 
 | family | p | τ = 0 | τ = 1 |
 |---|---|---|---|
 | projected type | θ/α + θ + 2 | g θ ℓ < 1 | θ(ℓ + u) < min(θ, θ/α + 2), 0 ≤ g ≤ 2 |
-| projected splitting, 𝓜 a part of M | 2θ + 2 | θ t < 1, t the sum of what 𝓜 takes | ℓ + u < 1 |
+| projected splitting, 𝓜 a part of M | 2θ + 2 | θ t < 1, t the sum of the entries of 𝓜 | ℓ + u < 1 |
 | projected relaxation | 1 | – | for 0 ≤ β ≤ ω: ω(ℓ + u) < min(ω, 2 − ω) |
 | modulus (of x, z = lower + max(x, 0)) | αΩ/d + 1 | – | α(ℓ + u) < min(α, 2 − α)/2 + α min(1, 2Ω/d − 1)/2 |
 
-The last line too is for 0 ≤ β ≤ α; where α ≤ 1 it says that min(Ω, D) − |B| is an M-matrix.
+The last line too is for 0 ≤ β ≤ α; for α ≤ 1 it means that min(Ω, D) − |B| is an M-matrix.
 
 A sweep that updates row after row multiplies the error e = z − z* by something nonnegative, row by row:
 
     p_i |e⁺_i|  ≤  A_i |e_i| + b_i (|L||e|)_i + u_i (|U||e|)_i + f_i (|L||e⁺|)_i
 
-with L what the sweep has already updated. Where this holds with |e| ≤ v and the right-hand side, f_i (|L|v)_i counted
+with L the already updated part. If this holds with |e| ≤ v and the right-hand side, f_i (|L|v)_i counted
 in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
 
     c = max_i (A v + b |L|v + u |U|v)_i / (p v − f |L|v)_i  <  1:
@@ -68,7 +68,7 @@ class RowCase(NamedTuple):
 
 @dataclass(frozen=True)
 class RowBound:
-    """What one sweep does to an error; every case must hold, since a row may be in any of them.
+    """Effect of one sweep on an error; every case must hold, because a row may be in any of them.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class RowBound:
 
 
 def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBound:
-    """Return the bound of one sweep for these rows; L is what it has already updated (of 𝓜: what it takes)."""
+    """Return the bound of one sweep for these rows; L is the already updated part (for 𝓜: its entries)."""
     if facts.family == PROJECTED_TYPE:
         return _projected_type(facts, problem, rows)
     if facts.family == PROJECTED_SPLITTING:
@@ -129,14 +129,14 @@ def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBoun
 def scaled(
     facts: IterationFacts, problem: LCP, rows: slice = ALL
 ) -> tuple[FloatVector, FloatVector]:
-    """Return (θ, s divided by what the rows of the triangle sums are scaled with), one entry a row."""
+    """Return (θ, s divided by the row scaling of the triangle sums), one entry per row."""
     diagonal = problem.diagonal[rows]
     scaling = np.ones(diagonal.size) if facts.scaling is None else facts.scaling[rows]
     return scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)[rows]
 
 
 def numbers(facts: IterationFacts) -> tuple[float, float]:
-    """Return (α, β); (1, 1) where they are found during the run, whose theorem is that of Gauss–Seidel."""
+    """Return (α, β); (1, 1) if they are determined during the run, which has the theorem of Gauss–Seidel."""
     return (
         1.0 if facts.relaxation is None else float(facts.relaxation),
         1.0 if facts.acceleration is None else float(facts.acceleration),
@@ -144,7 +144,7 @@ def numbers(facts: IterationFacts) -> tuple[float, float]:
 
 
 def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
-    """Return the triangle sums of v that the row bound of a forward sweep asks for."""
+    """Return the triangle sums of v that the row bound of a forward sweep requires."""
     if facts.family != PROJECTED_SPLITTING:
         return triangle_sums(problem.matrix, v)
     all_of_m = np.add(*triangle_sums(problem.matrix, v))
@@ -163,14 +163,14 @@ def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
 
 @dataclass(frozen=True, eq=False)
 class Contraction:
-    """A proof that one iteration contracts in ‖·‖_v; `rate` is None where it rounds to 1."""
+    """A proof that one iteration contracts in ‖·‖_v; `rate` is None if it rounds to 1."""
 
     rate: float | None
     v: FloatVector = field(repr=False)
 
 
 def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contraction | None:
-    """Return the proof with these weights, or None where they prove nothing.
+    """Return the proof with these weights, or None if they prove nothing.
 
     Parameters
     ----------
@@ -210,14 +210,14 @@ def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sum
 
 
 def underflow(v: FloatVector, terms: int) -> float:
-    """Return what a difference of two triangle sums of v may have lost by underflow, `terms` entries a row."""
+    """Return a bound of the underflow in a difference of two triangle sums of v, `terms` entries per row."""
     return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
 
 
 def gaps(
     bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int
 ) -> FloatVector:
-    """Return lower bounds of 1 − c_i, shape (n,), −∞ where nothing can be said.
+    """Return lower bounds of 1 − c_i, shape (n,), −∞ if no bound exists.
 
     Parameters
     ----------
@@ -225,13 +225,13 @@ def gaps(
     v : array, shape (n,)
         Positive.
     sums : pair of arrays, shape (n,)
-        Upper bounds of |L|v of what is already updated and |U|v of the rest but for the rounding of `terms`
+        Upper bounds of |L|v of what is already updated and |U|v of the rest except for the rounding of `terms`
         additions; see :func:`underflow`.
 
     Notes
     -----
     free = p − A is a difference of numbers no larger than p, and the sweep divides by a pivot that is rounded itself:
-    what rounding may take from it is counted relative to p.
+    its rounding error is measured relative to p.
     """
     updated, rest = sums
     slop = (terms + 32) * EPSILON
@@ -248,7 +248,7 @@ def gaps(
 
 
 def rate_of(smallest: float) -> float | None:
-    """Return an upper bound c < 1 of the contraction from the smallest gap, or None where that rounds to 1.
+    """Return an upper bound c < 1 of the contraction from the smallest gap, or None if that rounds to 1.
 
     Examples
     --------

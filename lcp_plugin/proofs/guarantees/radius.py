@@ -6,8 +6,8 @@ Each iteration of these families satisfies |z_{k+1} − z*| ≤ T |z_k − z*| i
     projected relaxation  T = (I − |βL|)⁻¹ (|1 − ω| I + |ω − β| |L| + |ω U|),  of M scaled to unit diagonal
     modulus               T = |(𝓜 + Ω)⁻¹| (|𝓜 − M| + |Ω − M|), for x
 
-ρ(T) < 1 makes it converge from every start. It is no ρ of the iteration matrix itself, which may be less; it is a
-float and no proof: for one, `rate`, which rests on a sharper bound than the paper's T where rows are not scaled.
+ρ(T) < 1 makes it converge from every start. It is not ρ of the iteration matrix itself, which may be less; it is a
+float, not a proof. The proof is `rate`, which rests on a sharper bound than the paper's T where rows are not scaled.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def spectral_radius(problem: LCP, facts: IterationFacts) -> float | None:
 
 
 def jacobi_spectral_radius(problem: LCP) -> float:
-    """Return ρ(|J|), J = D⁻¹(L + U) that of Jacobi's iteration; ∞ where a diagonal entry is 0."""
+    """Return ρ(|J|), J = D⁻¹(L + U) the Jacobi iteration matrix; ∞ if a diagonal entry is 0."""
     if not problem.diagonal.all():
         return np.inf
     beside = abs(problem.csr - sp.diags_array(problem.diagonal))
@@ -61,7 +61,7 @@ def jacobi_spectral_radius(problem: LCP) -> float:
 
 
 def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
-    """Return T, shape (n, n), dense; None where P is singular."""
+    """Return T, shape (n, n), dense; None if P is singular."""
     M, n = problem.csr, problem.n
     alpha, beta = numbers(facts)
     eye, is_backward = sp.eye_array(n, format="csr"), facts.sweep == "backward"
@@ -90,7 +90,7 @@ def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
 
 
 def _solved(P: Any, right: Any) -> Any:
-    """Return |P⁻¹| right, None where P is singular."""
+    """Return |P⁻¹| right, None if P is singular."""
     try:
         return np.abs(np.linalg.inv(P.toarray())) @ right.toarray()
     except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""The theorems by name and source: which one a proof is an instance of, and what the paper's own say."""
+"""The theorems by name and source: the theorem behind a proof, and the theorems of the paper."""
 
 from __future__ import annotations
 
@@ -38,28 +38,28 @@ FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class Guarantee:
-    """What is proven about an algorithm on a matrix, whatever q and the bounds are.
+    """Convergence guarantee of an algorithm on a matrix, for all q and all bounds.
 
     Attributes
     ----------
     verdict : {"guaranteed", "not covered"}
         Convergence from every start is proven; or nothing is proven here.
     theorem : str
-        The theorem and its source, or what stands in the way.
+        The theorem and its source, or the missing condition.
     rate : float or None
         c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x where `speaks_of` is "x". So
         |z_k − z*| ≤ c/(1 − c) ‖z_k − z_{k−1}‖_v v, in exact arithmetic.
     v : array, shape (n,), or None
         The weights of that norm, positive.
     remedy : str
-        What to do where it is not guaranteed.
+        Remedy if convergence is not guaranteed.
     paper : str
-        What the paper's Theorem 4.2 as stated says, for its methods without row scaling.
+        Verdict of the paper's original Theorem 4.2, for its methods without row scaling.
     speaks_of : {"z", "x"}
         The rate of a modulus method is one of its x, z = lower + max(x, 0):
         ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
     facts, problem : IterationFacts and LCP, or None
-        Of what `spectral_radius` speaks; None where it is no splitting.
+        The iteration of `spectral_radius`; None if the method is not a splitting.
     """
 
     verdict: str
@@ -74,10 +74,10 @@ class Guarantee:
 
     @cached_property
     def spectral_radius(self) -> float | None:
-        """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without a proof, computed when asked.
+        """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without proof, computed on first access.
 
-        Not that of the iteration matrix itself, which may be less. None of methods that are no splitting, of a
-        symmetric sweep, and of more than 1000 unknowns.
+        ρ of the iteration matrix itself may be less. None for methods that are not splittings, for a symmetric sweep,
+        and for more than 1000 unknowns.
         """
         if self.facts is None or self.problem is None:
             return None
@@ -85,12 +85,12 @@ class Guarantee:
 
     @cached_property
     def jacobi_radius(self) -> float | None:
-        """ρ(|J|), J = D⁻¹(L + U); below 1 on H₊-matrices alone."""
+        """ρ(|J|), J = D⁻¹(L + U); below 1 only on H₊-matrices."""
         return None if self.problem is None else jacobi_spectral_radius(self.problem)
 
     @property
     def is_guaranteed(self) -> bool:
-        """True where convergence is proven."""
+        """True if convergence is proven."""
         return self.verdict == GUARANTEED
 
     def __str__(self) -> str:
@@ -101,7 +101,7 @@ class Guarantee:
             )
             speed += "" if self.speaks_of == "z" else f" of {self.speaks_of}"
         lines = [f"{self.verdict}: {self.theorem}{speed}"]
-        lines += [f"what to do: {self.remedy}"] if self.remedy else []
+        lines += [f"remedy: {self.remedy}"] if self.remedy else []
         return "\n".join(lines + ([self.paper] if self.paper else []))
 
 
@@ -158,7 +158,7 @@ def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str 
 def theorem_4_2(
     facts: IterationFacts, problem: LCP, bounds: Sequence[float], is_h_plus: bool
 ) -> tuple[bool, str]:
-    """Return whether the paper's Theorem 4.2 as stated covers the unscaled iteration, and a sentence that says so.
+    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, and a sentence with the reason.
 
     Parameters
     ----------
@@ -181,10 +181,10 @@ def theorem_4_2(
     diagonal = problem.diagonal
     premise = 0.0 <= beta <= alpha <= 1.0
     if not is_h_plus:
-        return False, "not covered by Theorem 4.2 as stated (M is not proven to be an H₊-matrix)"
+        return False, "not covered by the original Theorem 4.2 (M is not proven to be an H₊-matrix)"
     case = 1 if np.all(diagonal >= 1.0) and upper < 1.0 else 2 if np.all(diagonal < 1.0) else 0
     if case and premise:
-        return True, f"covered by Theorem 4.2 as stated, case {case} ({number})"
+        return True, f"covered by the original Theorem 4.2, case {case} ({number})"
     reason = number if not case else "its splitting needs ⟨M⟩ = ⟨𝓜⟩ − |𝓝|, that is 0 ≤ β ≤ α ≤ 1"
     is_mixed = not (np.all(diagonal >= 1.0) or np.all(diagonal < 1.0))
     reason += "; neither D ≥ I nor D < I" if is_mixed else ""
@@ -195,12 +195,12 @@ def theorem_4_2(
     )
     return (
         False,
-        f"not covered by Theorem 4.2 as stated ({reason}); covered after diagonal scaling{hindered}",
+        f"not covered by the original Theorem 4.2 ({reason}); covered after diagonal scaling{hindered}",
     )
 
 
 def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVector] | None:
-    """Return (c, v) with T v ≤ c v, c < 1, v > 0 for the T of Method 3.1, or None where no such v was found.
+    """Return (c, v) with T v ≤ c v, c < 1, v > 0 for the T of Method 3.1, or None if no such v was found.
 
     Parameters
     ----------

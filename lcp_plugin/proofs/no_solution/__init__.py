@@ -1,1 +1,1 @@
-"""Proofs that a problem has no solution: linear constraints that contradict, cases that are all excluded."""
+"""Proofs that a problem has no solution: inconsistent linear constraints, or excluded complementarity pieces."""

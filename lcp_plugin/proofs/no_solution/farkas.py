@@ -1,7 +1,7 @@
-"""Multipliers with which linear constraints contradict (Farkas): a linear program finds them, then they are repaired.
+"""Farkas certificates of inconsistent linear constraints: a linear program finds them, then they are repaired.
 
-What HiGHS returns proves nothing. It is put into the signs it must have, rounded to few digits, solved for in
-fractions; the caller says of which of these vectors there is a proof, and how large its margin is.
+The multipliers of HiGHS are not a proof. They are projected to the required signs, rounded to few digits, and solved
+for in rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ VIOLATED = 1e-6  # of the terms of its row
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
-POLISHES = 2  # the second takes off what the first has rounded
+POLISHES = 2  # the second removes the rounding of the first
 MOST_DENSE = 1_000_000  # entries; .1 s
 MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
-MOST = 1e5  # times the unit: what a linear program in double precision can tell from the rest
-CONTRADICTION = 1e-9  # what the linear program cannot tell from 0
+MOST = 1e5  # times the unit: resolution of a linear program in double precision
+CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
 ALIKE = 1.0 - 2.0**-40  # margins that differ by less are rounded differently
-NEAR_ENOUGH = 0.5  # of the margin that the linear program promises
+NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program
 KEPT = 0.55  # of the optimum, where slack is looked for: near enough in spite of rounding
 SLACK = 0.1  # of the norm of v, for all of its entries together
 
@@ -50,7 +50,7 @@ class HasMargin(Protocol):
 
     @property
     def margin(self) -> float:
-        """By how much the constraints contradict."""
+        """Margin of the inconsistency."""
 
 
 Proof = TypeVar("Proof", bound=HasMargin)
@@ -67,7 +67,7 @@ class FarkasAnswer:
 
     @property
     def is_contradiction(self) -> bool:
-        """Whether the constraints seem to contradict one another."""
+        """Whether the constraints seem inconsistent."""
         return self.optimum <= -CONTRADICTION
 
 
@@ -78,13 +78,13 @@ class FarkasProgram:
     This is the dual of min t over lower ≤ x ≤ upper with every w_i of its sign up to weight_i t: minus the optimum is
     the smallest miss that the signs allow, and y proves it. y = 0 is always allowed; where the constraints can be
     satisfied the optimum is 0, and its multipliers are such an x. Rows and columns are scaled by powers of two first,
-    and so is what y is made of: v, its nonnegative parts and the multipliers of finite bounds.
+    and so are the parts of y: v, its nonnegative parts and the multipliers of finite bounds.
 
     Attributes
     ----------
     unit : float or None
-        What q and the bounds are divided by, in the scale of the program; their largest entry by default. With a
-        smaller one, what is huge beside it is cut off: the answer must be checked, as every answer here is.
+        Divisor of q and the bounds, in the scale of the program; their largest entry by default. With a smaller one,
+        entries that are huge relative to it are cut off: the result must be checked, as every result here is.
     pivots : int or None
         A linear program that takes more has no answer.
     """
@@ -124,13 +124,13 @@ class FarkasProgram:
         return float(0.5 * power_of_two(max(largest, 2.0**-900)))
 
     def margin_of(self, optimum: float) -> float:
-        """Return the margin beside their reference, as far as an optimum of the program can be trusted."""
+        """Return the margin relative to the reference, as far as an optimum of the program can be trusted."""
         with np.errstate(all="ignore"):
             margin = float(-optimum * self._scaled_unit / np.float64(self.constraints.reference))
         return margin if np.isfinite(margin) else 0.0
 
     def solve(self) -> FarkasAnswer | None:
-        """Return the optimum, or None where it took more pivots or time than there is."""
+        """Return the optimum, or None if it took more pivots or time than there is."""
         form = self._form
         result = linear_program(
             form.cost, form.equations, 0.0, (0.0, None), (form.norm[None, :], [1.0]), self.pivots
@@ -144,14 +144,14 @@ class FarkasProgram:
     def proof(
         self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None]
     ) -> Proof | None:
-        """Return the first proof with half the margin that the answer promises, else the one with the largest.
+        """Return the first proof with half the margin that the optimum predicts, else the one with the largest.
 
-        One within a radius only where no other has been found.
+        One within a radius only if no other has been found.
 
         Parameters
         ----------
         proven : callable
-            Gives the proof by a y in the scale of the constraints, or None where that is none.
+            Gives the proof by a y in the scale of the constraints, or None if that is none.
         """
         wanted, plain, within = (
             NEAR_ENOUGH * self.margin_of(answer.optimum),
@@ -189,7 +189,7 @@ class FarkasProgram:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
 
         A vertex has as few positive multipliers as it can: where the coefficients carry rounding errors, those may
-        vanish together only, and what is proven with rounding margins wants all its inequalities to hold with slack.
+        vanish only together, and proofs with rounding margins require slack in all inequalities.
         """
         form = self._form
         size, count = slacks.shape
@@ -299,9 +299,9 @@ class FarkasProgram:
         yield self._polished(y)
 
     def _polished(self, y: FloatVector) -> FloatVector:
-        """Return the vector beside y that satisfies to rounding the equalities which y satisfies without slack.
+        """Return a vector near y that satisfies to rounding the equalities which y satisfies without slack.
 
-        What should depend on each other is independent by rounding: singular values below that count as none.
+        Dependent equalities become independent by rounding: singular values at rounding level count as 0.
         """
         support, tight = self._tight(y, TIGHT[-1])
         if support.size * tight.size <= MOST_DENSE:
@@ -319,7 +319,7 @@ class FarkasProgram:
         return y
 
     def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
-        """Return the vector beside y that satisfies exactly the (in)equalities which y satisfies without slack."""
+        """Return a vector near y that satisfies exactly the (in)equalities which y satisfies without slack."""
         support, equalities = self._tight(y, tight)
         if min(support.size, equalities.size) > MOST_UNKNOWNS:
             return None
@@ -331,7 +331,7 @@ class FarkasProgram:
         return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
 
     def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
-        """Return which entries of y are not 0, and at which open columns Mᵀy has no slack."""
+        """Return the indices of nonzero y, and the open columns at which Mᵀy has no slack."""
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
         is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
@@ -345,11 +345,11 @@ class _StandardForm:
     Attributes
     ----------
     m : int
-        Number of rows of the asked.
+        Number of requested rows.
     place : array of int
         The row that each entry of v is a part of the multiplier of, or m + the unknown with that bound.
     signed : array
-        What v is times as such a part.
+        Factor of v in each part.
     """
 
     m: int
@@ -375,7 +375,7 @@ def linear_program(
     at_most: tuple[Any, Any],
     pivots: int | None = None,
 ) -> Any:
-    """Return what HiGHS makes of min costᵀv, equations · v = right, rows · v ≤ limits; None where it has no optimum.
+    """Return HiGHS's result of min costᵀv, equations · v = right, rows · v ≤ limits; None if it has no optimum.
 
     Parameters
     ----------

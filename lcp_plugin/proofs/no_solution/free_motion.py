@@ -1,4 +1,4 @@
-"""Rigid modes: directions d with P d = 0 to rounding, as of a structure that nothing holds."""
+"""Zero-energy modes: directions d with P d = 0 to rounding, for example of an unsupported structure."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ...core.kernels.floats import EPSILON
 from .linear_constraints import WIDE
 
 TOUCHING = 1e-9  # of the largest movement: an unknown at a bound that moves so little stays there
-# Of the terms of P d, on average over its rows; of √(p_ii p_jj) |d_j| in each row: more is data, as a weak spring is.
+# Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
 MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
 NAMED, NAMED_FROM = 4, 1e-6  # unknowns, and of the largest movement
 
 
 def _left(P: Any, d: FloatVector) -> float:
-    """Return Σ_i |(P d)_i| beside Σ_i (|P||d|)_i."""
+    """Return Σ_i |(P d)_i| / Σ_i (|P||d|)_i."""
     terms = float((abs(P) @ np.abs(d)).sum())
     return float(np.abs(P @ d).sum()) / terms if terms > 0.0 else 0.0
 
 
 def moved_unknowns(d: Any) -> str:
-    """Return which unknowns move along a direction, in words, but for those that hardly move.
+    """Return a text with the unknowns that move along a direction, except for negligible movements.
 
     Examples
     --------
@@ -42,7 +42,7 @@ def moved_unknowns(d: Any) -> str:
 
 
 def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
-    """Return whether a load c has to move what P hardly resists much farther than the softest part that d moves.
+    """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
     under all of the load; P d stops x = s d at an s ≥ |cᵀd| / Σ_j |d_j left_j|. In any units: stiff parts hide no weak
@@ -64,14 +64,14 @@ def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
     d = np.array([float(value) for value in direction])
     sizes, diagonal = np.abs(d), P.diagonal()
     rows = np.flatnonzero((sizes > TOUCHING * sizes.max(initial=0.0)) & (diagonal > 0.0))
-    with np.errstate(all="ignore"):  # what overflows is not
+    with np.errstate(all="ignore"):  # an overflow counts as no
         stiffness = np.square((abs(P) @ sizes)[rows] / np.sqrt(diagonal[rows])).min(initial=np.inf)
         resisted = sum(abs(float(value)) * sizes[j] for j, value in left.items() if j < d.size)
         return bool(resisted * 2.0 * WIDE * (np.abs(c) @ sizes) <= abs(c @ d) * stiffness)
 
 
 def is_at_rest(P: Any, direction: Any) -> bool:
-    """Return whether P d = 0 to rounding, P not being 0 along d: what P resists elsewhere, it does not along d."""
+    """Return whether P d = 0 to rounding, although P is not 0 for the unknowns of d: a zero-energy mode."""
     d = np.array([float(value) for value in direction])
     moving = np.flatnonzero(d)
     P = sp.csr_array(P)

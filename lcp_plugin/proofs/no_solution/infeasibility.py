@@ -32,10 +32,10 @@ DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear prog
 
 @np.errstate(all="ignore")
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
-    """Return the proof that the linear constraints cannot be satisfied; None where they can be, or none was found.
+    """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
 
     Without a solution of its linear constraints a problem has none; a monotone one (M positive semidefinite) that can
-    satisfy them has one. Of the proofs, one with nearly the largest margin is looked for.
+    satisfy them has one. The search prefers a proof with nearly the largest margin.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
 
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
-    """Return a proof by the multipliers of a linear program, in units in which it sees what contradicts."""
+    """Return a proof by the multipliers of a linear program, in a scaling in which it detects the inconsistency."""
     from .farkas import FarkasProgram
 
     reference = reference_residual(problem)
@@ -82,7 +82,7 @@ def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
             )
             if proof is not None or unit is None:
                 return proof
-            unit = None  # what this unit cuts off may matter
+            unit = None  # entries cut off by this unit may matter
             continue
         unit = program.unit_of_violation(np.clip(answer.point, problem.lower, problem.upper))
         if unit is None:  # the point satisfies the constraints
@@ -91,7 +91,7 @@ def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
 
 
 def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
-    """Return what z has to satisfy in these rows but for complementarity; what misses it has a residual as large."""
+    """Return the linear constraints of these rows, without complementarity; a violation implies a residual as large."""
     kept = np.zeros(problem.n)
     return LinearConstraints(
         sp.csr_array(problem.M[rows]),
@@ -112,7 +112,7 @@ def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
 
 
 def contradictory_row(problem: LCP) -> Infeasibility | None:
-    """Return the proof of the row that z within the bounds miss by most, or None where no single row is enough.
+    """Return the proof of the row that z within the bounds miss by most, or None if no single row is enough.
 
     Cost: one look at each entry of the rows without a positive diagonal; in the others, their own unknown lets w grow.
 
@@ -144,7 +144,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class NoSolution(NoSolutionProof):
-    """No z solves the problem: every case of a complete tree contradicts, exactly; `margin` says by how much.
+    """No z solves the problem: every leaf of a complete tree is exactly infeasible, with `margin`.
 
     Attributes
     ----------
@@ -170,13 +170,13 @@ class NoSolution(NoSolutionProof):
 
     @property
     def infeasibility(self) -> Infeasibility | None:
-        """The Farkas vector of the whole problem, where its linear constraints contradict without any split."""
+        """The Farkas certificate of the entire problem, if its linear constraints are inconsistent without a split."""
         if self.tree.y is None or not any(self.tree.y):
             return None
         return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
 
     def closings(self) -> Iterator[Closing | None]:
-        """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""
+        """Yield the certificate of each leaf, in exact arithmetic; None for an open leaf, or a split with gaps."""
         for case, path in self._cases():
             if case.row >= 0:
                 ends = float(self.problem.lower[case.row]), float(self.problem.upper[case.row])

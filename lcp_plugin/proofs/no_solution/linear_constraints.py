@@ -1,6 +1,6 @@
-"""Linear constraints by themselves, and how they contradict.
+"""Linear constraints, and certificates of their inconsistency.
 
-Rows with a sign, unknowns with bounds, what each row is measured in; a Farkas vector and what it proves.
+Rows with a sign, unknowns with bounds, the unit of each row; a Farkas vector and its proof.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ class LinearConstraints:
     ----------
     matrix : CSR array, shape (m, n)
     q : array, shape (m,)
-        Finite where a row asks for a sign.
+        Finite for rows with a required sign.
     needs_rise, needs_fall : arrays of bool, shape (m,)
-        Whether w_i ≥ 0 and w_i ≤ 0 is asked for; both make an equation, neither leaves the row out.
+        Whether w_i ≥ 0 and w_i ≤ 0 is required; both make an equality, neither leaves the row out.
     lower, upper : arrays, shape (n,)
     weights : array, shape (m,)
         Positive: the unit in which w_i misses its sign.
     bound_weights : pair of arrays, shape (n,)
         The units in which x may miss its lower and its upper bounds too; 0 where bounds are kept.
     reference : float
-        What the largest miss is relative to.
+        Reference of the largest violation.
     """
 
     matrix: sp.csr_array
@@ -68,7 +68,7 @@ class LinearConstraints:
     reference: float = 1.0
 
     def signs(self, row: int) -> tuple[bool, bool]:
-        """Return whether w_i ≥ 0 and w_i ≤ 0 is asked for."""
+        """Return whether w_i ≥ 0 and w_i ≤ 0 is required."""
         return bool(self.needs_rise[row]), bool(self.needs_fall[row])
 
     def bounds(self, column: int) -> tuple[float, float]:
@@ -79,7 +79,7 @@ class LinearConstraints:
     def missing(self) -> FloatVector:
         """By how much all x within the bounds miss w_i ≥ 0 and w_i ≤ 0 at least, to rounding; shape (2, m).
 
-        Positive where no such x gives the row the sign it asks for.
+        Positive if no such x gives the row its required sign.
         """
         lowest, highest = activity(self.matrix, self.lower, self.upper)
         with np.errstate(invalid="ignore"):
@@ -111,9 +111,9 @@ def activity(
 
 
 def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the matrix without entries that are rounding beside the largest ones of their row and of their column.
+    """Return the matrix without entries at rounding level relative to the largest of their row and column.
 
-    What is left of a sum of decimals that should cancel has no size that a scale might be made of.
+    What is left of a sum of decimals that should cancel has no size that a scale might be built from.
     """
     size = abs(matrix)
     if 0 in matrix.shape or not matrix.nnz:
@@ -127,7 +127,7 @@ def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
 
 
 class Sides(Protocol):
-    """What a contradiction asks of constraints; cases of other conditions have signs and bounds of their own."""
+    """Interface of the constraints of a Farkas certificate: signs of rows, bounds of unknowns."""
 
     @property
     def matrix(self) -> sp.csr_array:
@@ -138,7 +138,7 @@ class Sides(Protocol):
         """The offset of w = M x + q."""
 
     def signs(self, row: int) -> tuple[bool, bool]:
-        """Return whether w_i ≥ 0 and w_i ≤ 0 is asked for."""
+        """Return whether w_i ≥ 0 and w_i ≤ 0 is required."""
 
     def bounds(self, column: int) -> tuple[float, float]:
         """Return the bounds of an unknown."""
@@ -146,12 +146,12 @@ class Sides(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Contradiction:
-    """What a Farkas vector y proves of linear constraints, in exact arithmetic.
+    """Inconsistency of linear constraints, proved by a Farkas vector y in exact arithmetic.
 
-    y_i > 0 takes w_i ≥ 0 for granted, y_i < 0 takes w_i ≤ 0, and yᵀw = qᵀy + (Mᵀy)ᵀx for every x. Where its supremum
+    y_i > 0 takes w_i ≥ 0 for granted, y_i < 0 takes w_i ≤ 0, and yᵀw = qᵀy + (Mᵀy)ᵀx for every x. If its supremum
     over the bounds is −c < 0, no x within the bounds gives all rows their signs: each misses some of them, and of
-    bounds that may be missed too, by t in units u with t (Σ|y_i| u_i + Σ|(Mᵀy)_j| u_j) ≥ c. Where Mᵀy should be 0 on an
-    open side and is rounding beside its terms, this is said of all x with |x_j| ≤ `radius` there.
+    bounds that may be missed too, by t in units u with t (Σ|y_i| u_i + Σ|(Mᵀy)_j| u_j) ≥ c. If Mᵀy should be 0 on an
+    open side but is at rounding level of its terms, the proof covers all x with |x_j| ≤ `radius` there.
 
     Attributes
     ----------
@@ -161,9 +161,9 @@ class Contradiction:
     rows : IntegerMatrix, optional
         M, where it is known in integers.
     left : dict of int to Fraction
-        What of Mᵀy is not 0 and on open sides.
+        Entries of Mᵀy that are not 0 on open sides.
     plain : Fraction
-        c but for what is left.
+        c except for what is left.
     """
 
     sides: Sides
@@ -200,7 +200,7 @@ class Contradiction:
 
     @cached_property
     def radius(self) -> float:
-        """Of the |x_j| without bounds that it speaks of: ∞, or the one that leaves half the contradiction."""
+        """Bound of the |x_j| without bounds that the proof covers: ∞, or the value that leaves half the margin."""
         left = total([abs(value) for value in self.left.values()])
         return rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
 
@@ -211,7 +211,7 @@ class Contradiction:
 
     @property
     def has_signs(self) -> bool:
-        """Whether each y_i has a sign that its row asks for."""
+        """Whether each y_i has the sign required by its row."""
         return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
 
     @property
@@ -222,8 +222,8 @@ class Contradiction:
     def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
         """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.
 
-        That size is Σ|y_i q_i| / Σ|y_i m_ij|, where the terms of column j are as large as those of q, or a known one
-        where that is larger; columns of size 0 do not count.
+        That size is Σ|y_i q_i| / Σ|y_i m_ij|, at which the terms of column j are as large as the terms of q, or a known
+        size if that is larger; columns of size 0 do not count.
         """
         if not self.left:
             return True
@@ -242,7 +242,7 @@ class Contradiction:
         return bool(float(self.plain / largest) >= 2.0 * WIDE * moved)
 
     def is_rounding(self, first: int = 0) -> bool:
-        """Return whether what is left of sums that should be 0 is rounding beside their terms; data are none."""
+        """Return whether sums that should be 0 are at rounding level of their terms; data are larger."""
         left = {j: value for j, value in self.left.items() if j >= first}
         if not left:
             return True

@@ -59,7 +59,7 @@ def exact_references(problem: LCP) -> Callable[[int], Fraction]:
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
-    """Return the cases of a row: z_i = lower with w_i ≥ 0, w_i = 0, z_i = upper with w_i ≤ 0.
+    """Return the branches of a row: z_i = lower with w_i ≥ 0, w_i = 0, z_i = upper with w_i ≤ 0.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def row_choices(lower: float, upper: float) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Closing:
-    """What closes one case: every z in it has Σ weight_i |r_i(z)| ≥ contradiction.
+    """Certificate of one complementarity piece: every z in it has Σ weight_i |r_i(z)| ≥ contradiction.
 
     Attributes
     ----------
@@ -91,36 +91,35 @@ class Closing:
 
 
 class NoSolutionProof:
-    """A proof that no z solves a problem, and what it says of every z within the bounds.
+    """A proof that no z solves a problem, with a lower bound of the residual of every z within the bounds.
 
-    INFEASIBLE and NO_SOLUTION are said only where the margin exceeds the tolerance of the run: no z at all could then
-    be SOLVED. A smaller contradiction is true of the stored doubles, and as good as none for every use of them. So is
-    one below the rounding of the largest number in q: nothing in a row tells rounding from data, but beside that it is
-    none.
+    The status is INFEASIBLE or NO_SOLUTION only if the margin exceeds the tolerance of the run: then no z could be
+    SOLVED. A smaller margin is true for the stored double-precision data, but has no practical meaning; neither has a
+    margin below the rounding of the largest number in q.
 
     Notes
     -----
     |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
     |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t_i
-    at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which what closes a case no longer does
-    so, the least over all cases, bounds the relative residual from below.
+    at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which the certificate of a piece fails,
+    minimized over all pieces, bounds the relative residual from below.
     """
 
     problem: LCP
-    status: ClassVar[Status] = Status.NO_SOLUTION  # what it proves
-    radius: ClassVar[float] = np.inf  # it speaks of all z
+    status: ClassVar[Status] = Status.NO_SOLUTION  # the proved status
+    radius: ClassVar[float] = np.inf  # it covers all z
 
     def closings(self) -> Iterator[Closing | None]:
-        """Yield what closes each case, verified; None for a case that is not closed."""
+        """Yield the verified certificate of each piece; None for an open piece."""
         raise NotImplementedError
 
     def verify(self) -> bool:
-        """Return whether the proof holds, computed again from the problem's data alone."""
+        """Return whether the proof holds, computed again from only the problem's data."""
         return all(closing is not None for closing in self.closings())
 
     @cached_property
     def exact(self) -> bool:
-        """Whether the stored doubles have no solution at all, by however little; what `verify` says."""
+        """Whether the stored double-precision data have no solution, by any margin; the result of `verify`."""
         return self.verify()
 
     @cached_property
@@ -135,7 +134,7 @@ class NoSolutionProof:
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the contradiction is no more than rounding of the largest number in q."""
+        """Whether the margin is within the rounding of the largest number in q."""
         return rounded_down(self._least[1]) <= rounding_of_data(self.problem)
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
@@ -160,7 +159,7 @@ class NoSolutionProof:
 
 
 class Choices(NamedTuple):
-    """The linear constraints of a case: what z has to satisfy where some rows have made their choice.
+    """The linear constraints of a piece, in which some rows are decided.
 
     The other rows have w of the signs that their bounds permit.
     """
@@ -186,7 +185,7 @@ class Choices(NamedTuple):
         return choice in (LOWER, SLACKLESS), choice in (UPPER, SLACKLESS)
 
     def bounds(self, column: int) -> tuple[float, float]:
-        """Return between what z_j is."""
+        """Return the bounds of z_j."""
         lower, upper = float(self.problem.lower[column]), float(self.problem.upper[column])
         choice = self.path.get(column)
         return (
@@ -198,7 +197,7 @@ class Choices(NamedTuple):
         )
 
     def contradiction(self, y: Mapping[int, Rational]) -> Contradiction:
-        """Return what a vector, by row, proves of it, if its signs are right."""
+        """Return the Farkas certificate of a vector, by row, if its signs are right."""
         rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
         return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
 
@@ -207,7 +206,7 @@ class Choices(NamedTuple):
         return self.contradiction(y).holds
 
     def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
-        """Return what a Farkas vector closes the case with, for all z; None where it does not."""
+        """Return the certificate of the piece by a Farkas vector, for all z; None if it is not one."""
         found = self.contradiction(y)
         if not found.holds:
             return None
@@ -257,14 +256,14 @@ class Infeasibility(NoSolutionProof):
 
     @classmethod
     def of(cls, problem: LCP, y: Mapping[int, Rational]) -> Infeasibility:
-        """Return that of a vector, by row, which is not 0, whatever its largest entry."""
+        """Return the proof by a nonzero vector, by row, of any scale."""
         largest, exact = max(abs(Fraction(value)) for value in y.values()), [ZERO] * problem.n
         for i, value in y.items():
             exact[i] = Fraction(value) / largest
         return cls(problem, tuple(exact))
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
-        """Return the same; a row of zeros fails the componentwise test by all of its q_i, unless that is rounding."""
+        """Return whether no z could be SOLVED; empty rows fail the componentwise test, unless q_i is at rounding level."""
         return super().excludes(tolerance, absolute_tolerance) or (
             not absolute_tolerance and self._rests_on_empty_rows and self.exact
         )
@@ -287,7 +286,7 @@ class Infeasibility(NoSolutionProof):
         return y
 
     def closings(self) -> Iterator[Closing | None]:
-        """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
+        """Yield the certificate of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
         yield Choices(self.problem, {}).closed_by(self._used)
 
     def __str__(self) -> str:
@@ -301,7 +300,7 @@ class Infeasibility(NoSolutionProof):
         named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (
             ", …" if len(rows) > 4 else ""
         )
-        combined = f"{len(rows)} rows contradict ({named})"
+        combined = f"{len(rows)} rows are inconsistent ({named})"
         if len(rows) == 1:
             combined = f"row {rows[0]} contradicts its bounds"
         return f"no z within its bounds gives w the signs it needs: {combined}; proof: exact"

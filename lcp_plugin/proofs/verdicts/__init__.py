@@ -1,4 +1,4 @@
-"""What kind of matrix is it? Verdicts with evidence, and the certificates that bounds and guarantees stand on.
+"""Matrix classes: verdicts with evidence, and the certificates behind bounds and guarantees.
 
 For other subpackages: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0).
 """

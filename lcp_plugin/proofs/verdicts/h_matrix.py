@@ -1,4 +1,4 @@
-"""Is ⟨M⟩ a nonsingular M-matrix? Found by any means, believed only after a rigorous check.
+"""Is ⟨M⟩ a nonsingular M-matrix? Found by any means, accepted only after a rigorous check.
 
 Yes is proven by v > 0 with ⟨M⟩v > 0. No is proven by y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, since ⟨M⟩⁻¹ ≥ 0 would make such a y
 nonpositive. One solve gives either: with (I − D⁻¹|B|)x = 1, x > 0 is such a v, else y = max(−x, 0) is strict on its
@@ -60,7 +60,7 @@ class HVerdict:
 
 
 def comparison_certificate(matrix: Matrix) -> HCertificate | None:
-    """Return v > 0 with ⟨M⟩v ≥ margin > 0, proven and cached for this M, or None where none was found.
+    """Return v > 0 with ⟨M⟩v ≥ margin > 0, proven and cached for this M, or None if none was found.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 
     Notes
     -----
-    It says nothing of the signs of the diagonal. Cost: a product with M; where that does not settle it, up to three
+    It does not depend on the signs of the diagonal. Cost: a product with M; if that does not decide, up to three
     solves with ⟨M⟩ (LAPACK, sparse LU, or multigrid).
 
     Examples
@@ -116,7 +116,7 @@ def is_nonpositive(M: Any, y: FloatVector) -> bool:
     )
 
 
-@np.errstate(all="ignore")  # what overflows fails its check
+@np.errstate(all="ignore")  # an overflow fails the check
 def decide(M: Any) -> HVerdict:
     """Return whether ⟨M⟩ is a nonsingular M-matrix: v = 1, then solutions of ⟨M⟩v = |diag(M)| w for w = 1, then |v|.
 

@@ -25,7 +25,7 @@ MOST_BITS = 160  # of an entry, beyond 10 rows
 
 
 def is_p_matrix_by_recursion(M: Any) -> bool | None:
-    """Return whether all principal minors are positive, proven; None where the numbers are too long.
+    """Return whether all principal minors are positive, proven; None if the numbers are too long.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
 
 
 def nonpositive_pair(M: Any) -> tuple[int, int] | None:
-    """Return i < j with m_ii m_jj − m_ij m_ji ≤ 0, proven, or None where no such pair was found.
+    """Return i < j with m_ii m_jj − m_ij m_ji ≤ 0, proven, or None if no such pair was found.
 
     Parameters
     ----------

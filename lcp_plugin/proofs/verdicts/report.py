@@ -1,6 +1,6 @@
 """What is known about a matrix: verdicts on demand, each with its evidence.
 
-A look at M tells its classes in words, and whether its sign is right: a matrix whose diagonal is negative throughout is
+A summary lists the classes of M and a wrong sign: a matrix whose diagonal is negative throughout is
 often meant to be its negative.
 """
 
@@ -28,7 +28,7 @@ WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
 class View:
-    """An attribute of a report that is a fact about its matrix, computed when first asked."""
+    """An attribute of a report that is a cached property of its matrix."""
 
     def __init__(self, tell: Callable[[Matrix], Any]) -> None:
         self.tell = tell
@@ -37,12 +37,12 @@ class View:
     def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
         if report is None:
             return self
-        with np.errstate(all="ignore"):  # what overflows fails its check
+        with np.errstate(all="ignore"):  # an overflow fails the check
             return self.tell(report.matrix)
 
 
 class Claim:
-    """A property of a report: True, False or None (undecided); decided once, when first asked."""
+    """A property of a report: True, False or None (undecided); computed once, on first access."""
 
     def __init__(self, title: str, decide: Callable[[Matrix], Verdict]) -> None:
         self.title = title
@@ -59,8 +59,8 @@ class Claim:
 class MatrixReport:
     """Classes a matrix belongs to, each True, False or None (undecided), never a guess.
 
-    A verdict is computed when it is first asked for, from cheap to costly, and kept. ``evidence[name]`` says in words
-    what it stands on.
+    A verdict is computed on first access, by tests from cheap to costly, and kept. ``evidence[name]`` describes its
+    reason.
 
     Parameters
     ----------
@@ -135,11 +135,11 @@ class MatrixReport:
         Raises
         ------
         KeyError
-            Where no claim has that name; ``list(report.evidence)`` tells the names.
+            If no claim has this name; ``list(report.evidence)`` has the names.
         """
         if name not in CLAIMS:
             raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
-        with np.errstate(all="ignore"):  # what overflows fails its check
+        with np.errstate(all="ignore"):  # an overflow fails the check
             return CLAIMS[name].decide(self.matrix)
 
     def to_content(self) -> dict[str, Any]:
@@ -179,7 +179,7 @@ class MatrixReport:
 
 
 class _Evidence(Mapping[str, str]):
-    """Claim → why, computed when asked."""
+    """Mapping from a claim to its reason, computed on access."""
 
     def __init__(self, report: MatrixReport) -> None:
         self._report = report
@@ -227,7 +227,7 @@ def analyze(M: Any) -> MatrixReport:
 
 
 def matrix_of(M: Any) -> Matrix:
-    """Return a problem's matrix, a matrix as it is, or what an array states."""
+    """Return the `Matrix` of a problem or an array; a `Matrix` is returned unchanged."""
     if class_of(M) not in (None, "LCP"):
         raise InvalidProblem(refusal("analyze", M))
     matrix = getattr(M, "matrix", M)
@@ -235,7 +235,7 @@ def matrix_of(M: Any) -> Matrix:
 
 
 def wrapped(title: str, text: str) -> list[str]:
-    """Return the text beside its title, in lines of at most 100 columns."""
+    """Return the text next to its title, in lines of at most 100 columns."""
     return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [
         title.rstrip()
     ]
@@ -261,7 +261,7 @@ def is_negated_m_matrix(matrix: Matrix) -> bool:
 
 
 def sign_remark(matrix: Matrix) -> str:
-    """Return what a negative diagonal suggests, '' where some diagonal entry is none.
+    """Return the remark about a negative diagonal, '' unless all diagonal entries are negative.
 
     Examples
     --------
@@ -280,7 +280,7 @@ def sign_remark(matrix: Matrix) -> str:
 
 
 def classes_in_words(matrix: Matrix) -> str:
-    """Return what one look at the entries tells of M.
+    """Return the classes of M that are visible from its entries.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The verdicts of a report, one function each: what decides it, from cheap to costly, and the evidence in words."""
+"""The verdicts of a report, one function each: tests from cheap to costly, and the evidence as text."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ UNDECIDED = "undecided: singular up to rounding"
 
 
 class Verdict(NamedTuple):
-    """`value` True, False, or None where it is undecided; `evidence` says why."""
+    """`value` True, False, or None if it is undecided; `evidence` is the reason."""
 
     value: bool | None
     evidence: str
@@ -53,19 +53,21 @@ def symmetric(matrix: Matrix) -> Verdict:
     if min(found, beside) <= SYMMETRIC_TO_ROUNDING:
         return Verdict(
             False,
-            f"symmetric up to rounding: its largest asymmetry beside the rows is {beside:.2g}",
+            f"symmetric up to rounding: its largest asymmetry relative to the rows is {beside:.2g}",
         )
-    return Verdict(False, f"asymmetry {found:.2g} beside the entries, {beside:.2g} beside rows")
+    return Verdict(
+        False, f"asymmetry {found:.2g} relative to the entries, {beside:.2g} relative to the rows"
+    )
 
 
 @fact
 def z_matrix(matrix: Matrix) -> Verdict:
-    """No positive entry beside the diagonal."""
+    """No positive off-diagonal entry."""
     M = matrix.csr
     rows = row_numbers(M)
     positive = np.flatnonzero((M.data > 0.0) & (rows != M.indices))
     if positive.size == 0:
-        return Verdict(True, "no positive entry beside the diagonal")
+        return Verdict(True, "no positive off-diagonal entry")
     k = positive[0]
     return Verdict(False, f"M[{rows[k]}, {M.indices[k]}] = {M.data[k]:.6g} > 0")
 
@@ -89,7 +91,7 @@ def strictly_dominant(matrix: Matrix) -> Verdict:
 
 @fact
 def h_matrix(matrix: Matrix) -> Verdict:
-    """⟨M⟩ is a nonsingular M-matrix, whatever the signs of the diagonal."""
+    """⟨M⟩ is a nonsingular M-matrix, for any signs of the diagonal."""
     return Verdict(h_verdict(matrix).is_h, h_verdict(matrix).evidence)
 
 
@@ -132,7 +134,7 @@ def positive_definite(matrix: Matrix) -> Verdict:
     if value:
         return Verdict(
             True,
-            f"{'SPD: ' if symmetric(matrix).value else ''}{what} factorises, rounding margin included",
+            f"{'SPD: ' if symmetric(matrix).value else ''}{what} has a Cholesky factor, with rounding margin",
         )
     return Verdict(False, f"{what} does not factorise, rounding margin included")
 
@@ -162,7 +164,7 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
         return Verdict(False, f"λ_min < 0: {what}")
     if value:
         delta = semidefinite_margin(part)
-        return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said")
+        return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, below which the test cannot decide")
     if value is None and not _is_well_rounded(matrix):
         return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
     if value is None:
@@ -190,14 +192,14 @@ def p_matrix(matrix: Matrix) -> Verdict:
 
 
 def _p_by_class(matrix: Matrix) -> Verdict | None:
-    """Where a class decides: triangular, H₊, Z (P is M), symmetric (P is positive definite)."""
+    """Decide by a class: triangular, H₊, Z (P is M), symmetric (P is positive definite)."""
     if triangular_form(matrix) is not None:
         return Verdict(True, "triangular with positive diagonal")
     h = h_plus(matrix)
     if h.value:
         return Verdict(True, "every H₊-matrix is one")
     if z_matrix(matrix).value and h.value is False:
-        return Verdict(False, "a Z-matrix that is no M-matrix")
+        return Verdict(False, "a Z-matrix that is not an M-matrix")
     if symmetric(matrix).value:
         definite = positive_definite(matrix)
         return Verdict(definite.value, f"symmetric: {definite.evidence}")
@@ -213,13 +215,13 @@ def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
 
 
 def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
-    """Decide by theorems: symmetric H₊-matrices are SPD, symmetric Z-matrices that are no H₊ are not."""
+    """Decide by theorems: symmetric H₊-matrices are SPD, symmetric Z-matrices that are not H₊ are not."""
     if symmetric(matrix).value:
         h = h_plus(matrix)
         if h.value:
             return Verdict(True, "SPD: symmetric and H₊")
         if h.value is False and z_matrix(matrix).value:
-            return Verdict(False, "a symmetric Z-matrix that is no M-matrix")
+            return Verdict(False, "a symmetric Z-matrix that is not an M-matrix")
         pair = nonpositive_pair(matrix.csr)
         if pair is not None:
             return Verdict(
@@ -244,7 +246,7 @@ def _has_dominant_symmetric_part(matrix: Matrix) -> bool:
 
 
 def _is_well_rounded(matrix: Matrix) -> bool:
-    """Return whether the rounding of the symmetric part is small beside the diagonal, and nothing overflows."""
+    """Return whether the rounding of the symmetric part is small relative to the diagonal, and nothing overflows."""
     if symmetric(matrix).value:
         return True
     diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
@@ -254,7 +256,7 @@ def _is_well_rounded(matrix: Matrix) -> bool:
 
 
 def _too_large(matrix: Matrix) -> str:
-    return f"not computed: n = {matrix.n} is too large for a factorisation"
+    return f"not computed: n = {matrix.n} is too large for a factorization"
 
 
 @fact
@@ -275,5 +277,5 @@ def symmetric_part_of(matrix: Matrix) -> Any:
 
 @fact
 def can_factorise(matrix: Matrix) -> bool:
-    """Whether a factorisation of the symmetric part has its end in sight."""
+    """Whether a factorization of the symmetric part has its end in sight."""
     return factor_fits(sparse_symmetric_part(matrix))

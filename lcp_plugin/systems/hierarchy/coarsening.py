@@ -5,7 +5,7 @@ pass of Ruge and Stüben: take the unknown on which most others depend, interpol
 then on what these depend on. Interpolation is direct: row i, scaled so that a constant is reproduced where the row
 of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative.
 
-Where couplings jump from edge to edge, many a fine unknown has no coarse neighbour. There interpolation is extended: a
+If couplings jump from edge to edge, many a fine unknown has no coarse neighbor. There interpolation is extended: a
 fine unknown on which i depends strongly, and which has no coarse one in common with it, is replaced by what its own row
 interpolates it from, i included. Only the largest weights of such a row are kept.
 
@@ -87,7 +87,7 @@ def choose_coarse(  # type: ignore[no-untyped-def]
     for all i, `is_mutual`, all of them are FINE once i is COARSE.
 
     The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
-    once more; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
+    again; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
     unknown has lost weight since goes to the list where it belongs when its turn comes. `weight`, shape (n,), `entry`
     and `after`, each of shape (n + number of columns,), are work space; `head`, full of −1, has two entries more than
     twice the largest number of dependents.
@@ -151,7 +151,7 @@ def choose_coarse(  # type: ignore[no-untyped-def]
 def direct_interpolation(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
 ):
-    """Write rows of the interpolation in CSR; return their number of entries, and how many have no coarse neighbour.
+    """Write rows of the interpolation in CSR; return their number of entries, and how many have no coarse neighbor.
 
     `number` numbers the coarse unknowns.
     """
@@ -212,9 +212,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
-        count = np.int64(
-            0
-        )  # numba would compile what a plain 0 is passed to once more for that number
+        count = np.int64(0)  # numba would compile what a plain 0 is passed to again for that number
         diagonal = 0.0
         all_negative = 0.0
         interpolating = 0.0
@@ -285,8 +283,8 @@ def _through_fine(  # type: ignore[no-untyped-def]
     """Spread the strong couplings of row i to fine unknowns without a common coarse one over what interpolates those.
 
     Returns the sum of these couplings, what of it comes back to i, how many coarse unknowns row i has met, and how many
-    entries were read. All unknowns are own ones: who shares the rest of a row elsewhere need not know of neighbours'
-    neighbours.
+    entries were read. All unknowns are own ones: who shares the rest of a row elsewhere need not know of neighbors'
+    neighbors.
     """
     one = uintp(1)
     direct, own = count, uintp(indptr.size - 1)

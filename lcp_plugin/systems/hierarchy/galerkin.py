@@ -1,9 +1,9 @@
 """The matrix of the coarser grid, PᵀMP, and its truncation; compiled, arrays only.
 
 Truncation to a set of free unknowns zeroes the rows of P of all others, and of fine ones that what is fixed holds: that
-took nearly all of their couplings (`vectors.HELD`). P would let those follow their coarse neighbours, as if nothing
+took nearly all of their couplings (`vectors.HELD`). P would let those follow their coarse neighbors, as if nothing
 held them; where couplings jump, conjugate gradients then take ten times as many steps. A row of the coarse matrix
-changes only where it meets an unknown whose row of P comes or goes, or a changed row of the finer matrix: only those
+changes only if it meets an unknown whose row of P comes or goes, or a changed row of the finer matrix: only those
 rows are computed again.
 
 Positions are unsigned, which spares the test for a negative index at each access: a third of the time.

@@ -1,4 +1,4 @@
-"""What a hierarchy is made of: matrices as bare arrays, ways between grids, grids; immutable.
+"""What a hierarchy consists of: matrices as bare arrays, ways between grids, grids; immutable.
 
 Threads share a grid by blocks of rows, no row of which meets one of the next block but one. A sweep takes the even
 blocks first and then the odd ones, backward the other way round: a Gauss–Seidel sweep in an order that the matrix alone
@@ -109,7 +109,7 @@ class Hierarchy:
     work : float
         Matrix entries touched to build them.
     is_helpful : bool
-        False where coarser grids would cost too much: then there is only the finest.
+        False if coarser grids would cost too much: then there is only the finest.
     extends : bool
         Whether interpolation reaches through fine unknowns: couplings jump from edge to edge.
     """

@@ -189,7 +189,7 @@ def chosen_kinds(
 def _interpolation(
     grid: Grid, strength: float, scaling: FloatVector | None, extends: bool | None
 ) -> Interpolation | None:
-    """Return the interpolation from coarse unknowns; None where nothing is coupled any more.
+    """Return the interpolation from coarse unknowns; None if nothing is coupled any more.
 
     Whether it reaches through fine unknowns is said by `extends`, or found out where that is None.
     """
@@ -222,7 +222,7 @@ def _interpolation(
 def _coarser(
     grid: Grid, interpolation: Interpolation, scales_rows: bool, scaling: FloatVector | None
 ) -> tuple[Transfer, Grid] | None:
-    """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
+    """Return the way to the coarser grid and that grid; None if its numbers would not be finite."""
     prolongation, is_coarse = Operator(*interpolation[:3]), interpolation.is_coarse
     count = int(np.count_nonzero(is_coarse))
     restriction = galerkin.transposed(count, *prolongation.arrays)

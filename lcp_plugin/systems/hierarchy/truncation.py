@@ -44,7 +44,7 @@ class TruncatedGrid:
         self._is_factorised = False
 
     def factor(self) -> tuple[Factor | None, float]:
-        """Return the factor of the free block, the identity elsewhere, and the work; None where there is none.
+        """Return the factor of the free block, the identity elsewhere, and the work; None if there is none.
 
         Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
         """
@@ -225,7 +225,7 @@ class Truncation:
 class KrylovCorrection:
     """An approximate c with (M c)_F = residual_F and c = 0 elsewhere, improved step by step.
 
-    Conjugate gradients where M is symmetric, otherwise generalised conjugate residuals with all directions kept: they
+    Conjugate gradients where M is symmetric, otherwise generalized conjugate residuals with all directions kept: they
     make the residual least in the norm of its rows divided by the diagonal, which may have any unit.
 
     Parameters
@@ -278,7 +278,7 @@ class KrylovCorrection:
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
-        """Take one step; return False where the matrix allows none."""
+        """Take one step; return False if the matrix allows none."""
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual

@@ -7,7 +7,7 @@ one, if they begin not too far from it. Where they begin is tried: as it is give
 diagonal of V M V, or of M V, to 1.
 
 `inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have seven
-eighths of its couplings. P would let it follow its free coarse neighbours as if nothing held it, so it is not
+eighths of its couplings. P would let it follow its free coarse neighbors as if nothing held it, so it is not
 interpolated then: where couplings jump, conjugate gradients took ten times as many steps with its row of P.
 """
 
@@ -79,7 +79,7 @@ def add_within(
 
 
 def largest_product(one: FloatVector, other: FloatVector) -> float:
-    """Return the largest |one_i other_i|, NaN where one is; 0 of none."""
+    """Return the largest |one_i other_i|, NaN if one is; 0 of none."""
     return float(
         np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0)
     )
@@ -111,7 +111,7 @@ TRIAL_SWEEPS, SWEEPS = 3, 12  # there and back: to choose where to begin, and fr
 
 
 def scaling_of_unknowns(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
-    """Return v > 0, shape (n,), and the matrix entries touched; None where no scaling is as good as any tried.
+    """Return v > 0, shape (n,), and the matrix entries touched; None if no scaling is as good as any tried.
 
     Parameters
     ----------

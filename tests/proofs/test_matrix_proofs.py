@@ -299,5 +299,5 @@ def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:
         "symmetric up to rounding: its largest asymmetry relative to the rows is 3e-18"
     )
     assert analyze(np.array([[2.0, 1.0], [0.0, 2.0]])).evidence["is_symmetric"] == (
-        "asymmetry 1 beside the entries, 0.5 beside rows"
+        "asymmetry 1 relative to entries, 0.5 to rows"
     )

@@ -55,9 +55,7 @@ def symmetric(matrix: Matrix) -> Verdict:
             False,
             f"symmetric up to rounding: its largest asymmetry relative to the rows is {beside:.2g}",
         )
-    return Verdict(
-        False, f"asymmetry {found:.2g} relative to the entries, {beside:.2g} relative to the rows"
-    )
+    return Verdict(False, f"asymmetry {found:.2g} relative to entries, {beside:.2g} to rows")
 
 
 @fact

@@ -263,7 +263,7 @@ class Infeasibility(NoSolutionProof):
         return cls(problem, tuple(exact))
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
-        """Return whether no z could be SOLVED; empty rows fail the componentwise test unless q_i is at rounding level."""
+        """Return whether no z could be SOLVED; empty rows fail the componentwise test unless q_i is rounding."""
         return super().excludes(tolerance, absolute_tolerance) or (
             not absolute_tolerance and self._rests_on_empty_rows and self.exact
         )

@@ -152,3 +152,16 @@ def test_the_version_is_written_once() -> None:
     tested = {f"Programming Language :: Python :: 3.{minor}" for minor in (11, 12, 13)}
     assert tested <= set(PROJECT["classifiers"])
     assert f"Programming Language :: Python :: 3.{sys.version_info.minor}" in PROJECT["classifiers"]
+
+
+def test_ci_runs_everything_after_the_readme_s_command() -> None:
+    """Nothing that the suite without --full leaves out is left out altogether."""
+    script = ROOT / ".ci" / "run"
+    if not script.exists():
+        pytest.skip("a source archive has no .ci")
+    text = script.read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line.startswith(("bash", "python -m"))]
+    assert [line.partition(" </dev/null")[0] for line in lines] == [
+        'bash -euo pipefail -c "$command"',
+        "python -m pytest --full -n 2",
+    ]

@@ -1,22 +1,59 @@
-"""Four of the examples as notebooks: their story, their code in cells, and no output stored."""
+"""Files that are made from the examples: notebooks, and the pictures of the pages of ``examples/manual``.
+
+    python tests/pages.py
+
+writes ``examples/notebooks``, runs each example whose picture a page shows, and makes its picture small enough to
+commit. ``python -m pdoc -d numpy --math -o FOLDER lcp_plugin`` writes every public name as HTML.
+"""
 
 from __future__ import annotations
 
 import ast
+import io
 import json
+import re
+import subprocess
+import sys
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from .contents import EXAMPLES
+from PIL import Image
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
+TRADES = (  # in examples/manual: the problem, its code and picture, a validation and the time, on one screen
+    "options",
+    "contact",
+    "equilibria",
+    "obstacle",
+    "data",
+    "control",
+    "games",
+    "which_algorithm",
+)
+GUIDES = ("first_model", *TRADES, "what_is_proved", "layers", "many_machines")
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = ("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control")
 OF_SCRIPTS = (
     "import typer",
     "from pathlib import Path",
 )  # what saves the picture, and reads the command line
+
+PICTURES = EXAMPLES / "pictures"
+LARGEST = 100_000  # bytes
+
+
+def guide(name: str) -> str:
+    """Return a page of the manual, in Markdown."""
+    return (EXAMPLES / "manual" / f"{name}.md").read_text(encoding="utf-8")
+
+
+def examples() -> list[str]:
+    """Return the names of the examples in the order of their table."""
+    table = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
+    return re.findall(r"^\| `(\w+)\.py` \|", table, re.M)
 
 
 def cells_of(name: str) -> Iterator[tuple[str, str]]:
@@ -82,10 +119,50 @@ def notebook(name: str) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def keep_notebooks() -> Iterator[str]:
+def write_notebooks() -> Iterator[str]:
     """Write all of them beside the examples; yield the names."""
     NOTEBOOKS.mkdir(exist_ok=True)
     for name in NAMES:
         file: Path = NOTEBOOKS / f"{name}.ipynb"
         file.write_text(notebook(name), encoding="utf-8")
         yield f"examples/notebooks/{file.name}"
+
+
+def shown() -> list[str]:
+    """Return the names of the pictures that the pages and the index of the examples show."""
+    pages = [EXAMPLES / "README.md", *sorted((EXAMPLES / "manual").glob("*.md"))]
+    return sorted(
+        {
+            name
+            for page in pages
+            for name in re.findall(r"pictures/(\w+)\.png", page.read_text("utf-8"))
+        }
+    )
+
+
+def small(picture: Path) -> bytes:
+    """Return a picture of 256 colours, narrowed until it fits."""
+    image = Image.open(picture).convert("RGB")
+    while True:
+        written = io.BytesIO()
+        image.quantize(256, dither=Image.Dither.NONE).save(written, "PNG", optimize=True)
+        if len(written.getvalue()) <= LARGEST:
+            return written.getvalue()
+        image = image.resize(
+            (round(0.9 * image.width), round(0.9 * image.height)), Image.Resampling.LANCZOS
+        )
+
+
+def write_pictures() -> Iterator[str]:
+    """Run the examples whose pictures the pages show; yield the names."""
+    with TemporaryDirectory() as folder:
+        for name in set(shown()) & {*examples()}:
+            command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--out", folder]
+            subprocess.run(command, check=True, capture_output=True)
+            (PICTURES / f"{name}.png").write_bytes(small(Path(folder) / f"{name}.png"))
+            yield f"examples/pictures/{name}.png"
+
+
+if __name__ == "__main__":
+    for line in (*write_notebooks(), *write_pictures()):
+        print(line, flush=True)

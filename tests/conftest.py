@@ -1,20 +1,18 @@
-"""Two suites from one set of tests: the quick one, which ``python -m pytest`` runs, and everything.
+"""Two suites from one set of tests.
 
-    python -m pytest -n 2           every subpackage of the package and every promise once, in some two minutes
+    python -m pytest -n 2           every test that is not marked ``full``
     python -m pytest --full -n 2    everything
 
-In the full suite alone run tests with the mark ``full``: benchmarks, the report's page, the atlas, the collection,
-examples, faults, and whatever takes seconds. Of a parametrised test the quick suite runs four rows in even steps, with
-the mark ``sampled(k)`` k, and with ``sampled`` as few as touch every value of every parameter once. What is left out
-is deselected, not skipped. A test that draws its problems from a campaign has the fixture ``draws``:
-an eighth of them in the quick suite. A test that is named on the command line, as in
-``tests/methods/newton/test_newton.py::test_x``, always runs.
+The mark ``full`` is for tests that take seconds: benchmarks, campaigns, examples, large tables. Of a table of more than
+6 rows, 4 rows in even steps are not ``full``; ``few(k)`` says k, for rows that are costly. A test that draws its
+problems from a campaign has the fixture ``draws``: an eighth of them without ``--full``. A test that is named on the
+command line, as in ``tests/methods/newton/test_newton.py::test_x``, always runs.
 
-Hypothesis: nothing is drawn by chance, so that a suite that passed passes again; random draws are for
+Hypothesis: examples are the same in each run, so that a suite that passed passes again; random draws are for
 ``tests/campaigns``. A test without settings takes the default; a costly one says ``@settings.get_profile("few")``, a
-cheap one that needs rare draws ``"many"``; the numbers stand below. A number in a test is one its claim depends on.
+cheap one that needs rare draws ``"many"``.
 
-BLAS gets one thread where the environment names no number: several processes of several threads wait for one another.
+BLAS gets one thread if the environment names no number: several processes of several threads wait for one another.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ os.environ.setdefault(
 
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}
-ROWS = 4  # of a parametrised test in the quick suite
+LONG, FEW = 6, 4  # rows of a table; rows of a longer one that run without --full
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 
 
@@ -47,7 +45,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Settle how many examples are drawn, and that Ctrl-C arrives, which tests send to themselves."""
+    """Deselect ``full`` unless asked, set how many examples are drawn, and let Ctrl-C arrive, which tests send."""
+    if not (config.getoption("--full") or any("::" in argument for argument in config.args)):
+        config.option.markexpr = config.option.markexpr or "not full"
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for name, numbers in EXAMPLES.items():
@@ -106,33 +106,17 @@ def pytest_collection() -> Iterator[None]:
         gc.enable()
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect what runs in the full suite alone."""
-    if config.getoption("--full") or any("::" in argument for argument in config.args):
-        return
-    rows = defaultdict(list)
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark rows of long tables ``full``."""
+    tables = defaultdict(list)
     for item in items:
         if not item.get_closest_marker("full"):
-            rows[item.nodeid.partition("[")[0]].append(item)
-    chosen = {item for tests in rows.values() for item in sample(tests)}
-    config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
-    items[:] = [item for item in items if item in chosen]
-
-
-def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
-    """Return those rows of a test that the quick suite runs."""
-    mark = rows[0].get_closest_marker("sampled")
-    if mark is None or mark.args:
-        count = min(mark.args[0] if mark else ROWS, len(rows))
-        return [rows[k * len(rows) // count] for k in range(count)]
-    # A value of one parameter is the same object in all rows.
-    values = {
-        row: {(name, id(value)) for name, value in row.callspec.params.items()} for row in rows
-    }
-    missing = set().union(*values.values())
-    chosen = []
-    while missing:
-        row = max(rows, key=lambda row: len(values[row] & missing))
-        chosen.append(row)
-        missing -= values[row]
-    return chosen
+            tables[item.nodeid.partition("[")[0]].append(item)
+    for rows in tables.values():
+        mark = rows[0].get_closest_marker("few")
+        count = mark.args[0] if mark else FEW if len(rows) > LONG else len(rows)
+        kept = {k * len(rows) // count for k in range(count)}
+        for k, row in enumerate(rows):
+            if k not in kept:
+                row.add_marker("full")

@@ -1,4 +1,4 @@
-"""Files that are made from the examples: notebooks, and the pictures of the pages of ``examples/manual``.
+"""Write the notebooks of the examples and the pictures of the pages of ``examples/manual``.
 
     python tests/pages.py
 
@@ -57,7 +57,7 @@ def examples() -> list[str]:
 
 
 def cells_of(name: str) -> Iterator[tuple[str, str]]:
-    """Yield the kind and the text of each cell: the docstring, imports, functions, then what main does, in steps."""
+    """Yield the kind and the text of each cell: the docstring, imports, functions, then the steps of main."""
     script = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
     tree, lines = ast.parse(script), script.splitlines()
     title, _, story = (ast.get_docstring(tree) or "").partition("\n")
@@ -77,7 +77,7 @@ def cells_of(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _parts(statements: list[ast.stmt], lines: list[str]) -> Iterator[str]:
-    """Yield the source of statements, apart where a blank line stands between, imports together; none that saves."""
+    """Yield the source of statements, apart at blank lines, imports together; none that saves."""
     part: list[str] = []
     for k, statement in enumerate(statements):
         first = (
@@ -120,7 +120,7 @@ def notebook(name: str) -> str:
 
 
 def write_notebooks() -> Iterator[str]:
-    """Write all of them beside the examples; yield the names."""
+    """Write them next to the examples; yield the names."""
     NOTEBOOKS.mkdir(exist_ok=True)
     for name in NAMES:
         file: Path = NOTEBOOKS / f"{name}.ipynb"

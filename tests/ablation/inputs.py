@@ -21,10 +21,8 @@ import scipy.sparse as sp
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
-    EquilibriumProgram,
     FrictionalContact,
     QuadraticProgram,
-    QuadraticProgramBatch,
     Status,
     certify,
     march,
@@ -85,28 +83,14 @@ def work_of(result: Any) -> float:
 # --- LCPs -----------------------------------------------------------------------------------------------------------
 
 
-def applications(*, full: bool) -> Iterator[Input]:
-    """Applications as they are and in other units; large ones of a few kinds as they are."""
-    from applications.table import Case, cases
+def applications() -> Iterator[Input]:
+    """Applications, unscaled and in other units."""
+    from applications.table import cases
 
-    if full:
-        chosen = {
-            "obstacle_3d": {"side": 20},
-            "jumps": {"side": 100},
-            "put_uniform": {"n": 4000},
-            "put_geometric": {"n": 4000},
-            "seepage": {"side": 70},
-            "rotated_anisotropy": {"side": 70},
-            "graph_laplacian": {"n": 3000},
-            "plate": {"side": 30},
-        }
-        every: Any = [Case(name, arguments) for name, arguments in chosen.items()]
-    else:
-        every = cases(full=False)
-    for case in every:
-        for units in ("own",) if full else ("own", "both"):
+    for case in cases(full=False):
+        for units in ("own", "both"):
             yield Input(
-                "applications, larger" if full else "applications",
+                "applications",
                 f"{case.name} {units}",
                 partial(case.in_units, units),
                 lambda stated: solve(stated[0]),
@@ -125,7 +109,7 @@ def obstacles() -> Iterator[Input]:
                 "obstacles",
                 f"{method}, {case.name}",
                 partial(case.in_units, "own"),
-                partial(_named, method),
+                lambda stated, method=method: solve(stated[0], method),
                 partial(_as_application, case),
             )
 
@@ -279,68 +263,6 @@ def plain_structures() -> Iterator[Input]:
         yield Input("plain structures", name, partial(LCP, M, q), solve, judge)
 
 
-def unheld_structures() -> Iterator[Input]:
-    """Structures that nothing holds, pulled away or pressed down, and their programs."""
-    from unheld import block, chain, circuit, truss
-
-    def by_balance(problem: Any, result: Any) -> str:
-        """Return whether what is pulled away is proved to have no answer, and nothing else."""
-        return FALSE if result.is_solved else PROVED if result.has_no_solution else OPEN
-
-    pulled: dict[str, Callable[[], Any]] = {
-        "block": lambda: block(60, 40, 0.0, 1.0),
-        "chain": lambda: chain(3000, 1.0),
-        "circuit": lambda: circuit(3000, 1.0),
-        "truss": lambda: truss(300, 1.0, braced=False),
-    }
-    pressed: dict[str, Callable[[], Any]] = {
-        "block": lambda: block(60, 40, 0.0, -1.0),
-        "chain": lambda: chain(3000, -1.0),
-        "circuit": lambda: circuit(3000, -1.0),
-    }
-    for name, made in pulled.items():
-        yield Input(
-            "unheld", f"{name}, pulled", lambda made=made: made().problem, solve, by_balance
-        )
-        yield Input(
-            "unheld",
-            f"{name}, pulled, program",
-            lambda made=made: made().program,
-            solve,
-            by_balance,
-        )
-    for name, made in pressed.items():
-        yield Input(
-            "unheld", f"{name}, pressed", lambda made=made: made().problem, solve, _by_residual
-        )
-
-
-def contacts(count: int = 63) -> Iterator[Input]:
-    """Contacts with friction pyramids."""
-    from campaigns.contact import RATIOS, SIZES, is_false
-    from contact_families import FAMILIES
-
-    def state(case: int) -> LCP:
-        contacts, bodies = SIZES[case // len(FAMILIES) % len(SIZES)]
-        ratio = RATIOS[case // (len(FAMILIES) * len(SIZES)) % 2]
-        made = FAMILIES[[*FAMILIES][case % len(FAMILIES)]](
-            contacts, bodies, ratio, np.random.default_rng((SEED, case))
-        )
-        return LCP(*made.arrays)
-
-    def judge(problem: Any, result: Any) -> str:
-        if not result.is_solved:
-            return OPEN
-        return (
-            FALSE
-            if problem.n <= 40 and is_false(problem, result.z)
-            else _by_residual(problem, result)
-        )
-
-    for case in range(count):
-        yield Input("contacts", str(case), partial(state, case), solve, judge)
-
-
 def marches() -> Iterator[Input]:
     import marches as made
 
@@ -474,30 +396,6 @@ def paths() -> Iterator[Input]:
         yield Input("paths", name, state, lambda one: trace(*one), judge)
 
 
-def batches_of_programs() -> Iterator[Input]:
-    def state(n: int, count: int) -> QuadraticProgramBatch:
-        rng = np.random.default_rng([SEED, n])
-        F, G = rng.standard_normal((count, n, n)), rng.standard_normal((count, n, n))
-        P = F @ F.transpose(0, 2, 1) / n + 0.1 * np.eye(n)
-        return QuadraticProgramBatch(
-            P, rng.standard_normal((count, n)), G, rng.random((count, n)), lower=-1.0
-        )
-
-    def judge(programs: Any, result: Any) -> str:
-        if any(status.name != "SOLVED" for status in result.status):
-            return OPEN
-        verdicts = {
-            _by_value(programs[k], result[k], value_of_others(programs[k]))
-            for k in range(0, len(programs), 9)
-        }
-        return FALSE if FALSE in verdicts else SOLVED
-
-    for n, count in ((3, 200), (6, 100), (12, 50)):
-        yield Input(
-            "batches of programs", f"{count} of {n}", partial(state, n, count), solve_batch, judge
-        )
-
-
 # --- programs -------------------------------------------------------------------------------------------------------
 
 
@@ -531,36 +429,6 @@ def planted_programs(count: int = 45) -> Iterator[Input]:
                 lambda stated: solve(stated[1]),
                 judge,
             )
-
-
-def shapes(*, full: bool) -> Iterator[Input]:
-    """Programs that users bring, of some hundred unknowns or some thousand."""
-    from benchmarks import programs
-
-    large: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
-        (programs.portfolio, (2000, 40)),
-        (programs.sparse, (1500,)),
-        (programs.dense, (200,)),
-        (programs.support_vectors, (300,)),
-    ]
-    small: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
-        (programs.portfolio, (300, 15)),
-        (programs.sparse, (300,)),
-        (programs.linear, (300,)),
-        (programs.dense, (60,)),
-        (programs.support_vectors, (100,)),
-        (programs.chain, (200,)),
-    ]
-    for make, shape in large if full else small:
-        case = make(*shape, np.random.default_rng((SEED, *shape)))
-        least = cache(lambda case=case: value_of_others(case.program()))
-        yield Input(
-            f"shapes of programs{', larger' * full}",
-            case.name,
-            case.program,
-            solve,
-            lambda program, result, least=least: _by_value(program, result, least()),
-        )
 
 
 def published_programs() -> Iterator[Input]:
@@ -670,22 +538,6 @@ def certified(count: int = 60) -> Iterator[Input]:
         yield Input("certify", str(number), partial(state, number), ask, judge)
 
 
-def published_answers() -> Iterator[Input]:
-    """What `certify` proves of answers to published programs."""
-
-    def judge(_: Any, said: Any) -> str:
-        return PROVED if said.verdict == "proved" else OPEN
-
-    for one in published_programs():
-        yield Input(
-            "certify, published",
-            one.name,
-            one.state,
-            lambda program: certify(solve(program)),
-            judge,
-        )
-
-
 def equilibria(count: int = 40) -> Iterator[Input]:
     from campaigns.best_equilibria import complaints, random_problem, truth
 
@@ -709,90 +561,6 @@ def equilibria(count: int = 40) -> Iterator[Input]:
             partial(drawn, case),
             minimize_over_solutions,
             partial(judge, case),
-        )
-
-
-def followers_without_bounds(count: int = 8) -> Iterator[Input]:
-    """Leaders in a box who like what their followers do, which no bound holds; judged by a linear program a piece."""
-    from scipy.optimize import linprog
-
-    @cache
-    def drawn(case: int) -> tuple[Any, ...]:
-        rng, k = np.random.default_rng([SEED, case]), 8
-        H = rng.standard_normal((k, k))
-        rows = np.hstack([rng.standard_normal((k, 2)), H @ H.T + np.eye(k)])
-        lower, upper = (
-            np.append([-1.0, -1.0], np.zeros(k)),
-            np.append([1.0, 1.0], np.full(k, np.inf)),
-        )
-        return (
-            np.append(rng.standard_normal(2), -np.ones(k)),
-            rows,
-            rng.standard_normal(k),
-            lower,
-            upper,
-        )
-
-    def state(case: int) -> EquilibriumProgram:
-        c, rows, q, lower, upper = drawn(case)
-        program = QuadraticProgram(np.zeros((c.size, c.size)), c, lower=lower, upper=upper)
-        return EquilibriumProgram.of_rows(program, [*range(2, c.size)], rows, q)
-
-    @cache
-    def least(case: int) -> float:
-        c, rows, q, lower, upper = drawn(case)
-        found = []
-        for open_ones in np.ndindex(*[2] * q.size):
-            is_open = np.array(open_ones, dtype=bool)
-            ends = np.where(np.append([True, True], is_open), upper, 0.0)
-            one = linprog(
-                c,
-                -rows[~is_open],
-                q[~is_open],
-                rows[is_open],
-                -q[is_open],
-                np.column_stack([lower, ends]),
-            )
-            found.append(one.fun if one.status == 0 else np.inf)
-        return min(found)
-
-    def judge(case: int, _: Any, result: Any) -> str:
-        if not result.is_solved:
-            return OPEN
-        return (
-            SOLVED if abs(result.value - least(case)) <= ALIKE * (1.0 + abs(least(case))) else FALSE
-        )
-
-    for case in range(count):
-        yield Input(
-            "followers without bounds",
-            str(case),
-            partial(state, case),
-            minimize_over_solutions,
-            partial(judge, case),
-        )
-
-
-def programs_again(count: int = 9) -> Iterator[Input]:
-    """Programs whose costs have changed, from the answer before."""
-
-    def state(case: int) -> Any:
-        rng = np.random.default_rng([SEED, case])
-        n = (5, 20, 80)[case % 3]
-        F, G = rng.standard_normal((n, n)), rng.standard_normal((n, n))
-        c, h = rng.standard_normal(n), rng.random(n)
-        before, now = (
-            QuadraticProgram(F @ F.T + np.eye(n), one, G, h, lower=-1.0) for one in (c, 1.01 * c)
-        )
-        return now, solve(before).z
-
-    for case in range(count):
-        yield Input(
-            "programs again",
-            str(case),
-            partial(state, case),
-            lambda stated: solve(stated[0], z0=stated[1]),
-            lambda stated, result: _by_value(stated[0], result, value_of_others(stated[0])),
         )
 
 
@@ -840,73 +608,8 @@ def least_squares(count: int = 108) -> Iterator[Input]:
         )
 
 
-def large_least_squares() -> Iterator[Input]:
-    from scipy.optimize import lsq_linear
-    from scipy.sparse.linalg import aslinearoperator
-
-    def large(m: int, n: int, density: float) -> Any:
-        rng = np.random.default_rng([SEED, m, n])
-        A = (
-            rng.standard_normal((m, n))
-            if density == 1.0
-            else sp.random_array((m, n), density=density, rng=rng).tocsr()
-        )
-        return A, rng.standard_normal(m), 0.0, np.where(rng.random(n) < 0.5, np.inf, 0.05)
-
-    def by_scipy(stated: Any, result: Any) -> str:
-        A, b, lower, upper = stated
-        if not result.is_solved:
-            return OPEN
-        dense = A.toarray() if sp.issparse(A) else A
-        least = lsq_linear(dense, b, (np.full(upper.size, lower), upper), method="bvls").cost
-        return SOLVED if result.cost <= least + ALIKE * max(least, 1e-12) else FALSE
-
-    def as_operator(stated: Any) -> Any:
-        return bounded_least_squares(aslinearoperator(stated[0]), *stated[1:])
-
-    def sparse_answer(l1: float) -> Any:
-        rng, x = np.random.default_rng(SEED), np.zeros(200)
-        A, x[:8] = rng.standard_normal((100, 200)), rng.standard_normal(8)
-        return A, A @ x, l1, x
-
-    def by_planted(stated: Any, result: Any) -> str:
-        if not result.is_solved:
-            return OPEN
-        return (
-            SOLVED if result.cost <= stated[2] * np.abs(stated[3]).sum() * (1.0 + ALIKE) else FALSE
-        )
-
-    for shape in (
-        (300, 100, 1.0),
-        (100, 300, 1.0),
-        (140, 140, 1.0),
-        (1500, 300, 0.02),
-        (300, 600, 0.02),
-    ):
-        for way, ask in (
-            ("", lambda stated: bounded_least_squares(*stated)),
-            (" operator", as_operator),
-        ):
-            yield Input(
-                "least squares, larger",
-                f"{' × '.join(map(str, shape))}{way}",
-                partial(large, *shape),
-                ask,
-                by_scipy,
-            )
-    for l1 in (1e-1, 1e-6, 1e-11):
-        yield Input(
-            "least squares, larger",
-            f"lasso, l1={l1}",
-            partial(sparse_answer, l1),
-            lambda stated: bounded_least_squares(*stated[:2], -np.inf, l1=stated[2]),
-            by_planted,
-        )
-
-
 def cones(count: int = 60) -> Iterator[Input]:
     """Planted contacts with friction and planted convex problems over cones."""
-    from campaigns.cones import SIZES
     from cone_families import exact_relative_residual, planted_cones, planted_contacts
 
     def state(case: int) -> Any:
@@ -915,7 +618,7 @@ def cones(count: int = 60) -> Iterator[Input]:
             return planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))[
                 0
             ]
-        contacts, bodies = SIZES[rng.integers(len(SIZES))]
+        contacts, bodies = ((1, 1), (4, 2), (10, 5))[rng.integers(3)]
         ratio = 10.0 ** rng.uniform(0.0, 5.0)
         return planted_contacts(contacts, bodies, ratio, rng, definite=rng.random() < 0.3)[0]
 
@@ -968,75 +671,6 @@ def published_contacts() -> Iterator[Input]:
         yield Input("published contacts", file.stem, partial(state, file), solve, by_cones)
 
 
-def piles() -> Iterator[Input]:
-    """Walls and towers, whose floor carries what they weigh; contacts and cones without an answer; cones at random."""
-    from cone_families import cancelled_diagonals, tower, violation, wall
-
-    def by_weight(of_floor: int, stated: Any, result: Any) -> str:
-        if not result.is_solved:
-            return OPEN
-        weight = stated[1]
-        return (
-            SOLVED
-            if abs(result.motion.normal[:of_floor].sum() - weight) <= LOOSE * weight
-            else FALSE
-        )
-
-    def heavy_on_light(light: int) -> tuple[FrictionalContact, float]:
-        problem, weights = tower([1.0] * light + [1e4], (-0.5, 0.5))
-        return problem, float(weights[0])
-
-    def by_proof(_: Any, result: Any) -> str:
-        return FALSE if result.is_solved else PROVED if result.status is Status.INFEASIBLE else OPEN
-
-    def by_violation(problem: Any, result: Any) -> str:
-        return (
-            OPEN
-            if not result.is_solved
-            else SOLVED
-            if violation(problem, result.z) <= LOOSE
-            else FALSE
-        )
-
-    squeezed = np.vstack([np.eye(3), np.diag([-1.0, 1.0, 1.0])])
-    hopeless: dict[str, tuple[Any, Any, Any]] = {
-        "nothing moves the normal": (np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
-        "between walls that close": (squeezed @ squeezed.T, [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0], 0.5),
-        "beside one that slides": (
-            np.diag([1.0, 1.0, 1.0, 0.0, 1.0, 1.0]),
-            [-1.0, 3.0, 4.0, -1.0, 0.0, 0.0],
-            0.5,
-        ),
-    }
-    for size in (3, 6, 9):
-        yield Input(
-            "piles",
-            f"wall {size}",
-            partial(wall, size, size),
-            lambda stated: solve(stated[0]),
-            partial(by_weight, 4 * size),
-        )
-    for light in (2, 5):
-        yield Input(
-            "piles",
-            f"tower {light}",
-            partial(heavy_on_light, light),
-            lambda stated: solve(stated[0]),
-            partial(by_weight, 2),
-        )
-    for name, (W, q, friction) in hopeless.items():
-        yield Input("piles", name, partial(FrictionalContact, W, q, friction), solve, by_proof)
-    for case in range(40):
-        rng = partial(np.random.default_rng, [SEED, case])
-        yield Input(
-            "piles",
-            f"cones {case}",
-            lambda rng=rng: cancelled_diagonals(rng()),
-            solve,
-            by_violation,
-        )
-
-
 def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[Input]:
     """Steps of spheres poured into a box, each from the impulses before, judged by its projections."""
     from benchmarks.cones import Pile
@@ -1084,191 +718,26 @@ def nonlinear(count: int = 30) -> Iterator[Input]:
         )
 
 
-def vanishing_slopes(count: int = 15) -> Iterator[Input]:
-    """Slopes that vanish or blow up, from starts over ten decades."""
-    from vanishing_families import SHAPES, STRUCTURES, vanishing
-
-    def without_slope(case: int) -> Any:
-        shapes = [*SHAPES]
-        return vanishing(
-            np.random.default_rng([SEED, case]),
-            shapes[case % len(shapes)],
-            STRUCTURES[case // len(shapes) % len(STRUCTURES)],
-        )
-
-    def by_rows(one: Any, result: Any) -> str:
-        return OPEN if not result.is_solved else FALSE if one.wrong_rows(result.z) else SOLVED
-
-    for case in range(count):
-        yield Input(
-            "nonlinear, vanishing",
-            str(case),
-            partial(without_slope, case),
-            lambda one: solve_nonlinear(one.problem, one.start),
-            by_rows,
-        )
-
-
-# --- by name --------------------------------------------------------------------------------------------------------
-
-
-def named_methods() -> Iterator[Input]:
-    """Every method of LCPs on the applications that suit it, and those that take any M on a share of the collection."""
-    from applications.table import NAMED, cases
-    from collection import all_entries
-    from collection.judgement import false_claim
-
-    def by_weight(stated: Any, result: Any) -> str:
-        if not result.is_solved:
-            return OPEN
-        return SOLVED if np.abs(result.z / stated[1] - 1.0).max() <= 1e-2 else FALSE
-
-    def as_stated(entry: Any, problem: Any, result: Any) -> str:
-        if false_claim(problem, entry.truth, result, 1e-8):
-            return FALSE
-        return SOLVED if result.is_solved else PROVED if result.has_no_solution else OPEN
-
-    for case in cases(full=False):
-        for method in NAMED:
-            if method != "program" and case.suits(method):
-                yield Input(
-                    "methods by name",
-                    f"{method}, {case.name}",
-                    partial(case.in_units, "own"),
-                    partial(_named, method),
-                    partial(_as_application, case),
-                )
-    for light in (1, 2, 5):
-        for method in ("psor", "pgs", "npsor", "newton"):
-            yield Input(
-                "methods by name",
-                f"{method}, {light} light bodies",
-                partial(_tower_of_lcp, light),
-                lambda stated, method=method: solve(stated[0], method),
-                by_weight,
-            )
-    for entry in all_entries()[::SHARE]:
-        for method in ("lemke", "newton", "interior_point"):
-            yield Input(
-                "methods by name",
-                f"{method}, {entry.name}",
-                partial(_fresh, entry.problem),
-                partial(_named, method),
-                partial(as_stated, entry),
-            )
-
-
-def _tower_of_lcp(light: int) -> tuple[LCP, Any]:
-    """Light bodies between two that are 1e8 times as heavy, on the floor; and what each contact carries."""
-    mass = np.concatenate([[1e8], np.ones(light), [1e8]])
-    J = np.eye(mass.size) - np.eye(mass.size, k=-1)
-    q = np.zeros(mass.size)
-    q[0] = -0.04905
-    return LCP((J / mass) @ J.T, q), 0.04905 * np.cumsum(mass[::-1])[::-1]
-
-
-def _named(method: str, stated: Any) -> Any:
-    return solve(stated[0] if isinstance(stated, tuple) else stated, method)
-
-
-def named_engines() -> Iterator[Input]:
-    """Every engine on planted programs, some with limits that stand for none, and shapes that it takes."""
-
-    def with_far_limits(case: int) -> tuple[QuadraticProgram, QuadraticProgram]:
-        rng, n = np.random.default_rng([SEED, case]), 8
-        F, G, h, c = (
-            rng.standard_normal((n, n)),
-            rng.standard_normal((12, n)),
-            rng.random(12),
-            rng.standard_normal(n),
-        )
-        P, pairs = F @ F.T / n + 0.1 * np.eye(n), np.eye(n) + np.roll(np.eye(n), 1, axis=1)
-        far = np.concatenate([h, 10.0 ** rng.uniform(9.0, 19.0, n)])
-        stated = QuadraticProgram(P, c, np.vstack([G, pairs]), far, lower=-2.0)
-        return stated, QuadraticProgram(P, c, G, h, lower=-2.0)
-
-    for case in range(10):
-        for engine in ("daqp", "piqp", "clarabel"):
-            yield Input(
-                "engines by name",
-                f"{engine}, far limits {case}",
-                partial(with_far_limits, case),
-                lambda stated, engine=engine: solve(stated[0], engine),
-                lambda stated, result: _by_value(stated[1], result, value_of_others(stated[1])),
-            )
-    for one in planted_programs(20):
-        for engine in ("daqp", "piqp", "clarabel"):
-            yield Input(
-                "engines by name",
-                f"{engine}, {one.name}",
-                one.state,
-                lambda stated, engine=engine: solve(stated[1], engine),
-                one.judge,
-            )
-    for one in shapes(full=False):
-        engines = (
-            ("piqp", "clarabel")
-            if sp.csr_array(one.state().P).nnz
-            else ("piqp", "clarabel", "highs")
-        )
-        for engine in engines:
-            yield Input(
-                "engines by name",
-                f"{engine}, {one.name}",
-                one.state,
-                lambda program, engine=engine: solve(program, engine),
-                one.judge,
-            )
-
-
-def named_over_cones() -> Iterator[Input]:
-    """Every method over cones, on planted contacts and on published ones."""
-    for one in [*cones(16), *published_contacts()]:
-        for method in ("npgs", "newton", "interior_point"):
-            yield Input(
-                "cones by name",
-                f"{method}, {one.name}",
-                one.state,
-                lambda problem, method=method: solve(problem, method),
-                one.judge,
-            )
-
-
 SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
-    "applications": partial(applications, full=False),
+    "applications": applications,
     "collection": collection,
     "published LCPs": published_lcps,
     "small LCPs": small_lcps,
     "plain structures": plain_structures,
-    "contacts": contacts,
-    "unheld": unheld_structures,
-    "applications, larger": partial(applications, full=True),
     "obstacles": obstacles,
     "marches": marches,
     "paths": paths,
     "batches": batches,
-    "batches of programs": batches_of_programs,
     "published programs": published_programs,
     "planted programs": planted_programs,
-    "shapes of programs": partial(shapes, full=False),
-    "shapes of programs, larger": partial(shapes, full=True),
-    "programs again": programs_again,
     "outliers": outliers,
     "certify": certified,
-    "certify, published": published_answers,
     "equilibria": equilibria,
-    "followers without bounds": followers_without_bounds,
     "least squares": least_squares,
-    "least squares, larger": large_least_squares,
     "cones": cones,
     "published contacts": published_contacts,
-    "piles": piles,
     "piles in time": moving_piles,
     "nonlinear": nonlinear,
-    "nonlinear, vanishing": vanishing_slopes,
-    "methods by name": named_methods,
-    "engines by name": named_engines,
-    "cones by name": named_over_cones,
 }
 
 

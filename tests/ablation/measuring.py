@@ -1,4 +1,4 @@
-"""Measures a mechanism beside everything on: the same inputs, in one process, in turn."""
+"""Measure a mechanism: the same inputs with everything on and without it, in one process, in turn."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import math
 import signal
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
-from itertools import groupby
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from lcp_plugin import LCPError
@@ -19,14 +20,15 @@ from .inputs import FALSE, OPEN, PROVED, SOLVED, Input, inputs, work_of
 from .mechanisms import NAMES
 from .switching import Patch, forget, replaced
 
+PAGE = Path(__file__).with_name("ablation.md")
+SLOWER = 1.5  # times as long in the mean of a source of inputs: a loss
 LONGEST = 20  # seconds of one solve
 QUICK, TIMES = 0.02, 3  # a solve that takes less is timed again so often
-COMPILED = 20.0  # one that takes longer is not timed again; a shorter one may have compiled
 LEAST_WORK, SHORTEST = 1e-12, 1e-6
 
 
 class Ran(NamedTuple):
-    """What became of an input."""
+    """The verdict, work and seconds of an input."""
 
     verdict: str
     work: float
@@ -36,53 +38,36 @@ class Ran(NamedTuple):
 
 @dataclass
 class Tally:
-    """A mechanism's row of a source of inputs: counts of those that meet it, with everything on and without it.
+    """Inputs of a source that meet a mechanism: pairs of runs, everything on and without it."""
 
-    Attributes
-    ----------
-    work, time : float
-        Without ÷ with, the geometric mean over those inputs that meet the mechanism.
-    left : int
-        Inputs for which there was no time.
-    """
-
-    mechanism: str
     source: str
-    met: int = 0
-    left: int = 0
-    solved: int = 0
-    solved_off: int = 0
-    proved: int = 0
-    proved_off: int = 0
-    false: int = 0
-    false_off: int = 0
-    raised_off: int = 0
-    work: float = 1.0
-    time: float = 1.0
-    seconds: float = 0.0
-    seconds_off: float = 0.0
-    _works: list[float] = field(default_factory=list, repr=False)
-    _times: list[float] = field(default_factory=list, repr=False)
+    runs: list[tuple[Ran, Ran]] = field(default_factory=list)
+    left: int = 0  # inputs for which there was no time
 
-    def add(self, on: Ran, off: Ran) -> None:
-        self.met += 1
-        for verdict, name in ((SOLVED, "solved"), (PROVED, "proved"), (FALSE, "false")):
-            setattr(self, name, getattr(self, name) + (on.verdict == verdict))
-            setattr(self, f"{name}_off", getattr(self, f"{name}_off") + (off.verdict == verdict))
-        self.raised_off += off.has_raised
-        self.seconds, self.seconds_off = self.seconds + on.seconds, self.seconds_off + off.seconds
-        self._times.append(off.seconds / on.seconds)
-        if min(on.work, off.work) > LEAST_WORK:
-            self._works.append(off.work / on.work)
-        self.work, self.time = mean(self._works), mean(self._times)
+    def counts(self, verdict: str) -> tuple[int, int]:
+        """Return how many runs end so, on and off."""
+        on, off = (sum(pair[k].verdict == verdict for pair in self.runs) for k in (0, 1))
+        return on, off
 
-    @classmethod
-    def columns(cls) -> list[str]:
-        return [one.name for one in fields(cls) if not one.name.startswith("_")]
+    def ratio(self, name: str, least: float = SHORTEST) -> float:
+        """Return the geometric mean of off ÷ on."""
+        pairs = [(getattr(on, name), getattr(off, name)) for on, off in self.runs]
+        return mean([off / on for on, off in pairs if min(on, off) > least])
 
-    def cells(self) -> list[str]:
-        values = [getattr(self, name) for name in self.columns()]
-        return [f"{value:.4g}" if isinstance(value, float) else str(value) for value in values]
+    def losses(self) -> list[str]:
+        """Return the losses without the mechanism, in words."""
+        found = []
+        for verdict, name, sign in (
+            (SOLVED, "solved", 1),
+            (PROVED, "proved", 1),
+            (FALSE, "false", -1),
+        ):
+            on, off = self.counts(verdict)
+            if sign * (on - off) > 0:
+                found.append(f"{abs(on - off)} {name}")
+        if raised := sum(off.has_raised for _, off in self.runs):
+            found.append(f"{raised} raised")
+        return found + [f"time: {self.source}"] * (self.ratio("seconds") >= SLOWER)
 
 
 def mean(ratios: Sequence[float]) -> float:
@@ -90,67 +75,100 @@ def mean(ratios: Sequence[float]) -> float:
     return math.exp(math.fsum(map(math.log, ratios)) / len(ratios)) if ratios else 1.0
 
 
-def meetings(names: Sequence[str]) -> dict[str, list[list[str]]]:
-    """Return the inputs, by source and name, that meet these mechanisms: where the package would do something else."""
+def meetings(names: Sequence[str]) -> dict[str, list[Input]]:
+    """Return the inputs that meet these mechanisms: those for which the package would do something else."""
     watched = {name: NAMES[name].patches for name in names}
-    found: dict[str, list[list[str]]] = {name: [] for name in names}
+    found: dict[str, list[Input]] = {name: [] for name in names}
     signal.signal(signal.SIGALRM, _give_up)
     with replaced([patch for patches in watched.values() for patch in patches], watched=True):
         for one in inputs():
-            before = {
-                name: sum(patch.times for patch in patches) for name, patches in watched.items()
-            }
+            before = {name: sum(p.times for p in patches) for name, patches in watched.items()}
             forget()
             ran = _run(one)
-            _judged(one, *ran)  # some answers are computed when asked for
+            _judged(one, *ran)  # some results are computed when asked for
             if ran[2].has_raised:
-                raise AssertionError(f"{one.source}, {one.name}: raises where it is watched")
+                raise AssertionError(f"{one.source}, {one.name}: raises while it is watched")
             for name, patches in watched.items():
-                if sum(patch.times for patch in patches) > before[name]:
-                    found[name].append([one.source, one.name])
+                if sum(p.times for p in patches) > before[name]:
+                    found[name].append(one)
     return found
 
 
-def measured(name: str, met: Sequence[Sequence[str]], seconds: float) -> Iterator[Tally]:
-    """Yield a mechanism's rows, or those of several, "one + other", within about so many seconds of the processor."""
-    patches = [patch for part in name.split(" + ") for patch in NAMES[part].patches]
-    chosen = {tuple(one) for one in met}
-    signal.signal(signal.SIGALRM, _give_up)
-    sources, end = {source for source, _ in chosen}, time.process_time() + seconds
-    if not chosen:
-        yield Tally(name, "all")
-    for k, (source, group) in enumerate(groupby(inputs(sources), key=lambda one: one.source)):
-        tally, now = Tally(name, source), time.process_time()
-        share_ends = now + (end - now) / (len(sources) - k)
+def measured(name: str, met: Sequence[Input], seconds: float) -> list[Tally]:
+    """Return a tally per source, within about so many seconds of the processor."""
+    tallies: dict[str, Tally] = {}
+    groups: dict[str, list[Input]] = defaultdict(list)
+    for one in met:
+        groups[one.source].append(one)
+    end = time.process_time() + seconds
+    for k, (source, group) in enumerate(groups.items()):
+        tally, now = Tally(source), time.process_time()
+        share_ends = now + (end - now) / (len(groups) - k)
         for one in group:
-            if (source, one.name) in chosen:
-                if tally.met and time.process_time() > share_ends:
-                    tally.left += 1
-                else:
-                    measure(one, patches, tally)
-        yield tally
+            if tally.runs and time.process_time() > share_ends:
+                tally.left += 1
+            else:
+                tally.runs.append(measure(one, NAMES[name].patches))
+        tallies[source] = tally
+    return [*tallies.values()]
 
 
-def measure(one: Input, patches: list[Patch], tally: Tally) -> None:
+def measure(one: Input, patches: list[Patch]) -> tuple[Ran, Ran]:
     """Solve an input with everything on and without these, in turn."""
-    with replaced([]):
-        on = _judged(one, *_run(one))
-    with replaced(patches):
-        off = _judged(one, *_run(one))
-    for _ in range(
-        TIMES if max(on.seconds, off.seconds) <= QUICK else max(on.seconds, off.seconds) <= COMPILED
-    ):
-        with replaced([]):
-            on = on._replace(seconds=min(on.seconds, _run(one)[2].seconds))
-        with replaced(patches):
-            off = off._replace(seconds=min(off.seconds, _run(one)[2].seconds))
-    tally.add(on, off)
+    runs = []
+    for chosen in ([], patches):
+        with replaced(chosen):
+            runs.append(_judged(one, *_run(one)))
+    for _ in range(TIMES if max(ran.seconds for ran in runs) <= QUICK else 1):
+        for k, chosen in enumerate(([], patches)):
+            with replaced(chosen):
+                seconds = min(runs[k].seconds, _run(one)[2].seconds)
+                runs[k] = runs[k]._replace(seconds=seconds)
+    return runs[0], runs[1]
+
+
+def row_of(name: str, tallies: Sequence[Tally]) -> str:
+    """Return a mechanism's line of the page."""
+    mechanism, whole = NAMES[name], Tally("all")
+    for tally in tallies:
+        whole.runs += tally.runs
+        whole.left += tally.left
+    met = len(whole.runs)
+    losses = [loss for tally in tallies for loss in tally.losses()]
+    claim = [f"`{mechanism.claim.partition('::')[2]}`"] if mechanism.claim else []
+    worst = max(tallies, key=lambda one: one.ratio("seconds"), default=whole)
+    counts = [f"{on} → {off}" for on, off in map(whole.counts, (SOLVED, PROVED, FALSE))]
+    cells = [
+        name,
+        mechanism.purpose,
+        f"{met} of {met + whole.left}" if whole.left else str(met),
+        *counts,
+        f"{whole.ratio('work', LEAST_WORK):.2f}",
+        f"{whole.ratio('seconds'):.2f}",
+        f"{worst.ratio('seconds'):.2f} {worst.source}",
+        str(mechanism.lines),
+        "; ".join(losses or claim) or ("nothing" if met else "never met"),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def rows_of_page() -> dict[str, str]:
+    """Return the lines of the page by the names of their mechanisms."""
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    return {line.split(" | ")[0].removeprefix("| "): line for line in lines if line[:2] == "| "}
+
+
+def write(new: dict[str, str]) -> None:
+    """Put lines into the page, in the order of the list."""
+    head = PAGE.read_text(encoding="utf-8").partition("| banded")[0]
+    rows = rows_of_page() | new
+    lines = [rows[name] for name in NAMES if name in rows]
+    PAGE.write_text(head + "\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _run(one: Input) -> tuple[Any, Any, Ran]:
-    """State an input and solve it; return the problem, the result or None, and what that took."""
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
+    """State an input and solve it; return the problem, the result or None, and the run."""
+    with _quiet():
         problem, result, has_raised = one.state(), None, False
         signal.alarm(LONGEST)
         begin = time.process_time()
@@ -158,24 +176,26 @@ def _run(one: Input) -> tuple[Any, Any, Ran]:
             result = one.solve(problem)
         except (LCPError, TimeoutError):
             pass
-        except Exception:  # whatever is raised without the mechanism counts against leaving it out
+        except Exception:  # an exception without the mechanism counts against leaving it out
             has_raised = True
         finally:
             signal.alarm(0)
-        return (
-            problem,
-            result,
-            Ran(OPEN, 0.0, max(time.process_time() - begin, SHORTEST), has_raised),
-        )
+        seconds = max(time.process_time() - begin, SHORTEST)
+        return problem, result, Ran(OPEN, 0.0, seconds, has_raised)
 
 
 def _judged(one: Input, problem: Any, result: Any, ran: Ran) -> Ran:
-    """Return the same with what a judge says of the result."""
+    """Return the run with the verdict of a judge."""
     if result is None:
         return ran
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
+    with _quiet():
         return ran._replace(verdict=one.judge(problem, result), work=work_of(result))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    with warnings.catch_warnings(action="ignore"), contextlib.redirect_stdout(io.StringIO()):
+        yield
 
 
 def _give_up(*_: Any) -> None:

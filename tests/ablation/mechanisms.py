@@ -450,7 +450,6 @@ MECHANISMS = (
         "an interior point along the central path of contacts",
         {f"{CONES}.solving:Run._follow": skipped()},
         "problems/cones/solving.py:Run._follow",
-        "problems/cones/test_cones.py::test_the_central_path_spares_starts_at_random",
     ),
     Mechanism(
         "cone proofs",
@@ -473,7 +472,6 @@ MECHANISMS = (
             )
         },
         "problems/cones/newton.py:polished",
-        "problems/cones/test_cones.py::test_a_run_ends_with_the_linear_system_of_its_cases",
     ),
     # --- nonlinear
     Mechanism(
@@ -534,7 +532,6 @@ MECHANISMS = (
         "a step of a march begins with what ended the one before",
         {"problems.march:beginning_of_next": says(None)},
         "problems/march/__init__.py:beginning_of_next",
-        "problems/march/test_march_beginnings.py::test_what_has_become_slow_is_left",
     ),
     Mechanism(
         "march loop",
@@ -571,19 +568,9 @@ MECHANISMS = (
             )
         },
         "core/kernels/threads.py problems/many/chunks.py",
-        "core/test_threads.py::test_pieces_run_at_the_same_time",
     ),
 )
 NAMES = {one.name: one for one in MECHANISMS}
-HEAVIEST = (
-    "multigrid",
-    "banded",
-    "search",
-    "lemke",
-    "interior point",
-    "newton",
-    "engines",
-)
 
 
 # --- lines ----------------------------------------------------------------------------------------------------------

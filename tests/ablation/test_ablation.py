@@ -13,8 +13,8 @@ import pytest
 from lcp_plugin import LCP, auto, solve
 from lcp_plugin.methods.small import rounds
 
-from . import inputs, measuring, table
-from .mechanisms import HEAVIEST, MECHANISMS, NAMES, says
+from . import inputs, measuring
+from .mechanisms import MECHANISMS, NAMES, says
 from .switching import Instead, Patch, replaced
 
 HERE = Path(__file__).parent
@@ -52,22 +52,13 @@ def test_what_is_no_more_is_missed() -> None:
 
 
 def test_names_are_unique() -> None:
-    """No name stands twice, and the heaviest are in the list."""
+    """No name stands twice."""
     assert len(NAMES) == len(MECHANISMS)
-    assert {*HEAVIEST} <= {*NAMES}
 
 
 def test_page_has_a_line_for_each() -> None:
-    """ablation.md is what the rows that were measured say, a line a mechanism."""
-    text = table.PAGE.read_text(encoding="utf-8")
-    assert [
-        line.split(" | ")[0].removeprefix("| ")
-        for line in text.splitlines()
-        if line.startswith("| ")
-    ][2:] == [
-        *NAMES,
-        *dict.fromkeys(row["mechanism"] for row in table.read() if " + " in row["mechanism"]),
-    ]
+    """ablation.md has a line per mechanism, in the order of the list."""
+    assert [*measuring.rows_of_page()][2:] == [*NAMES]
 
 
 def test_package_is_put_back() -> None:
@@ -90,13 +81,9 @@ def test_a_loss_is_seen() -> None:
     def wrong(old: Any) -> Any:
         return lambda *_, **__: 1 / 0
 
-    tally = measuring.Tally("none", "tiny")
-    measuring.measure(one(), [Patch("auto:first_answer", Instead(wrong))], tally)
-    assert (tally.met, tally.solved, tally.solved_off, tally.raised_off) == (1, 1, 0, 1)
-    assert table.lost([dict(zip(tally.columns(), tally.cells(), strict=True))]) == [
-        "1 solved",
-        "1 raised",
-    ]
+    tally = measuring.Tally("tiny")
+    tally.runs.append(measuring.measure(one(), [Patch("auto:first_answer", Instead(wrong))]))
+    assert tally.losses() == ["1 solved", "1 raised"]
 
 
 def test_what_would_do_the_same_is_not_met(monkeypatch: pytest.MonkeyPatch) -> None:

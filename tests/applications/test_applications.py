@@ -51,7 +51,7 @@ def rewriting(full: bool, name: str) -> str:
     return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", entries())
 def test_small_applications_cost_no_more_than_the_table_says(
     name: str, pytestconfig: pytest.Config
@@ -88,7 +88,6 @@ def test_every_application_has_its_rows(full: bool) -> None:
     assert len(entries()) >= 40
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("name", entries())
 def test_every_application_has_a_source(name: str) -> None:
     """The docstring says what it is and where that stands."""

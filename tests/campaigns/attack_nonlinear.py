@@ -1,36 +1,114 @@
 """Hill climbing against the judge of nonlinear problems: points that are wrong by more than 1 %, and pass.
 
-    python tests/campaigns/attack_nonlinear.py --count 2000 --seed 0
-
 F(x) = s (M x + g(x) + q) by rows, M positive definite or a P-matrix of integers, some diagonals of 1e-6 … 1e-12, g of
-increasing functions t³, exp t, −1/(t+1) or none, s units of rows, the unknowns in units, sometimes a group at 1e12
-beside, and x* planted: its only solution. The climber is that of `attack`, the judge the certificate with F and its
-derivative. A fall passes at 1e-8, a polished one at 1e-11; where the sums of a row are right to 1e-7 of their terms no
-residual tells, and the point is told apart.
+increasing functions t³, exp t, −1/(t+1) or none, s units of rows, the unknowns in units, and x* planted: its only
+solution. The climber lowers the least tolerance at which the certificate passes a point. A point falls if it passes at
+1e-11; if the sums of a row are right to 1e-7 of their terms, no residual distinguishes the point from a solution.
 """
 
 from __future__ import annotations
 
-import argparse
-import collections
-import sys
-import warnings
-from collections.abc import Iterator
-from pathlib import Path
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
-from attack import POLISH, Target, along_a_row, climb, stepped
-from outliers import integers
 
 from lcp_plugin import NonlinearProblem
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.problems.nonlinear.certificate import NonlinearCertificate, Reference
 from lcp_plugin.problems.nonlinear.data import Linearisation
 
+from .outliers import integers
+
 JUDGE, ILL_CONDITIONED, STEPS = 1e-8, 1e-7, 240
+
+ERROR, POLISH = 0.01, 1e-3
+# decimal exponents of tolerances, and how finely they are found
+LEAST, MOST, HALVINGS = -13.0, -0.01, 9
+
+
+class Target(NamedTuple):
+    """A problem with its answer: what the judge says of another one, and how wrong that is."""
+
+    right: np.ndarray  # of all numbers that the climber moves
+    passes: Callable[[np.ndarray, float], bool]  # at a tolerance
+    error: Callable[[np.ndarray], float]
+    moves: Callable[[np.random.Generator, np.ndarray], np.ndarray]
+    is_hopeless: Callable[[np.ndarray], bool]  # whether no residual could tell
+    text: Callable[[np.ndarray], str]
+
+
+def least_tolerance(target: Target, point: np.ndarray, below: float) -> float:
+    """The decimal exponent of the least tolerance at which the judge passes a point; ∞ where it is above `below`."""
+    if not target.passes(point, 10.0**below):
+        return math.inf
+    low, high = LEAST, below
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if target.passes(point, 10.0**middle) else (middle, high)
+    return high
+
+
+def climb(rng: np.random.Generator, target: Target, steps: int) -> tuple[np.ndarray | None, float]:
+    """The point with the least tolerance that was found with an error above 1 %, and that tolerance."""
+    best, least = None, MOST
+    for _attempt in range(4):
+        point = target.right.copy()
+        for _ in range(30):
+            point = target.moves(rng, point)
+            if target.error(point) > ERROR:
+                break
+        else:
+            continue
+        value = least_tolerance(target, point, MOST)
+        for _ in range(steps // 4):
+            moved = target.moves(rng, point)
+            if rng.random() < 0.3:
+                moved = target.moves(rng, moved)
+            if not np.isfinite(moved).all() or not target.error(moved) > ERROR:
+                continue
+            found = least_tolerance(target, moved, min(value, MOST))
+            if found <= value:
+                point, value = moved, found
+        if best is None or value < least:
+            best, least = point, value
+        if least <= LEAST + 0.1:
+            break
+    return best, 10.0**least
+
+
+def stepped(rng: np.random.Generator, value: float) -> float:
+    """A number at another scale, of another sign, or 0."""
+    kind = rng.integers(0, 6)
+    if kind == 0:
+        return 0.0
+    if kind == 1:
+        return -value
+    if kind == 2:
+        return value + float(rng.choice([-1, 1]) * 10.0 ** rng.uniform(-12, 12))
+    if kind == 3:
+        return float(
+            rng.choice([-1, 1]) * 10.0 ** rng.choice([-15, -12, -9, -6, -3, 0, 3, 6, 9, 12])
+        )
+    return (
+        value * 10.0 ** rng.uniform(-3, 3)
+        if kind == 4
+        else value * (1 + rng.choice([-1, 1]) * 10.0 ** rng.uniform(-4, 0))
+    )
+
+
+def along_a_row(rng: np.random.Generator, rows: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Two numbers moved so that a row of theirs stays as it is."""
+    moved, row = point.copy(), rows[rng.integers(0, len(rows))]
+    places = np.flatnonzero(row)
+    if places.size < 2:
+        return moved
+    i, j = rng.choice(places, 2, replace=False)
+    size = rng.choice([-1, 1]) * 10.0 ** rng.uniform(-9, 12)
+    moved[i] += size / row[i]
+    moved[j] -= size / row[j]
+    return moved
 
 
 def planted(rng: np.random.Generator) -> Target:
@@ -123,26 +201,3 @@ def attacks(rng: np.random.Generator, count: int, steps: int = STEPS) -> Iterato
 def attack_nonlinear(rng: np.random.Generator, count: int) -> Iterator[str]:
     """Yield the points that fall after a polish's tolerance."""
     yield from (text for what, text in attacks(rng, count) if what == "falls polished")
-
-
-def main() -> int:
-    """Attack."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    warnings.simplefilter("ignore")
-    np.seterr(all="ignore")
-    counts = collections.Counter[str]()
-    for what, text in attacks(np.random.default_rng(given.seed), given.count):
-        counts[what] += 1
-        if what not in ("holds", "ill-conditioned"):
-            print(f"  {what}: {text}", flush=True)
-    print(dict(counts))
-    return int(counts["falls polished"] > given.count / 1000)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,15 +1,13 @@
 """Hill climbing against the judges of programs and of least squares: large errors with small measures.
 
-Run as ``python tests/campaigns/attack_programs.py --certify 2000 --least-squares 2000 --seed 0``. Problems are small,
+Problems are small,
 with the odd numbers that users write in some places; optima are those of all active sets, in fractions. A point falls
-where it is called proved, or SOLVED, and its objective is off by more than 1 %. Exit code 1 if one does.
+where it is called proved, or SOLVED, and its objective is off by more than 1 %.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import sys
 from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
@@ -286,25 +284,3 @@ def attack_least_squares(rng: np.random.Generator, count: int) -> list[str]:
         if lowest <= 1e-8:
             fallen.append(f"{x.tolist()} of {case}: {lowest}, off by {excess(case, x, least)}")
     return fallen
-
-
-def main() -> int:
-    """Attack both and print what falls."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--certify", type=int, default=100)
-    parser.add_argument("--least-squares", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    rng, count = np.random.default_rng(arguments.seed), 0
-    for name, attack, cases in (
-        ("certify", attack_certify, arguments.certify),
-        ("least squares", attack_least_squares, arguments.least_squares),
-    ):
-        fallen = attack(rng, cases)
-        count += len(fallen)
-        print(*fallen, f"{name}: {len(fallen)} of {cases} fall", sep="\n")
-    return int(count > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,5 @@
 """Random programs with complementarity constraints, the truth by all their pieces, solved by HiGHS and Clarabel.
 
-Run ``python tests/campaigns/best_equilibria.py --cases 1000 --seed 0``; ``--show`` prints what is wrong or left open.
 Two to twelve pairs: boxes, one bound, none, bounds beside those of the pairs; linear, convex and semidefinite
 objectives; equations and inequalities; infeasible and unbounded ones among them. Every piece that is not empty is
 solved (the empty ones are cut off by linear programs), and the best point is made rational: where it then satisfies
@@ -9,17 +8,11 @@ everything exactly, no bound may lie above its objective. Counted are
 - wrong: a status or a value that the pieces contradict, a bound above the exact objective, a result whose verify() is
   False, or one that was damaged whose verify() is True;
 - open: STALLED, or a limit.
-
-Exit code 1 where anything is wrong, or more than 1 % are open.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-import time
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -31,7 +24,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status
-from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import BETWEEN, CASES, LOWER
 
 INF = np.inf
@@ -388,50 +380,3 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
 def undetected(result: Any) -> list[str]:
     """Which damages verify() does not see."""
     return [f"not seen: {name}" for name, other in damaged(result) if other.verify()]
-
-
-def main() -> int:
-    """Run the campaign, print the tallies, return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--most", type=int, default=12, help="pairs")
-    parser.add_argument("--show", action="store_true")
-    parser.add_argument("--believe", action="store_true", help="SCIP, without prove=True")
-    asked = parser.parse_args()
-    kinds: Counter[str] = Counter()
-    wrong = opened = exact = pieces = nodes = 0
-    seconds = 0.0
-    for case in range(asked.cases):
-        problem = random_problem(np.random.default_rng([36, asked.seed, case]), asked.most)
-        try:
-            known = truth(problem)
-        except ArithmeticError as error:
-            kinds[f"not judged: {error}"] += 1
-            continue
-        begin = time.process_time()
-        result = minimize_over_solutions(problem, max_seconds=60.0, prove=not asked.believe)
-        seconds += time.process_time() - begin
-        said = complaints(result, known) + ([] if asked.believe else undetected(result))
-        is_open = not (result.is_solved or result.has_no_solution)
-        kinds[f"{known.status}: {result.status}"] += 1
-        wrong, opened, exact = (
-            wrong + bool(said),
-            opened + is_open,
-            exact + (known.exact is not None),
-        )
-        pieces, nodes = pieces + known.pieces, nodes + result.nodes
-        if asked.show and (said or is_open):
-            print(
-                case, problem, f"{known.status} {known.value}", result, *said, sep="; ", flush=True
-            )
-    for kind, count in sorted(kinds.items()):
-        print(f"{count:6} {kind}")
-    print(
-        f"{wrong} wrong, {opened} open; {exact} optima exact; {pieces} pieces, {nodes} nodes, {seconds:.1f} s"
-    )
-    return int(wrong > 0 or opened > MOST_OPEN * asked.cases)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,25 +1,19 @@
 """Small convex programs with exact answers: what `certify` says of right and of planted wrong ones.
 
-Run as ``python tests/campaigns/certify.py --cases 1000 --seed 0``. Data are multiples of 1/8, x* and multipliers come
+Data are multiples of 1/8, x* and multipliers come
 first, so that the optimal value is a fraction; every bound is compared with it in fractions, without any allowance.
-Exit code 1 where a bound is violated, a right answer disproved or a wrong one proved.
-
 "proved" is a statement on the value and the constraints: of those off by 1e-4 some are proved.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from lcp_plugin import QuadraticProgram, certify
+from lcp_plugin import QuadraticProgram
 from lcp_plugin.problems.programs.certification import Certification
 from lcp_plugin.problems.programs.solution import QPSolution
 
@@ -214,67 +208,3 @@ def is_still_right(given: Case, x: Any) -> bool:
     """Return whether x is within the promise although it was moved."""
     gap = abs(objective(given.program, x) - given.value)
     return gap <= Fraction(TOLERANCE) * size(given.program, x) and is_met(given.program, x)
-
-
-def main() -> int:
-    """Run the campaign and print its totals."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--cases", type=int, default=600, help="of all kinds together")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--largest", type=int, default=8, help="variables")
-    parser.add_argument("--kind", default=None)
-    parser.add_argument(
-        "--tell", action="store_true", help="what is unproved or false, case by case"
-    )
-    arguments = parser.parse_args()
-    counts: Counter[tuple[str, str]] = Counter()
-    false: Counter[str] = Counter()
-    ratios: list[float] = []
-    began = time.perf_counter()
-    for k in range(arguments.cases):
-        kind = arguments.kind or KINDS[k % len(KINDS)]
-        rng = np.random.default_rng([arguments.seed, k])
-        given = case(kind, rng, arguments.largest)
-        noise = given.x + 1e-9 * rng.normal(size=given.x.size)
-        answers = {
-            f"right, {kind}": (given.x, None),
-            f"right, with multipliers, {kind}": (given.x, given.solution),
-            "right to 1e-9": (noise, None),
-            **planted(given, rng),
-        }
-        for name, (x, y) in answers.items():
-            said = certify(given.program, x, y, tolerance=TOLERANCE)
-            wrong = faults(given, x, said)
-            is_planted = name in MULTIPLIERS or (
-                name.startswith(("off", "a con")) and not is_still_right(given, x)
-            )
-            if said.verdict == "proved" and is_planted:
-                wrong.append(f"proved: {name}")
-            counts[name, said.verdict] += 1
-            false.update(wrong)
-            if wrong or (
-                arguments.tell
-                and ("right" in name or "1e-2" in name)
-                and said.verdict == "unproved"
-            ):
-                print(f"{k} {kind}, {name}: {said}; {', '.join(wrong)}")
-            true_gap = abs(objective(given.program, x) - given.value)
-            if said.gap is not None and true_gap > Fraction(ROUNDING) * (1 + abs(given.value)):
-                ratios.append(float(Fraction(said.gap) / true_gap))
-        said = certify(given.program, claim="infeasible")
-        counts["infeasible, falsely", said.verdict] += 1
-        false.update(["proved: infeasible"] if said.verdict == "proved" else [])
-    for name in dict.fromkeys(name for name, _ in counts):
-        row = {verdict: counts[name, verdict] for verdict in ("proved", "unproved", "disproved")}
-        print(f"{name:<45} " + "  ".join(f"{verdict} {count}" for verdict, count in row.items()))
-    print(
-        f"gap ÷ true gap: median {np.median(ratios):.3g}, 95 % {np.quantile(ratios, 0.95):.3g}, of {len(ratios)}"
-    )
-    print(
-        f"false: {dict(false) or 'nothing'}; {arguments.cases} programs, {time.perf_counter() - began:.0f} s"
-    )
-    return int(bool(false))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

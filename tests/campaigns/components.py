@@ -1,6 +1,6 @@
 """Problems made of uncoupled ones in units 10^±12 apart: SOLVED holds in every component, whoever is asked and however.
 
-Run ``python tests/campaigns/components.py --cases 5000 --seed 0``; exit code 1 where a claim fails. Two to six problems
+Two to six problems
 with planted answers, some without, in units and rows of any size, are permuted together, dense and sparse; one case in
 250 is two grids. They are solved by auto and all methods, cold and from starts that are right in some components, in
 both measures, recorded, called back, in batches, marches, from files and through cvxpy. Fractions judge:
@@ -19,24 +19,17 @@ Ranks are left to tests/distributed: they need mpi4py.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import traceback
-import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, partial
-from multiprocessing import Pool
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from collection.truth import ExactData
 from exact_components import references_of_rows, relative_residual
 
@@ -680,39 +673,3 @@ def judge(seed: int, number: int) -> tuple[list[str], str, str]:
     if frozen(case.problem) != before:
         bad.append("the data are modified")
     return bad, kind, status
-
-
-def main(cases: int, seed: int, workers: int) -> int:
-    counts: Counter[tuple[str, str]] = Counter()
-    failed = 0
-    with Pool(
-        workers, initializer=warnings.simplefilter, initargs=("ignore",)
-    ) as pool:  # of methods not covered
-        for number, (bad, kind, status) in enumerate(
-            pool.imap(partial(judge, seed), range(cases), chunksize=10)
-        ):
-            counts[kind, status] += 1
-            wrong = [text for text in bad if not text.startswith("open")]
-            failed += bool(wrong)
-            for text in bad:
-                print(f"case {number} (seed {seed}): {text}", flush=True)
-            if kind == SOLVABLE and status != "SOLVED":
-                print(f"case {number} (seed {seed}): open: {status}", flush=True)
-    for kind in (SOLVABLE, UNSOLVABLE, UNDECIDED):
-        of = Counter({status: count for (one, status), count in counts.items() if one == kind})
-        print(
-            f"{kind:<20}{of.total():>6}  {', '.join(f'{name} {count}' for name, count in of.most_common())}"
-        )
-    solvable = sum(count for (kind, _), count in counts.items() if kind == SOLVABLE)
-    left = solvable - counts[SOLVABLE, "SOLVED"]
-    print(f"{cases} cases, {failed} with a claim that fails; {left} of {solvable} open")
-    return int(failed > 0 or left > UNSOLVED * solvable)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1)
-    arguments = parser.parse_args()
-    sys.exit(main(arguments.cases, arguments.seed, arguments.workers))

@@ -1,19 +1,15 @@
 """Random convex programs stated in cvxpy, solved by QPSolver and judged by solvers that nobody here wrote.
 
-Run as ``python tests/campaigns/cvxpy_programs.py --cases 400 --seed 0 [--second-solve]``. A program is a sum of atoms
+A program is a sum of atoms
 of affine expressions of several variables, with constraints; one in eight is made infeasible, one in eight may be
 unbounded. The other opinions are Clarabel's and SCS's (OSQP's where SCS refuses); where they differ from
 ours or from each other, the point with the smaller violation and the better value is right, whoever found it. With
-``--second-solve`` the same Problem object has been solved by Clarabel, then by us. Exit code 1 where anything is wrong.
+``--second-solve`` the same Problem object has been solved by Clarabel, then by us.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 import warnings
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -376,7 +372,9 @@ def verdict(case: Case, ours: Opinion, theirs: list[Opinion]) -> str:
     return "agreed" if ours.status == feasible.status else "not judged"
 
 
-def judged(seed: int, k: int, *, second_solve: bool) -> tuple[str, Case, Opinion, list[Opinion]]:
+def judged(
+    seed: int, k: int, *, second_solve: bool = False
+) -> tuple[str, Case, Opinion, list[Opinion]]:
     """Return the outcome of case k of a seed, the case and the opinions."""
 
     def drawn() -> Case:
@@ -389,42 +387,3 @@ def judged(seed: int, k: int, *, second_solve: bool) -> tuple[str, Case, Opinion
     ours = opinion(case.problem, QPSolver)
     theirs = theirs or others(drawn().problem)
     return verdict(case, ours, theirs), case, ours, theirs
-
-
-def main() -> int:
-    """Run the campaign, print what is not agreed on and a table."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--cases", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--second-solve", action="store_true")
-    options = parser.parse_args()
-    outcomes: Counter[str] = Counter()
-    statuses: Counter[str] = Counter()
-    start = told = time.perf_counter()
-    print(
-        f"cvxpy {cp.__version__}, {len(CONVEX)} atoms, {len(COMBINATIONS)} combinations", flush=True
-    )
-    for k in range(options.first, options.first + options.cases):
-        outcome, case, ours, theirs = judged(options.seed, k, second_solve=options.second_solve)
-        outcomes[outcome] += 1
-        statuses[ours.status.split(":")[0]] += 1
-        if outcome != "agreed":
-            print(
-                f"{outcome}: case {k} of seed {options.seed}: ours {ours}, others {theirs}; {case.atoms}",
-                flush=True,
-            )
-        if time.perf_counter() - told > 60.0:
-            told = time.perf_counter()
-            print(
-                f"after {k - options.first + 1}, {told - start:.0f} s: {dict(outcomes)}", flush=True
-            )
-    print(f"{'outcome':<14}{'cases':>8}")
-    for outcome in OUTCOMES:
-        print(f"{outcome:<14}{outcomes[outcome]:>8}")
-    print(f"our statuses: {dict(statuses)}; {time.perf_counter() - start:.0f} s")
-    return int(outcomes["wrong value"] + outcomes["wrong status"] > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,24 +3,16 @@
 Counts bounds that are violated and rows that are classified wrongly (both compared as fractions, none allowed), and
 prints the median of bound/error by ρ(D⁻¹|B|) and by how near z is to the solution. One case in ten more has a matrix
 with a positive definite symmetric part instead, symmetric or not.
-
-    python tests/campaigns/error_bounds.py --cases 20000 --seed 0
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from exact import Exact, exact_solution
 
 from lcp_plugin import LCP, UnsuitableMatrix
@@ -218,13 +210,3 @@ def run(cases: int, seed: int) -> int:
     tally.show()
     print(f"largest median at convergence, H₊: {tally.worst_median:.4g} (must be ≤ 10)")
     return int(tally.outside > 0 or tally.wrong > 0 or not tally.worst_median <= 10.0)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--cases", type=int, default=20_000)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    sys.exit(run(options.cases, options.seed))

@@ -1,20 +1,14 @@
-"""Ordinary problems as people build them: does the default answer at the first try?
+"""Ordinary problems: does the default solve them at the first try?
 
-Run ``python tests/campaigns/first_try.py --cases 5000 --seed 0``. LCPs with a planted solution of many classes, and
-programs stated in cvxpy; their answers are known by construction or from Clarabel. A problem that has a solution and
-that auto leaves unsolved is given to every named method with ten times auto's time. Prints the count of each kind and
-whatever was not as it should be; exits with 1 where anything is raised, a claim is wrong, a named method solves what
-auto does not, or auto leaves more than one in a thousand unsolved.
+LCPs with a planted solution, and programs stated in cvxpy, whose values Clarabel confirms. A problem with a solution
+that auto leaves unsolved is given to each named method with ten times auto's time.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
-import warnings
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import cvxpy as cp
@@ -26,8 +20,7 @@ from lcp_plugin import LCP, Result, Status, solve
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 
 NAMED = ("newton", "lemke", "interior_point", "psor", "npsor")
-ENOUGH, TIMES = 1e-3, 10.0  # of the solvable may stay unsolved; of auto's time a named method gets
-AT_LEAST = 0.05  # seconds
+TIMES, MIN_SECONDS = 10.0, 0.05  # of auto's time a named method gets; seconds
 VALUE = 1e-5  # relative difference of two values of an objective
 RNG = np.random.Generator
 
@@ -311,75 +304,44 @@ EXPECTED = {
     "redundant_infeasible": cp.INFEASIBLE,
     "unbounded": cp.UNBOUNDED,
 }
+BUILDS = {build.__name__: build for build in (*LCPS, *PROGRAMS)}
 
 
-class Campaign:
-    """Counts, and prints what is not as it should be."""
+def judged(name: str, rng: RNG) -> Iterator[tuple[str, str]]:
+    """Yield (verdict, text): WRONG for a false claim, LEFT where a named method solves what auto does not, or OPEN."""
+    build = BUILDS[name]
+    yield from (of_lcp if build in LCPS else of_program)(build(rng), name)
 
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-        self.solvable = self.unsolved = self.bad = 0
-        self.longest: list[tuple[float, str]] = []
 
-    def complain(self, what: str) -> None:
-        self.bad += 1
-        print(what, flush=True)
+def of_lcp(problem: LCP, name: str) -> Iterator[tuple[str, str]]:
+    result = solve(problem)
+    if result.has_no_solution:
+        yield "WRONG", f"{result.status.name} although a solution was planted"
+    elif not result.is_solved:
+        yield _left(result.status.name, result.seconds, partial(_is_solved, problem))
 
-    def lcp(self, name: str, build: Callable[[RNG], LCP], rng: RNG) -> None:
-        problem = build(rng)
-        result = solve(problem)
-        self.count(f"{build.__name__}: {result.status.name}", result.seconds, name)
-        self.solvable += 1
-        if result.has_no_solution:
-            self.complain(f"WRONG {name}: {result.status.name} although a solution was planted")
-        elif not result.is_solved:
-            self.left_open(
-                name,
-                result.status.name,
-                result.seconds,
-                lambda by, limit: _is_solved(problem, by, limit),
-            )
 
-    def program(self, name: str, build: Callable[[RNG], cp.Problem], rng: RNG) -> None:
-        problem = build(rng)
-        began = time.perf_counter()
-        problem.solve(solver=lcp_plugin.QPSolver)
-        seconds = time.perf_counter() - began
-        self.count(f"{build.__name__}: {problem.status}", seconds, name)
-        expected = EXPECTED.get(build.__name__, cp.OPTIMAL)
-        self.solvable += expected == cp.OPTIMAL
-        if problem.status == expected == cp.OPTIMAL:
-            own = problem.value
-            other = problem.solve(solver=cp.CLARABEL)
-            if problem.status == cp.OPTIMAL and abs(own - other) > VALUE * (1.0 + abs(other)):
-                self.complain(f"WRONG {name}: {own:.9g}, Clarabel {other:.9g}")
-        elif (
-            problem.status in (cp.OPTIMAL, cp.INFEASIBLE, cp.UNBOUNDED)
-            and problem.status != expected
-        ):
-            self.complain(f"WRONG {name}: {problem.status}, expected {expected}")
-        elif problem.status != expected and expected == cp.OPTIMAL:
-            self.left_open(
-                name, problem.status, seconds, lambda by, limit: _is_optimal(problem, by, limit)
-            )
-        elif problem.status != expected:
-            self.unsolved += 1
-            print(f"OPEN {name}: {problem.status}, expected {expected}", flush=True)
+def of_program(problem: cp.Problem, name: str) -> Iterator[tuple[str, str]]:
+    began = time.perf_counter()
+    problem.solve(solver=lcp_plugin.QPSolver)
+    seconds, expected = time.perf_counter() - began, EXPECTED.get(name, cp.OPTIMAL)
+    if problem.status == expected == cp.OPTIMAL:
+        value = problem.value
+        other = problem.solve(solver=cp.CLARABEL)
+        if problem.status == cp.OPTIMAL and abs(value - other) > VALUE * (1.0 + abs(other)):
+            yield "WRONG", f"{value:.9g}, Clarabel {other:.9g}"
+    elif expected != problem.status in (cp.OPTIMAL, cp.INFEASIBLE, cp.UNBOUNDED):
+        yield "WRONG", f"{problem.status}, expected {expected}"
+    elif problem.status != expected == cp.OPTIMAL:
+        yield _left(problem.status, seconds, partial(_is_optimal, problem))
+    elif problem.status != expected:
+        yield "OPEN", f"{problem.status}, expected {expected}"
 
-    def left_open(
-        self, name: str, status: str, seconds: float, solves: Callable[[str, float], bool]
-    ) -> None:
-        self.unsolved += 1
-        limit = max(TIMES * seconds, AT_LEAST)
-        by = [method for method in NAMED if solves(method, limit)]
-        if by:
-            self.complain(f"LEFT {name}: {status}, solved by {', '.join(by)} within {limit:.2g} s")
-        else:
-            print(f"OPEN {name}: {status} after {seconds:.2g} s", flush=True)
 
-    def count(self, what: str, seconds: float, name: str) -> None:
-        self.counts[what] += 1
-        self.longest = sorted([*self.longest, (seconds, name)], reverse=True)[:5]
+def _left(status: str, seconds: float, solves: Callable[[str, float], bool]) -> tuple[str, str]:
+    limit = max(TIMES * seconds, MIN_SECONDS)
+    by = [method for method in NAMED if solves(method, limit)]
+    return ("LEFT", f"{status}, solved by {', '.join(by)}") if by else ("OPEN", status)
 
 
 def _is_solved(problem: LCP, method: str, limit: float) -> bool:
@@ -396,39 +358,3 @@ def _is_optimal(problem: cp.Problem, method: str, limit: float) -> bool:
     except (lcp_plugin.LCPError, cp.SolverError):
         return False
     return problem.status == cp.OPTIMAL
-
-
-def main(cases: int, seed: int, first: int) -> int:
-    campaign, kinds = Campaign(), [*LCPS, *PROGRAMS]
-    began = time.perf_counter()
-    for case in range(first, first + cases):
-        build = kinds[case % len(kinds)]
-        name = f"case {case} {build.__name__}"
-        try:
-            (campaign.lcp if build in LCPS else campaign.program)(
-                name, build, np.random.default_rng([seed, case])
-            )
-        except Exception as error:
-            campaign.complain(f"RAISED {name}: {type(error).__name__}: {error}")
-    print("\n".join(f"{count:>6} × {what}" for what, count in sorted(campaign.counts.items())))
-    print(
-        "the longest: "
-        + ", ".join(f"{seconds:.1f} s ({name})" for seconds, name in campaign.longest)
-    )
-    print(
-        f"{cases} cases in {time.perf_counter() - began:.0f} s: {campaign.solvable} solvable, {campaign.unsolved} "
-        f"not answered, {campaign.bad} raised, wrong or left to a named method"
-    )
-    return int(campaign.bad > 0 or campaign.unsolved > ENOUGH * campaign.solvable)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="the number of the first case")
-    given = parser.parse_args()
-    warnings.simplefilter("error")
-    warnings.filterwarnings("ignore", category=UserWarning, module="cvxpy")
-    warnings.filterwarnings("ignore", category=FutureWarning, module="cvxpy")
-    sys.exit(main(given.cases, given.seed, given.first))

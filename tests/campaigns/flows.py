@@ -1,20 +1,15 @@
 """Convection and diffusion on a square, in own and in other units: how often SOLVED is false.
 
-    python tests/campaigns/flows.py --cases 5000 --seed 0
-
 Five-point differences of −Δu + b·∇u + c u on 12² to 40² nodes, cell Péclet numbers from .1 to 1000, upwind or central,
 b constant, a shear or a vortex, coefficients of one size or jumping by up to 10³. The answer is planted: z and w ≥ 0
 complementary, q = w − M z. Units, powers of two: own; one unknown × 2^±12 (or 2^±20); a few; all by 2^±20, rows too;
 rows alone. Eight methods, one drawn for each problem. SOLVED is false where the residual in the planted units exceeds
 1e-5 of that at 0 and the error exceeds 1e-3. Told besides: what is not solved, by method, and the largest term residual
-of a right answer over its tolerance. Exit code 1 where something is false, or a right answer (the planted one) refused.
+of a right answer over its tolerance.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import warnings
 from collections import Counter
 from typing import Any
 
@@ -112,28 +107,3 @@ def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, f
     elif result.is_solved:
         extremes["error"] = max(extremes["error"], error)
     return found
-
-
-def main(cases: int, seed: int) -> int:
-    counts, extremes, failed = Counter[str](), {"guard": 0.0, "error": 0.0}, 0
-    warnings.simplefilter("ignore")
-    for case in range(cases):
-        for told in judged(np.random.default_rng([seed, case]), counts, extremes):
-            failed += 1
-            print(f"case {case}: {told}", flush=True)
-    print(*(f"{count:6d}  {name}" for name, count in sorted(counts.items())), sep="\n")
-    print(
-        f"{cases} cases, {failed} failures; a right answer's term residual is at most {extremes['guard']:.0e} of the "
-        f"tolerance, the largest error of a right SOLVED {extremes['error']:.0e}"
-    )
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--cases", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    sys.exit(main(arguments.cases, arguments.seed))

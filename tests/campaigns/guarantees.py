@@ -3,16 +3,10 @@
 A rate must be respected by every step: ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v up to rounding (a modulus method:
 ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v), its contraction bound must hold, a guaranteed iteration must converge, and a
 matrix that is no H₊-matrix must get no rate.
-
-    python tests/campaigns/guarantees.py --cases 2000 --seed 0
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections import Counter
 from dataclasses import replace
 from itertools import islice, pairwise
 from typing import NamedTuple
@@ -206,26 +200,3 @@ def run_case(rng: np.random.Generator) -> Outcome:
     return Outcome(
         f"{family}: {guarantee.verdict}{rated}", [f"{kind} {algorithm}: {text}" for text in found]
     )
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--cases", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args()
-    rng = np.random.default_rng(chosen.seed)
-    began = time.perf_counter()
-    outcomes = [run_case(rng) for _ in range(chosen.cases)]
-    for label, count in sorted(Counter(outcome.label for outcome in outcomes).items()):
-        print(f"{label:<45} {count:>6}")
-    violations = [text for outcome in outcomes for text in outcome.violations]
-    print(
-        f"{chosen.cases} cases, {len(violations)} violations, {time.perf_counter() - began:.1f} s"
-    )
-    for text in violations[:20]:
-        print("  ", text)
-    return 1 if violations else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Problems and programs that are infeasible or feasible by margins of 1e-16 … 1e-1, each told as it should be.
 
-Run ``python tests/campaigns/infeasible_by_margin.py --cases 10000 --seed 0``; exit code 1 where a claim fails. The
+The
 margin is planted: a Farkas vector y and a z̄ that attains its contradiction; fractions written here and used nowhere
 else bound the smallest residual of any z from below (by y) and from above (by z̄). Claimed, at the default tolerance:
 
@@ -16,21 +16,11 @@ Problems that z° solves but for the rounding of their data are drawn again: not
 
 from __future__ import annotations
 
-import argparse
-import sys
-import warnings
-from collections import Counter
 from collections.abc import Iterator
 from fractions import Fraction
-from functools import partial
-from multiprocessing import Pool
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from exact_components import component_of_rows, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
@@ -417,57 +407,3 @@ def one(seed: int, case: int) -> tuple[list[str], list[tuple[str, str, str]]]:
     bad, told = violations(planted, case)
     where = decade(planted.relative, TOLERANCE) if planted.is_data else "rounding of q"
     return bad, [(kind, where, told.name)]
-
-
-def main(cases: int, seed: int, workers: int) -> int:
-    counts: Counter[tuple[str, str, str]] = Counter()
-    failed = 0
-    with Pool(
-        workers, initializer=warnings.simplefilter, initargs=("ignore",)
-    ) as pool:  # of methods not covered
-        outcomes = pool.imap(partial(one, seed), range(cases), chunksize=20)
-        for case, (bad, lines) in enumerate(outcomes):
-            counts.update(lines)
-            failed += bool(bad)
-            for complaint in bad:
-                print(f"case {case} (seed {seed}): {complaint}", flush=True)
-    failed += table(counts)
-    print(f"{cases} cases, {failed} claims failed")
-    return int(failed > 0)
-
-
-def table(counts: Counter[tuple[str, str, str]]) -> int:
-    """Print what was told where, and return how many shares are below what is claimed."""
-    low = 0
-    print(f"{'kind':<18}{'margin':<22}{'cases':>6}  told")
-    for kind, where in sorted({key[:2] for key in counts}):
-        told = Counter({key[2]: count for key, count in counts.items() if key[:2] == (kind, where)})
-        total = told.total()
-        print(
-            f"{kind:<18}{where:<22}{total:>6}  {', '.join(f'{name} {count}' for name, count in told.most_common())}"
-        )
-    for kind in sorted({key[0] for key in counts}):
-        wanted = {"≥ proved": ("INFEASIBLE", "NO_SOLUTION")}
-        if kind == "program":
-            wanted["≤ tolerance/100 solved"] = ("SOLVED",)
-        for what, names in wanted.items():
-            where = "≤ tolerance/100" if "solved" in what else "≥"
-            chosen = {
-                key: count
-                for key, count in counts.items()
-                if key[0] == kind and key[1].startswith(where)
-            }
-            right = sum(count for key, count in chosen.items() if key[2] in names)
-            share = right / max(sum(chosen.values()), 1)
-            print(f"{kind}: {what}: {right} of {sum(chosen.values())} ({share:.2%})")
-            low += bool(chosen) and share < CLAIMED
-    return low
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1)
-    arguments = parser.parse_args()
-    sys.exit(main(arguments.cases, arguments.seed, arguments.workers))

@@ -1,10 +1,10 @@
 """Random small least squares problems in mixed units, the least cost by exact arithmetic, nnls and lsq_linear beside.
 
-Run ``python tests/campaigns/least_squares.py --cases 5000 --seed 0``. Rows, columns or both times 10^k, k in −6 … 6,
+Rows, columns or both times 10^k, k in −6 … 6,
 weights 10^±8, ranks below full, boxes, free columns, a ridge. Prints for each kind how many are solved, how many
 not and with which status, and how many SOLVED cost more than the least by over tolerance times their cost: no more than
 rounding explains, beside a least cost of 0 or another; where the least is out of reach; or else FALSE. For scipy it
-counts how many answers are so. Exit code 1 on a false SOLVED, an exception, or more than 2 % unsolved.
+counts how many answers are so.
 
 The truth is an active set method in rational arithmetic on the stored doubles, whose answer x* satisfies the optimality
 conditions exactly. With ρ(x) = ε (|A||x| + |b|), rounding explains that ‖√W(A x − b)‖ exceeds what it may be by
@@ -14,25 +14,16 @@ more than x costs: columns that depended on others before they were rounded to d
 
 from __future__ import annotations
 
-import argparse
-import signal
-import time
-import warnings
-from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
-
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 INF = np.inf
 EPSILON = float(np.finfo(float).eps)
 TOLERANCE = 1e-8
-PATIENCE = 2.0  # seconds for an answer of scipy's, whose lsq_linear may not end
 UNSOLVED = 0.02  # of the problems, at the most
 KINDS = (
     "integers",
@@ -219,103 +210,3 @@ def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) ->
     if length <= shortest + 8.0 * (case.A.shape[1] + 4) * rounding(x):
         return "above by rounding" if least else "attained 0"
     return "out of reach" if rounding([float(v) for v in exact.answer]) >= length else "FALSE"
-
-
-def scipy_answers(case: Case) -> dict[str, Any]:
-    """Return the answers of nnls, where bounds are its own, and of lsq_linear by both methods; None for a failure."""
-    root = np.ones(case.b.size) if case.weights is None else np.sqrt(case.weights)
-    A, b = root[:, None] * case.A, root * case.b
-    if case.ridge:
-        A, b = (
-            np.vstack([A, np.sqrt(case.ridge) * np.eye(A.shape[1])]),
-            np.concatenate([b, np.zeros(A.shape[1])]),
-        )
-    answers: dict[str, Any] = {}
-    calls: dict[str, Any] = {
-        f"lsq_linear {method}": lambda method=method: (
-            lsq_linear(A, b, (case.lower, case.upper), method=method, tol=1e-14).x
-        )
-        for method in ("bvls", "trf")
-        if (case.lower < case.upper).all()
-    }
-    if not case.lower.any() and (case.upper == INF).all():
-        calls["nnls"] = lambda: nnls(A, b)[0]
-    for name, call in calls.items():
-        signal.setitimer(signal.ITIMER_REAL, PATIENCE)
-        try:
-            answers[name] = np.clip(call(), case.lower, case.upper)
-        except (RuntimeError, ValueError, TimeoutError, np.linalg.LinAlgError):
-            answers[name] = None
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-    return answers
-
-
-def give_up(*_: Any) -> None:
-    """End a call that has taken too long."""
-    raise TimeoutError
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the campaign; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--alone", action="store_true", help="without scipy beside")
-    parser.add_argument(
-        "--show", action="store_true", help="print the kind and number of every failure"
-    )
-    options = parser.parse_args(arguments)
-    if not options.alone:
-        warnings.simplefilter("ignore")
-        signal.signal(signal.SIGALRM, give_up)
-    counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
-    rivals: Counter[str] = Counter()
-    seconds = 0.0
-    for number in range(options.cases):
-        kind = KINDS[number % len(KINDS)]
-        case = draw(kind, np.random.default_rng([options.seed, number]))
-        exact = Exact(case)
-        begin = time.perf_counter()
-        result = bounded_least_squares(
-            case.A,
-            case.b,
-            case.lower,
-            case.upper,
-            weights=case.weights,
-            ridge=case.ridge,
-            tolerance=TOLERANCE,
-        )
-        seconds += time.perf_counter() - begin
-        word = complaint(case, exact, result.x)
-        counts[kind].update([result.status.name] + [word] * (result.is_solved and word != ""))
-        if options.show and (not result.is_solved or word in ("FALSE", "out of reach")):
-            print(
-                number,
-                kind,
-                case.A.shape,
-                result.status.name,
-                word,
-                result.cost,
-                float(exact.least),
-            )
-        for name, x in ({} if options.alone else scipy_answers(case)).items():
-            is_missed = (
-                x is None or not np.isfinite(x).all() or complaint(case, exact, x) == "FALSE"
-            )
-            rivals.update([name] + [f"{name} missed"] * is_missed)
-    for kind, told in counts.items():
-        print(f"{kind:18}", dict(told))
-    print("beside:", dict(rivals))
-    total = sum(counts.values(), Counter())
-    unsolved = options.cases - total["SOLVED"]
-    print(
-        f"{options.cases} problems, {unsolved} not solved, {total['FALSE']} falsely, "
-        f"{total['attained 0']} beside a cost of 0 and {total['above by rounding']} others above by rounding, "
-        f"{total['out of reach']} where the least is out of reach, {1e3 * seconds / options.cases:.2f} ms each"
-    )
-    return int(total["FALSE"] > 0 or unsolved > 1 + UNSOLVED * options.cases)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

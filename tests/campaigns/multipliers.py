@@ -1,29 +1,20 @@
 """Multipliers of degenerate programs beside those of HiGHS: never more than 1e3 times as large.
 
-Run ``python tests/campaigns/multipliers.py --cases 2000 --seed 0``; exit code 1 where a claim fails. The programs have
+The programs have
 more active rows than variables, redundant rows, rows of decimals that are redundant but for rounding, or variables that
 equal bounds fix beside rows that hold them too. Compared is the largest multiplier, of bounds as well.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections import Counter
-from pathlib import Path
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-import convex_programs
-
 from lcp_plugin import QuadraticProgram
 from lcp_plugin.problems.programs.solving import solve_program
+
+from . import convex_programs
 
 KINDS = ("degenerate", "redundant", "linear", "fixed", "decimal")
 MOST = 1e3  # times the multipliers of HiGHS
@@ -74,39 +65,3 @@ def largest_of_highs(case: QuadraticProgram) -> float | None:
     if problem.status != cp.OPTIMAL:
         return None
     return max((float(np.abs(one.dual_value).max(initial=0.0)) for one in constraints), default=0.0)
-
-
-def main() -> int:
-    """Run the campaign and print its totals."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--cases", type=int, default=500, help="of all kinds together")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    counts: Counter[tuple[str, str]] = Counter()
-    ratios: list[tuple[float, str, int, float]] = []
-    began = time.perf_counter()
-    for k in range(arguments.cases):
-        kind = KINDS[k % len(KINDS)]
-        case: Any = program(kind, np.random.default_rng([arguments.seed, k, 7]))
-        answer, theirs = solve_program(case).solution, largest_of_highs(case)
-        ours = float(np.abs(answer.multipliers).max(initial=0.0))
-        if theirs is None or not answer.is_optimal():
-            counts[
-                kind, "left out: HiGHS has none" if theirs is None else f"ours is {answer.status}"
-            ] += 1
-            continue
-        ratio = ours / max(theirs, NOTHING) if ours > NOTHING else 0.0
-        ratios.append((ratio, kind, k, ours))
-        counts[kind, "within" if ratio <= MOST else "TOO LARGE"] += 1
-    for (kind, what), count in sorted(counts.items()):
-        print(f"{kind:<12} {what:<30} {count}")
-    values = np.array([ratio for ratio, *_ in ratios])
-    print(
-        f"ours ÷ HiGHS's: median {np.median(values):.3g}, 99 % {np.quantile(values, 0.99):.3g}, "
-        f"largest {max(ratios)}, of {values.size}; {time.perf_counter() - began:.0f} s"
-    )
-    return int(bool((values > MOST).any()) or any("ours" in what for _, what in counts))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,35 +1,19 @@
-"""SOLVED where doubles measure nothing: near-singular matrices, bounds one ulp apart, references that vanish.
+"""Near-singular matrices, bounds one ulp apart, references that vanish: false SOLVED at the rounding level.
 
-    python tests/campaigns/near_singular.py --cases 20000 --seed 0 --jobs 2
-
-Every problem is solved by auto and by every registered algorithm, and judged in rational arithmetic:
-a lie is a SOLVED whose exact residual exceeds the tolerance times the exact reference, a PRECISION_LIMIT that rounding
-does not explain, or an INFEASIBLE or NO_SOLUTION where a solution was planted. Printed besides: how many SOLVED are off
-by more than half of the exact solution, and how many of these `explain()` warns of. Exit code 1 on a lie or an
-exception.
+A false claim is a SOLVED whose exact residual exceeds the tolerance times the exact reference, a PRECISION_LIMIT that
+rounding does not explain, or an INFEASIBLE or NO_SOLUTION of a problem with a solution.
 """
 
 from __future__ import annotations
 
-import argparse
-import multiprocessing
-import os
-import sys
-import time
-import warnings
-from collections import Counter
-from collections.abc import Callable
-from fractions import Fraction
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from collection.judgement import false_claim
 from collection.truth import SOLVABLE
 from exact import exact_solution
 
-from lcp_plugin import LCP, Status, solve
+from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 
@@ -123,98 +107,28 @@ KINDS: dict[str, Callable[[Generator], LCP]] = {
 # --- The judgement ----------------------------------------------------------------------------------------------------
 
 
-def truth_of(problem: LCP) -> tuple[str, tuple[Fraction, ...] | None]:
-    """SOLVABLE with a solution where one is found by active sets, else that nothing is known."""
-    if problem.n > 6:
-        return "", None
-    try:
-        return SOLVABLE, exact_solution(problem).z
-    except ValueError:
-        return "", None
-
-
-def judged(kind: str, number: int) -> tuple[Counter[str], list[str]]:
-    """Solve one problem by everything; return counts, and lines that tell what is wrong."""
-    rng = np.random.default_rng(number)
+def judged(kind: str, rng: Generator) -> Iterator[str]:
+    """Solve one problem by each algorithm; yield false claims."""
     problem = KINDS[kind](rng)
-    truth, exact = truth_of(problem)
-    counts: Counter[str] = Counter({"problems": 1})
-    lines = []
     for name in ALGORITHMS:
         limit = {} if name == "auto" else {"max_iterations": STEPS}
         try:
             result = solve(problem, name, tolerance=TOLERANCE, **limit)
         except (UnsuitableMatrix, UnsuitableProblem):
-            counts["refused"] += 1
             continue
-        except Exception as error:  # a finding, and the campaign goes on
-            counts["exceptions"] += 1
-            lines.append(f"{kind}:{number} {name}: {type(error).__name__}: {error}")
-            continue
-        counts[result.status.name] += 1
-        wrong = false_claim(problem, truth or result_truth(result.status.name), result, TOLERANCE)
-        if wrong:
-            counts["lies"] += 1
-            lines.append(f"{kind}:{number} {name}: {wrong}")
-        if result.status is Status.SOLVED and exact is not None:
-            error = max(abs(Fraction(a) - b) for a, b in zip(result.z.tolist(), exact, strict=True))
-            if error > Fraction(1, 2) * max(map(abs, exact)):
-                told = result.explain()
-                counts["far"] += 1
-                counts["far, warned of"] += "near-singular" in told or "stiff" in told
-        if result.status is Status.SOLVED and exact is not None and rng.random() < 0.05:
-            error = max(abs(Fraction(a) - b) for a, b in zip(result.z.tolist(), exact, strict=True))
-            if error <= Fraction(1, 10**4) * max(map(abs, exact)):
-                counts["near, asked"] += 1
-                counts["near, warned of"] += "near-singular" in result.explain()
-    return counts, lines
+        truth = _solvable(problem) or result_truth(result.status.name)
+        if wrong := false_claim(problem, truth, result, TOLERANCE):
+            yield f"{name}: {wrong}"
+
+
+def _solvable(problem: LCP) -> str:
+    """SOLVABLE if active sets in rational arithmetic find a solution."""
+    try:
+        return SOLVABLE if problem.n <= 6 and exact_solution(problem).z else ""
+    except ValueError:
+        return ""
 
 
 def result_truth(status: str) -> str:
     """A truth that contradicts no status, where none is known."""
     return {"INFEASIBLE": "infeasible", "NO_SOLUTION": "no solution"}.get(status, SOLVABLE)
-
-
-def stretch(task: tuple[int, int, int]) -> tuple[Counter[str], list[str]]:
-    first, last, seed = task
-    warnings.simplefilter("error")
-    counts: Counter[str] = Counter()
-    lines: list[str] = []
-    kinds = list(KINDS)
-    for case in range(first, last):
-        found, told = judged(kinds[case % len(kinds)], seed * 10**9 + case)
-        counts.update(found)
-        lines += told
-    return counts, lines
-
-
-def campaign(cases: int, seed: int, jobs: int) -> int:
-    """Run all cases; print counts; return 1 where anything is wrong."""
-    began = time.perf_counter()
-    total: Counter[str] = Counter()
-    os.environ["OMP_NUM_THREADS"] = "1"
-    tasks = [(first, min(first + CHUNK, cases), seed) for first in range(0, cases, CHUNK)]
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for k, (counts, lines) in enumerate(pool.imap_unordered(stretch, tasks)):
-            total.update(counts)
-            print(*lines, sep="\n", end="\n" if lines else "", flush=True)
-            if k % 20 == 19:
-                seconds = time.perf_counter() - began
-                print(
-                    f"{total['problems']} problems, {total['lies']} lies, {seconds:.0f} s",
-                    flush=True,
-                )
-    for name, count in sorted(total.items()):
-        print(f"{count:>9}  {name}")
-    return int(total["lies"] + total["exceptions"] > 0)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--cases", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    sys.exit(campaign(options.cases, options.seed, options.jobs))

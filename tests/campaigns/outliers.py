@@ -1,6 +1,5 @@
 """Numbers that users write, in every kind of problem, judged from outside.
 
-    python tests/campaigns/outliers.py --kind program --count 20000 --seed 0
     python tests/campaigns/outliers.py --kind all --count 500 --csv now.csv --beside before.csv
 
 Small problems of integers and one or two odd numbers: limits of 1e10 … 1e19, 1e20 and ∞ that stand for "none", cos(π/2)
@@ -22,24 +21,15 @@ Prints these per kind, and the first false ones; exit code 1 where anything is f
 
 from __future__ import annotations
 
-import argparse
-import collections
-import csv
 import itertools
-import sys
-import time
-import warnings
 from collections.abc import Callable, Iterator
 from fractions import Fraction
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import block_diag
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import exact_rows, solve_fractions
+from scipy.linalg import block_diag
 
 import lcp_plugin as lp
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
@@ -1223,74 +1213,3 @@ def run(kind: str, seed: int, k: int) -> Outcome:
         return Outcome(REFUSED, f"{type(error).__name__}: {error}")
     except Exception as error:  # a campaign counts what a caller would see
         return Outcome(FALSE, f"{type(error).__name__}: {error}")
-
-
-def main() -> int:
-    """Run the campaign."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kind", choices=[*KINDS, "all"], default="all")
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--seconds", type=float, default=np.inf, help="a kind takes no new problem after so many"
-    )
-    parser.add_argument("--only", type=int, help="problem k alone, told in full")
-    parser.add_argument("--show", type=int, default=3, help="so many false ones of a kind are told")
-    parser.add_argument("--refused", action="store_true", help="tell refused ones, too")
-    parser.add_argument("--csv", type=Path)
-    parser.add_argument("--beside", type=Path, help="the CSV of another run")
-    given = parser.parse_args()
-    warnings.simplefilter("ignore")
-    np.seterr(all="ignore")
-    before = {}
-    if given.beside:
-        with given.beside.open(encoding="utf-8") as file:
-            before = {(row[0], row[1], row[2]): row[3] for row in csv.reader(file)}
-    found, false = [], 0
-    for kind in KINDS if given.kind == "all" else [given.kind]:
-        began, counts, told, lost, gained = (
-            time.perf_counter(),
-            collections.Counter[str](),
-            0,
-            [],
-            0,
-        )
-        for k in range(given.count) if given.only is None else [given.only]:
-            if time.perf_counter() - began > given.seconds:
-                break
-            outcome = run(kind, given.seed, k)
-            counts[outcome.what] += 1
-            found.append((kind, given.seed, k, outcome.what))
-            old = before.get((kind, str(given.seed), str(k)))
-            if old == RIGHT and outcome.what == REFUSED:
-                lost.append(k)
-            gained += old in (REFUSED, FALSE) and outcome.what == RIGHT
-            is_shown = (
-                outcome.what == FALSE
-                or (given.refused and outcome.what == REFUSED)
-                or given.only is not None
-            )
-            if is_shown and (told < given.show or given.only is not None):
-                told += 1
-                print(
-                    f"  --kind {kind} --seed {given.seed} --only {k}: {outcome.what}: {outcome.text}",
-                    flush=True,
-                )
-        false += counts[FALSE]
-        words = ", ".join(f"{counts[what]} {what}" for what in (RIGHT, REFUSED, FALSE, OPEN))
-        beside = (
-            f"; beside: {len(lost)} right ones refused now {lost[:9]}, {gained} gained"
-            if before
-            else ""
-        )
-        print(f"{kind:14s} {words}{beside}, {time.perf_counter() - began:.0f} s", flush=True)
-    if given.csv:
-        with given.csv.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows(found)
-    return 1 if false else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

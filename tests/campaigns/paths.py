@@ -1,7 +1,6 @@
 """Paths of random families, judged by solves at random values of the parameter.
 
-Run as ``python tests/campaigns/paths.py --cases 500 --seed 0``; ``--sweep 10000`` for the demand of a network
-equilibrium, solved as often. Monotone LCPs of 2 to 300 rows, P-matrices to semidefinite ones of any rank, with and
+Monotone LCPs of 2 to 300 rows, P-matrices to semidefinite ones of any rank, with and
 without a skew part, with bounds on one side, on both and on none, some of them degenerate on purpose (data of whole
 numbers), solvable at both ends by construction. Counted are
 
@@ -9,19 +8,15 @@ numbers), solvable at both ends by construction. Counted are
 - wrong: pieces on which, at a random θ, the certificate refuses the solution, or (M + Mᵀ) z differs from that of a
   solve by more than 1e-6 relatively;
 - apart: pieces that do not join, in (M + Mᵀ) z, where the path says of no jump and no segment.
-
-Exit code 1 where anything is wrong or apart, or more than 0.5 % are unsolved.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 
 import numpy as np
 
-from lcp_plugin import LCP, solve, solve_batch, trace
+from lcp_plugin import LCP, solve, trace
 
 INF = np.inf
 
@@ -73,85 +68,3 @@ def examined(
             apart += np.abs(here - there).max() > 1e-6 * (1.0 + np.abs(here).max())
     share = path.seconds / (np.median(spent) * max(len(path), 1)) if spent else np.nan
     return path.status.name, len(path), int(wrong), int(apart), float(share)
-
-
-def demand_sweep(count: int) -> int:
-    """Compare the path of a network equilibrium with as many solves as are asked for; return how many are wrong.
-
-    A grid of 5 × 5 junctions, 60 roads whose time rises with the traffic, 40 pairs of places with three paths each.
-    """
-    rng = np.random.default_rng(5)
-    roads, pairs, ways = 60, 40, 3
-    uses = np.zeros((roads, pairs * ways))
-    for path in range(pairs * ways):
-        uses[rng.choice(roads, size=int(rng.integers(3, 9)), replace=False), path] = 1.0
-    slope, free = rng.uniform(0.05, 0.5, roads), rng.uniform(1.0, 3.0, roads)
-    serves = np.kron(np.eye(pairs), np.ones((1, ways)))
-    # Paths: time − price ≥ 0 ⟂ flow ≥ 0; prices: served = demand.
-    M = np.block(
-        [[uses.T @ (slope[:, None] * uses), -serves.T], [serves, np.zeros((pairs, pairs))]]
-    )
-    demand = rng.uniform(0.5, 2.0, pairs)
-    problem = LCP(
-        M,
-        np.concatenate([uses.T @ free, np.zeros(pairs)]),
-        lower=np.concatenate([np.zeros(pairs * ways), np.full(pairs, -INF)]),
-    )
-    dq = np.concatenate([np.zeros(pairs * ways), -demand])
-    begun = time.perf_counter()
-    path = trace(problem, {"q": dq}, 0.1, 10.0)
-    traced = time.perf_counter() - begun
-    thetas = np.linspace(0.1, 10.0, count)
-    begun = time.perf_counter()
-    answers = solve_batch(problem, problem.q + thetas[:, None] * dq)
-    solved = time.perf_counter() - begun
-    wrong = 0
-    for theta, z in zip(thetas, answers.z, strict=True):
-        flow, other = (
-            uses @ one[: pairs * ways] for one in (path.at(theta).z, z)
-        )  # on roads it is unique
-        wrong += bool(np.abs(flow - other).max() > 1e-6 * np.abs(flow).max())
-    print(
-        f"demand: {path!r}; {count} solves {solved:.2f} s, the trace {traced:.3f} s; {wrong} wrong; "
-        f"trace ÷ (one solve × breakpoints) {traced / (solved / count * len(path)):.2f}"
-    )
-    return wrong + (not path.is_solved)
-
-
-def main() -> int:
-    """Run the campaign; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--largest", type=int, default=300)
-    parser.add_argument("--values", type=int, default=5)
-    parser.add_argument("--sweep", type=int, default=0)
-    parser.add_argument("--show", action="store_true")
-    asked = parser.parse_args()
-    statuses: dict[str, int] = {}
-    pieces = wrong = apart = 0
-    shares = []
-    for case in range(asked.cases):
-        status, count, bad, off, share = examined(
-            np.random.default_rng([asked.seed, case]), asked.largest, asked.values
-        )
-        statuses[status] = statuses.get(status, 0) + 1
-        pieces, wrong, apart = pieces + count, wrong + bad, apart + off
-        shares.append(share)
-        if asked.show and (bad or off or status != "SOLVED"):
-            print(f"case {case}: {status}, {count} pieces, {bad} wrong, {off} apart")
-    failed = asked.sweep and demand_sweep(asked.sweep)
-    unsolved = asked.cases - statuses.get("SOLVED", 0)
-    if asked.cases:
-        quartiles = ", ".join(
-            f"{value:.2f}" for value in np.nanquantile(shares, (0.25, 0.5, 0.75, 1.0))
-        )
-        print(
-            f"{asked.cases} paths, {pieces} pieces: {statuses}; {wrong} wrong, {apart} apart; "
-            f"time ÷ (one solve × pieces), quartiles and most: {quartiles}"
-        )
-    return int(bool(wrong or apart or failed or unsolved > 0.005 * asked.cases))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Random Pyomo models with a known answer: read back as Pyomo evaluates them, solved, loaded, and judged in Pyomo.
 
-Run as ``python tests/campaigns/random_pyomo_models.py --cases 2000 --seed 0``. A model chooses x* and the value w* of
+A model chooses x* and the value w* of
 every row there, then the constants. It mixes all four kinds of pairs (lower, upper, both bounds, none), sides in either
 order and of either sign, pairs of two expressions, equations, inequalities beside the pairs, fixed variables, mutable
 parameters, defined variables, indexed and nested blocks. Of each model it is looked at
@@ -12,17 +12,12 @@ parameters, defined variables, indexed and nested blocks. Of each model it is lo
 - whether the model is what it was;
 - where Pyomo's own ``mpec.nl`` can state the model (no ranges, no bounds of a variable's own): whether the file that it
   writes is solved, and its answer satisfies the model.
-
-Exit code 1 where anything is wrong.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 import tempfile
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -389,25 +384,3 @@ def faults_by_file(model: Any) -> Iterator[str]:
         yield f"by file: {found.message}"
     elif not (off := residual_of(*parts)) <= HOLDS:
         yield f"by file: residual in Pyomo {off:.1e}"
-
-
-def main(cases: int, seed: int) -> int:
-    features: Counter[str] = Counter()
-    wrong = 0
-    for k in range(cases):
-        rng = np.random.default_rng([seed, k])
-        case = planted(rng)
-        for fault in faults_of(case, rng):
-            wrong += 1
-            print(f"case {k} of seed {seed}: {fault}")
-        features.update(case.features)
-    told = ", ".join(f"{name} {count}" for name, count in features.most_common())
-    print(f"{cases} models, {wrong} faults; with {told}")
-    return int(wrong > 0)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    sys.exit(main(**vars(parser.parse_args())))

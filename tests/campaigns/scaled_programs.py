@@ -1,7 +1,6 @@
 """The same program in euros and in millions: one status, one objective, and no answer with an exact proof against it.
 
-Run ``python tests/campaigns/scaled_programs.py --cases 3000 --seed 0``; ``--show`` prints each failure, ``--others``
-asks Clarabel, and HiGHS where the program is linear. A third of the programs has a planted minimum, a third
+A third of the programs has a planted minimum, a third
 contradictory constraints, a third a planted direction of endless descent; dense, sparse, degenerate, rank deficient and
 linear ones in turn. Each is solved as it is drawn, then with its objective, its rows, its unknowns, and all of these
 multiplied by 10^±6, ±9 or ±12, each row and each unknown by its own. Claimed:
@@ -9,18 +8,10 @@ multiplied by 10^±6, ±9 or ±12, each row and each unknown by its own. Claimed
 - the planted status in every unit;
 - the planted objective, to 1e-6 of its terms;
 - where an exact proof says that there is no minimum, nothing is SOLVED but within a thousandth of the tolerance.
-
-Exit code 1 where one fails.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import warnings
-from collections import Counter
-from functools import partial
-from multiprocessing import Pool
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -216,36 +207,3 @@ def one(seed: int, others: bool, case: int) -> tuple[list[str], list[tuple[str, 
             said = said_by_others(program, case % len(KINDS) == KINDS.index("linear"))
             lines += [(name, what, status == drawn.status.name) for name, status in said.items()]
     return bad, lines
-
-
-def main(cases: int, seed: int, workers: int, show: bool, others: bool) -> int:
-    """Run them, print who had which share right, and return the exit code."""
-    right, asked, failed = Counter[tuple[str, str]](), Counter[tuple[str, str]](), Counter[str]()
-    with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:
-        for case, (bad, lines) in enumerate(
-            pool.imap(partial(one, seed, others), range(cases), chunksize=10)
-        ):
-            for name, what, is_right in lines:
-                asked[name, what] += 1
-                right[name, what] += is_right
-            failed.update(word.split(": ", 1)[1].split(" for ")[0] for word in bad)
-            for complaint in bad if show else ():
-                print(f"case {case} (seed {seed}): {complaint}", flush=True)
-    print(f"{'right of ' + str(cases):<16}{''.join(f'{what:>12}' for what in WHAT)}")
-    for name in dict.fromkeys(name for name, _ in asked):
-        print(
-            f"{name:<16}{''.join(f'{right[name, what]:>7}/{asked[name, what]:<4}' for what in WHAT)}"
-        )
-    print("wrong:", dict(failed) or "nothing")
-    return int(bool(failed))
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=3000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--show", action="store_true")
-    parser.add_argument("--others", action="store_true")
-    given = parser.parse_args()
-    sys.exit(main(given.cases, given.seed, given.workers, given.show, given.others))

@@ -1,20 +1,15 @@
 """Right and wrong answers of planted problems in any units: what passes, what is refused, what auto says.
 
-    python tests/campaigns/scaling.py --cases 500 --seed 0
-
 Of each kind, in random units of rows and unknowns (powers of two from 2⁻²⁰ to 2²⁰; "smooth": such as differ little from
 one unknown to the next), so many cases. What is right to 10⁻¹⁰ must be accepted at 1e-8; auto must end with the same
 status in two units, and what it calls SOLVED must be as near as the planted answer. Told, but no failure: an answer
 wrong by 10⁻³ in one unknown's own unit that passes 1e-6 (units are found to some powers of two; coefficients that jump
 by 2¹⁰ to 2³⁰ cannot be told from them), the largest ratio of two residuals of the same z in two units, and the largest
-term residual of a right answer over the tolerance 1e-8. Exit code 1 where one of these fails.
+term residual of a right answer over the tolerance 1e-8.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -154,27 +149,3 @@ def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list
 
 
 FAILURES = ("right refused", "other units, another status", "SOLVED, but far")
-
-
-def main(cases: int, seed: int) -> int:
-    failed = 0
-    for kind in KINDS:
-        for units in ("mixed", "smooth"):
-            extremes = {"guard": 0.0, "ratio": 1.0}
-            counts = Counter(
-                told for k in range(cases) for told in judged(kind, seed + k, units, extremes)
-            )
-            failed += sum(counts[name] for name in FAILURES)
-            told = ", ".join(f"{name} {n}" for name, n in sorted(counts.items()))
-            ends = f"guard {extremes['guard']:.0e}, residuals up to {extremes['ratio']:.0f} apart"
-            print(f"{kind.__name__:<10}{units:<8}{told}; {ends}", flush=True)
-    print(f"{2 * cases * len(KINDS)} cases, {failed} failures")
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=350)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    sys.exit(main(arguments.cases, arguments.seed))

@@ -1,14 +1,11 @@
 """Random small problems of all kinds: search, infeasibility proofs and enumeration against an independent enumeration.
 
-Run ``python tests/campaigns/search.py --cases 3000 --seed 0``; exit code 1 on any violation. The truth comes from
+The truth comes from
 Fourier–Motzkin elimination over all 3ⁿ patterns in fractions, written here and used nowhere else.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections import Counter
 from fractions import Fraction
 from itertools import product
 
@@ -223,27 +220,3 @@ def wrong_with(truth: Enumeration, s: Solution, is_listed: bool) -> list[str]:
     if is_listed and truth.is_a_point(s.pattern, s.exact_z) != s.is_isolated:
         bad.append(f"{s}: wrong flag")
     return bad
-
-
-def main(cases: int, seed: int) -> int:
-    counts: Counter[tuple[str, str]] = Counter()
-    failed = 0
-    for case in range(cases):
-        bad, *outcome = violations(*random_problem(np.random.default_rng([seed, case])))
-        counts[tuple(outcome)] += 1
-        failed += bool(bad)
-        for complaint in bad:
-            print(f"case {case} (seed {seed}): {complaint}")
-    print(f"{'truth':<12}{'linear program':<16}{'cases':>6}")
-    for (truth, verdict), count in sorted(counts.items()):
-        print(f"{truth:<12}{verdict:<16}{count:>6}")
-    print(f"{cases} cases, {failed} with violations")
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=3000)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    sys.exit(main(arguments.cases, arguments.seed))

@@ -291,7 +291,7 @@ def sweeps_needed(
     return math.inf
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("text", ["obstacle_2d:size=50", "obstacle_2d:size=50,shifted=true"])
 def test_automatic_relaxation_finds_a_good_omega(text: str) -> None:
     """On the plain Laplacian obstacle, n = 2500, PSOR needs at most twice the sweeps of the best fixed relaxation."""

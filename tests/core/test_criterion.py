@@ -144,7 +144,7 @@ def solves_exactly(M: Any, q: Any, z: Any) -> bool:
     return all(x >= 0 and y >= 0 and not x * y for x, y in zip(exact, w, strict=True))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(20))
 def test_no_wrong_point_is_solved(seed: int) -> None:
     """Of well-conditioned problems, a SOLVED z lies near an exact solution; none is SOLVED without one."""

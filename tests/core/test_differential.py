@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from fractions import Fraction
 
+import campaign as trust
 import numpy as np
 import pytest
-from campaigns import small_lcps, trust
+from campaigns import small_lcps
 from collection.truth import SOLVABLE, decide
 from exact import exact_solution
 from families import DIRECT
@@ -70,7 +71,7 @@ def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", small_lcps.KINDS)
 def test_no_algorithm_claims_anything_false_on_any_kind_of_problem(kind: str) -> None:
     """Solvable, infeasible, or feasible without solution: no claim of any algorithm contradicts the exact truth."""
@@ -88,9 +89,8 @@ def test_no_algorithm_claims_anything_false_on_any_kind_of_problem(kind: str) ->
 
 @pytest.fixture(scope="module", autouse=True)
 def campaign_process() -> None:
-    """What the campaign wants loaded."""
-    import pyamg  # noqa: F401
-    import scipy.optimize  # noqa: F401
+    """Load the packages that the campaign compares with."""
+    trust.load_others()
 
 
 @pytest.mark.parametrize("name", trust.ROUND)
@@ -128,13 +128,13 @@ def test_the_campaign_sees_a_bound_that_is_too_small(monkeypatch: pytest.MonkeyP
         object.__setattr__(bound, "componentwise", 0.5 * bound.componentwise)
         return bound
 
-    monkeypatch.setattr("trust_kinds.error_bounds.error_bound", shrunk)
+    monkeypatch.setattr("campaigns.kinds.error_bounds.error_bound", shrunk)
     assert finds("bound", "bound")
 
 
 def test_the_campaign_sees_a_wrong_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     """A report that calls every matrix an H-matrix is found out."""
-    monkeypatch.setattr("trust_kinds.matrix_verdicts.MatrixReport.is_h_matrix", True)
+    monkeypatch.setattr("campaigns.kinds.matrix_verdicts.MatrixReport.is_h_matrix", True)
     assert finds("verdict", "matrix")
 
 

@@ -59,7 +59,7 @@ LOSES = {  # what a relation takes from a class, beyond which the proofs do not 
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("relation", RELATIONS)
 @pytest.mark.parametrize("kind", CLASSES)
 def test_answers_survive_a_change_of_the_problem(relation: str, kind: str) -> None:

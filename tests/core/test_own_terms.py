@@ -180,8 +180,15 @@ def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:
 
 @pytest.mark.full
 def test_integers_with_tiny_diagonals_by_all_cases() -> None:
-    """A slice of the campaign: no SOLVED is false, planted ones included."""
-    assert tiny_diagonals.main(["--cases", "300", "--seed", "3"]) == 0
+    """No SOLVED of 300 drawn problems is false, and none of ten planted ones."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        case = tiny_diagonals.drawn(rng, int(rng.integers(1, 6)))
+        assert not tiny_diagonals.judged(case)[0].endswith("falsely"), case
+    for _ in range(10):
+        M, q, right = tiny_diagonals.planted(rng)
+        result = solve(LCP(M, q))
+        assert not result.is_solved or abs(result.z - right).max() <= 1e-3 * abs(right).max()
 
 
 def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:

@@ -542,7 +542,7 @@ except LCPError as error:
 """
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
     """A sparse array whose own arrays contradict each other is an InvalidProblem: no crash, no other matrix.

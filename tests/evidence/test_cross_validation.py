@@ -77,7 +77,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 # --- Agreement ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch: int) -> None:
     """On random symmetric positive definite problems z agrees to 1e-7 of its size, and clear active sets are equal."""
@@ -94,7 +94,7 @@ def test_random_spd_problems_agree(batch: int) -> None:
         assert np.array_equal(mine[decided], other[decided]), f"seed {seed}\n{check}"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
     """Where M is singular w agrees to 1e-7 although z need not."""
@@ -153,7 +153,7 @@ def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
     assert check.difference_z < 1e-7
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("reference", ["DAQP", "OSQP", "SCS", "PIQP", "CLARABEL", "HIGHS"])
 def test_every_installed_reference_agrees(reference: str) -> None:
     """Each installed solver agrees on a symmetric and on a nonsymmetric problem, boxes and free rows included."""
@@ -190,7 +190,7 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
     assert "conditioning" in check.reason
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("exponent", [-100, -30, 30, 100])
 def test_units_do_not_matter(exponent: int) -> None:
     """The verdict is the same in any unit of z and of w; the references' tolerances are absolute."""

@@ -69,7 +69,6 @@ def assert_honest(result: Result) -> None:
 UNITS = [1e-150, 1.0, 1e150]
 
 
-@pytest.mark.sampled
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("z_unit", UNITS)
 @pytest.mark.parametrize("w_unit", UNITS)
@@ -98,7 +97,6 @@ def test_rows_of_any_size(name: str) -> None:
         assert abs(result.z - scene.exact).max() < 1e-7
 
 
-@pytest.mark.sampled
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("exponent", [-700, -30, 30, 700])
 def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> None:
@@ -161,7 +159,6 @@ REFUSED = (
 REFUSED += ("negative diagonal", "zero matrix", "huge box")
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(("name", "options"), VARIANTS)
 @pytest.mark.parametrize("case", EDGES)
 def test_the_edge_of_the_number_range_is_never_silent(

@@ -269,7 +269,6 @@ def test_public_names_resolve() -> None:
         lcp_plugin.sovle  # noqa: B018
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("name", REGISTRY)
 def test_classes_are_had_where_readme_says(name: str) -> None:
     """``from lcp_plugin.algorithms import NPSOR`` gives the registered class, so for all; a wrong name is refused."""

@@ -18,7 +18,7 @@ from lcp_plugin import gallery
 QUICK = ("sweeps", "paper-at-scale", "programs")  # half a second together
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS],
@@ -54,7 +54,7 @@ def test_a_benchmark_runs_by_its_name() -> None:
     assert "products" in done.stdout
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -100,7 +100,6 @@ def test_help_tells_what_is_raised() -> None:
             }, name
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("name", REGISTRY)
 def test_an_algorithm_names_its_source(name: str) -> None:
     """The class says where the method comes from, with a doi unless it is the paper that has none."""

@@ -74,7 +74,7 @@ def archive() -> bytes:
     return buffer.getvalue()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @given(
     content=st.binary(max_size=200) | st.binary(max_size=100).map(lambda tail: b"PK\x03\x04" + tail)
 )
@@ -284,7 +284,7 @@ def test_mutated_commands_end_in_zero_one_or_two(
         assert LCP.load("p.npz").q.tolist() == PROBLEM.q.tolist()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_models_by_chance_are_answered_by_the_executable(
     seed: int, tmp_path: Path, draws: Callable[[int], range]

@@ -53,7 +53,6 @@ def test_the_code_of_a_guide_prints_what_stands_below_it(name: str) -> None:
         assert found.getvalue() == printed
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("name", TRADES)
 def test_a_trade_is_told_on_one_screen(name: str) -> None:
     """Words, code that prints, a picture, what was checked and the time, in this order and in at most 60 lines."""

@@ -117,7 +117,7 @@ def as_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judge, "PHASES", (Phase.generate,))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", BUGS)
 def test_planted_bugs_are_found(name: str) -> None:
     """One bug, put alone into a correct solver, is found within 500 problems of the class it is meant for."""

@@ -43,7 +43,7 @@ def test_python_blocks_run(k: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert "SOLVED" in capsys.readouterr().out
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("command", commands())
 def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command of the README does what it says and exits with 0."""
@@ -86,7 +86,6 @@ def test_pages_are_there(module: str) -> None:
     assert module in pages(page("lcp_plugin"))
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("module", pages(page("lcp_plugin")))
 def test_pages_open_without_extras(module: str) -> None:
     """Each page that help(lcp_plugin) lists opens, and is one."""
@@ -117,7 +116,6 @@ def test_links_lead_to_files() -> None:
     assert followed > 20
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
     "file", [ROOT / "README.md", *sorted(MANUAL.glob("*.md"))], ids=lambda file: file.stem
 )

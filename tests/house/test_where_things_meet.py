@@ -487,7 +487,6 @@ def test_readme_shows_the_table_in_small() -> None:
         assert marks == ["✓" * all(way in taken for way in ways) for ways in columns], kind
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(("sample", "way"), CELLS)
 def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_path: Path) -> None:
     """The answer of a way that takes the kind is right; any other way names the classes that it takes."""
@@ -555,7 +554,6 @@ def test_every_option_of_solve_is_walked() -> None:
     assert named == WISHES.keys()
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("name", WISHES)
 @pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
 def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, capsys: Any) -> None:

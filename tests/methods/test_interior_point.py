@@ -196,7 +196,7 @@ def test_multipliers_of_any_bounds(kind: str, storage: str) -> None:
     np.testing.assert_allclose(result.z, solve(problem, "newton", tolerance=1e-12).z, atol=1e-8)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [20, 200])
 def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:
     """The program is not convex: few steps, and a status that tells what was reached."""

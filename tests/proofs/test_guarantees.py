@@ -44,7 +44,7 @@ def with_matrix(M: Any) -> LCP:
 # --- Rates -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     """Rates, contraction bounds and arrivals hold in 40 random cases; the campaign runs thousands."""
@@ -170,7 +170,7 @@ def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
         assert solve(drawn[0], name).is_solved
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
 def test_newton_is_finite_on_m_matrices(n: int) -> None:
     """From any start at most n + 2 full steps solve an M-matrix problem, a front that crosses all rows included."""

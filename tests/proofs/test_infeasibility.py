@@ -43,7 +43,7 @@ def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 
     return LCP(M.astype(float), q.astype(float), lower=lower, upper=upper)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("free", "boxes"), [(0, 0), (2, 0), (0, 2), (2, 2)])
 @pytest.mark.parametrize("n", [5, 12])
 def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> None:
@@ -185,7 +185,7 @@ def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
 # --- By how much -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
     """Every z within the bounds, the answers of all methods among them, has a residual of at least the margin."""
@@ -293,7 +293,7 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", range(24))
 def test_margins_are_told_as_they_were_planted(case: int) -> None:
     """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""

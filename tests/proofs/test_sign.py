@@ -22,7 +22,7 @@ def stages_of(result: Any) -> list[str]:
     return [stage.name for stage in result.stages]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("k", [4, 10])
 def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
     """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
@@ -32,7 +32,7 @@ def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
     assert infeasible.infeasibility.verify()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("bounds", [{"lower": -1.0}, {"lower": np.r_[-np.inf, np.zeros(15)]}])
 def test_lower_bounds_may_be_any(bounds: dict[str, Any]) -> None:
     """The same holds for lower bounds of any kind, free rows included, as far as a proof can be had."""

@@ -70,7 +70,6 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
     return z.value
 
 
-@pytest.mark.sampled
 @needs_files
 @pytest.mark.parametrize("way", [sparse, dense, as_a_file, in_a_batch, in_a_list, in_cvxpy])
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
@@ -87,7 +86,6 @@ def test_answers_are_those_published(
     assert abs(M @ (z - reference)).max() <= TOLERANCE * abs(of["q"]).max()
 
 
-@pytest.mark.sampled
 @needs_files
 @pytest.mark.parametrize("algorithm", REGISTRY)
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
@@ -118,7 +116,6 @@ def paper_matrix(example: int, side: int) -> sp.csr_array:
     return sp.csr_array(sp.kron(eye, block) + sp.kron(shifts[0] + shifts[1], eye))
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
     "way", ["auto", "msor", "npsor", "mgs", "npgs", "newton", "multigrid", "batch", "march"]
 )

@@ -135,7 +135,7 @@ def test_value_and_violations_are_those_published(
     agrees(of, *way(of, name))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)
 def test_batches_give_what_is_published(
@@ -146,7 +146,7 @@ def test_batches_give_what_is_published(
     agrees(of, *way(of, name))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", SMALL)
 def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str) -> None:
     """The published optimum is proved of no x that misses it."""
@@ -160,7 +160,7 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str)
             assert certify(program, moved, max_seconds=10.0).verdict != "proved"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", BY_SIZE)
 def test_certify_proves_every_answer_of_ours(name: str) -> None:
     """Rows that a solve excuses beside what acts on them are excused by certify, too."""

@@ -43,7 +43,6 @@ def in_cvxpy(of: Published) -> np.ndarray:
     return r.value
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("way", [sparse, dense, in_a_batch, in_cvxpy])
 @pytest.mark.parametrize("name", CONTACTS)
 def test_the_laws_of_contact_and_friction_hold(
@@ -54,7 +53,7 @@ def test_the_laws_of_contact_and_friction_hold(
     assert errors_of_contact(of, way(of)) <= TOLERANCE
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("ratio", [1.0, 1e-7])
 @pytest.mark.parametrize("other", CONTACTS)
 @pytest.mark.parametrize("name", CONTACTS)

@@ -429,7 +429,7 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("is_dense", [True, False])
 def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
     """Arrays come as arrays though an LCP keeps nearly empty ones as CSR, and the other way round."""

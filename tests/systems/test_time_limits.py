@@ -43,7 +43,7 @@ def test_no_sparse_factor_is_begun_that_would_end_after_the_limit(
     assert np.isfinite(result.z).all()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("factorise", [
     factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip

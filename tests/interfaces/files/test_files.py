@@ -525,7 +525,7 @@ ENORMOUS = {
 }
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.skipif(
     sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
 )

@@ -105,7 +105,6 @@ def test_every_subcommand_and_every_format_has_its_row() -> None:
     assert all(cells.keys() == {kind for kind, _ in FILES.values()} for cells in CELLS.values())
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("name", "command"), [(name, command) for name in FILES for command in CELLS]
 )
@@ -192,7 +191,7 @@ def test_no_minimum_is_told_and_shows_no_point() -> None:
         assert "x[0]" not in done.stdout
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["p.npz", "qp.npz"])
 def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
     """--grid rows x columns with --plot; what does not fit is refused before anything is drawn."""
@@ -265,7 +264,7 @@ def mistakes() -> dict[str, str]:
     }
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("command", CELLS)
 def test_mistakes_cost_one_line(command: str) -> None:
     """Missing, empty, damaged, misnamed, a folder, without q, with NaN: exit code 2 and a line that names the file."""

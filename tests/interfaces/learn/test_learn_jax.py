@@ -45,7 +45,7 @@ def test_examples_of_its_help() -> None:
     assert doctest.testmod(layers).attempted > 3
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
@@ -82,7 +82,7 @@ def test_axes_in_front_broadcast() -> None:
     )
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)]
 )

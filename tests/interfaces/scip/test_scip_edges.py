@@ -465,19 +465,6 @@ def test_integers_beside_products_go_through_a_file(tmp_path: Path) -> None:
     assert f"objective {-pe.value(m.income):.6g}"[:12] in found.message
 
 
-@pytest.mark.full
-def test_every_way_in_agrees_with_an_enumeration_of_all_cases() -> None:
-    """Small programs of up to ten pairs, and integer leaders in products: no value and no bound contradicts it."""
-    pytest.importorskip("highspy", reason="solves the pieces")
-    from campaigns.best_equilibria_ways_in import WAYS, complaints, drawn, least, ways_of
-
-    for case in (1, 5, 23):
-        problem = drawn(0, case)
-        known = least(problem)
-        for name in ways_of(problem):
-            assert complaints(WAYS[name](problem), *known) == [], (case, name)
-
-
 def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
     """SCIP calls the bound of its first relaxation ∞ rather than −∞ there, and a point of value −13.5 optimal."""
     M, N = np.array([[6, 1, 1], [1, 3, -5], [1, -5, 18]]), np.array([[2, 0], [1, 2], [-2, 2]])

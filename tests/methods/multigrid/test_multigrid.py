@@ -101,7 +101,7 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
         assert_same(problem, result)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("on", ["stones", "posts"])
 @pytest.mark.parametrize("width", [4, 12])
 def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
@@ -283,7 +283,7 @@ def test_elements_of_second_order_need_few_cycles() -> None:
     assert_same(problem, result)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
     """200 small H₊ and SPD problems with boxes, free and fixed rows agree with their planted answers."""

@@ -39,7 +39,7 @@ def break_corrections(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
     monkeypatch.setattr(Truncation, "correct", broken)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("scene", ["obstacle_2d:size=20", "elastic_plastic_torsion:size=20"])
 @pytest.mark.parametrize("way", WAYS)
 def test_broken_corrections_do_not_keep_it_from_the_solution(
@@ -97,7 +97,7 @@ def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
     assert result.iterations <= 300
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
     """From one accepted iterate to the next the energy falls, or the least residual does by a tenth."""

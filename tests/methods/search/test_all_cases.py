@@ -53,7 +53,7 @@ def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.standard_normal((n, n)), rng.standard_normal(n)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 def test_the_status_agrees_with_all_complementary_bases(n: int) -> None:
     """SOLVED where one of the 2ⁿ bases solves in exact arithmetic, else a proof that verifies; never neither."""
@@ -92,7 +92,7 @@ def test_random_problems_are_decided() -> None:
     assert all(batch[k].infeasibility.verify() for k in range(200) if batch.status[k] in PROVEN)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
 def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""
@@ -114,7 +114,7 @@ def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     assert "not proved infeasible, because prove_infeasibility=False" in result.advice
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("prove_infeasibility", [True, False])
 def test_a_batch_answers_as_solve_does(prove_infeasibility: bool) -> None:
     """The same status, of boxes and warm starts too."""

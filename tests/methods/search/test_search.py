@@ -90,7 +90,7 @@ def test_ties_of_integer_payoffs_are_kept() -> None:
     )
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
 def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
     """All extreme equilibria, ties and one odd payoff included, agree with an enumeration of vertices in fractions."""

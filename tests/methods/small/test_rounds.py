@@ -16,7 +16,6 @@ from lcp_plugin import LCP, Status, solve, solve_batch
 INF = np.inf
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("family", FAMILIES)
 def test_watching_a_run_changes_nothing(family: str) -> None:
     """With record or a callback the same bits, iterations, work and stages, for cold and warm starts and limits."""
@@ -30,7 +29,6 @@ def test_watching_a_run_changes_nothing(family: str) -> None:
         assert told(alone) == told(watched) == told(called)
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("family", FAMILIES)
 def test_no_solved_point_is_a_lie(family: str) -> None:
     """Exact arithmetic confirms the residual of each SOLVED point, and a batch has the same statuses."""

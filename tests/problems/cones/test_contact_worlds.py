@@ -25,7 +25,7 @@ def never_one_by_one(*_: Any, **__: Any) -> Any:
     raise AssertionError("solved by itself")
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("is_warm", [False, True])
 def test_worlds_are_answered_as_each_by_itself(
     is_warm: bool, monkeypatch: pytest.MonkeyPatch

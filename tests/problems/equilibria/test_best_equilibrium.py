@@ -25,7 +25,7 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name: str) -> None:
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
@@ -138,7 +138,7 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
     assert result.x is None
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e9])
 @pytest.mark.parametrize("prove", [False, True])
 def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -> None:

@@ -50,7 +50,7 @@ def test_where_an_equilibrium_is_known_one_is_returned(monkeypatch: pytest.Monke
     assert problem.value >= value - 1e-6 * abs(value)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", [0, 3])
 def test_what_a_few_nodes_prove_is_not_searched_by_scip(seed: int) -> None:
     """A linear leader over eight followers, where SCIP fails in its linear programs: a few nodes of ours, proved."""

@@ -13,6 +13,7 @@ import pytest
 import scipy.sparse as sp
 from campaigns import attack_programs as attacks
 from campaigns import least_squares as campaign
+from campaigns.kinds import least_cost
 from campaigns.least_squares import Case, Exact, complaint
 from exact import solve_fractions
 from hypothesis import given
@@ -85,7 +86,6 @@ def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -
 # --- planted answers ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("condition", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("shape", [(60, 30), (30, 60), (300, 280), (400, 400)])
 def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: float) -> None:
@@ -102,7 +102,7 @@ def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: floa
         np.testing.assert_allclose(result.x, x, atol=1e-8)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("form", [sp.csr_array, sp.csc_matrix, sp.coo_array, aslinearoperator])
 def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     """Any sparse format and a LinearOperator give the planted answer; what is proved is said."""
@@ -113,7 +113,6 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     assert result.gap <= (1e-8 if result.is_proved else 1e-6) * result.cost
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("lower", [0.0, -INF])
 @pytest.mark.parametrize(
     ("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)]
@@ -130,7 +129,7 @@ def test_rank_deficient_problems_have_an_answer_of_moderate_size(
         assert np.abs(result.x).max() <= 1e6
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [100, 3000])
 def test_chains_are_solved_by_factors(n: int) -> None:
     """Differences of neighbours, κ ~ n: SOLVED, where conjugate gradients would need n steps and more."""
@@ -221,7 +220,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Any]] = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("upper", [INF, 0.5])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None:
@@ -303,7 +302,7 @@ def test_an_inversion_for_decay_times_is_solved(m: int, n: int, noise: float) ->
     assert result.cost <= 0.5 * nnls(A, b, maxiter=30 * n)[1] ** 2 * (1.0 + 1e-9) + 1e-24 * (b @ b)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("lower", [0.0, -INF])
 def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
     """Tridiagonal, 2·10⁵ unknowns, max_seconds=.2: the run ends soon after, and nothing is proved."""
@@ -448,13 +447,15 @@ def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
     assert bounded_least_squares(np.ones((3, 2)), [1.0, 2.0, 4.0], -INF).gap <= 7.0
 
 
-def test_least_squares_in_mixed_units(
-    capsys: pytest.CaptureFixture[str], draws: Callable[[int], range]
-) -> None:
+def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
     """Rows, columns, weights in mixed units, any rank, exact fits: no SOLVED above the least, ≤ 2 % not solved."""
-    assert campaign.main(["--cases", str(len(draws(360))), "--seed", "7", "--alone"]) == 0, (
-        capsys.readouterr().out
-    )
+    found = [
+        finding.what
+        for number in draws(360)
+        for finding in least_cost(np.random.default_rng([7, number]), campaign.KINDS[number % 9])
+    ]
+    assert "false SOLVED" not in found
+    assert len(found) <= 1 + 0.02 * len(draws(360))
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
@@ -503,7 +504,7 @@ def test_small_columns_of_a_linear_operator_count(lower: float, upper: float) ->
     assert result.require_solved().cost <= 1e-8 * (b @ b)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("lower", "upper"), [(-1e10, 1e10), (-1e10, INF), (-INF, INF)])
 def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
     lower: float, upper: float
@@ -741,7 +742,7 @@ def test_a_bound_of_1e20_is_none(far: float) -> None:
     np.testing.assert_allclose(found.x, np.linalg.lstsq(A, b, rcond=None)[0], atol=1e-13)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("kind", attacks.LEAST_SQUARES)
 def test_one_odd_number_leaves_the_least_cost(kind: str) -> None:
     """Entries, rows, weights, ridges, penalties, bounds of 1e-17 … 1e19: what is SOLVED has the exact least cost."""

@@ -21,7 +21,7 @@ def marched(steps: marches.Steps, **options: object) -> object:
     return march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, **options)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", SMALL)
 def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
     """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""
@@ -37,7 +37,7 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
         state = z
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["basket", "parabolic", "contact"])
 def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
     """The same bits in two runs, for any number of threads, and where answers are computed once more."""

@@ -367,7 +367,7 @@ def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
             trace(stated[0], {"q": stated[1]}, 1.5, -1.0).require_solved()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("share", [1e-3, 1e-5, 1e-7])
 def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
     """A piece moved, turned or drawn out by a little is refused, also where numbers vanish at its ends."""

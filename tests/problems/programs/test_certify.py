@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Callable
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
@@ -14,6 +12,9 @@ import exact
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns import attack_programs
+from campaigns import certify as certify_campaign
+from campaigns import multipliers as multipliers_campaign
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -44,21 +45,6 @@ from lcp_plugin.strategies import convex_qps
 INF = np.inf
 
 
-def campaign(name: str) -> Any:
-    """The generator and the judge of a campaign."""
-    path = Path(__file__).parents[2] / "campaigns" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"{name}_campaign", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    import sys
-
-    sys.modules[spec.name] = module  # its dataclasses look themselves up
-    spec.loader.exec_module(module)
-    return module
-
-
-CAMPAIGN, MULTIPLIERS = campaign("certify"), campaign("multipliers")
 SEEDS = {"redundant": (311,), "fixed": (118, 278)}  # far above before small ones were looked for
 SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 
@@ -66,22 +52,25 @@ SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 # --- Right and wrong answers to programs --------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+@pytest.mark.few(1)
+@pytest.mark.parametrize("kind", certify_campaign.KINDS)
 def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
     """Of each kind some programs: every number holds in fractions; right is proved, planted wrong answers are not."""
     off = []
     for seed in range(5):
         rng = np.random.default_rng([seed, 20])
-        case = CAMPAIGN.case(kind, rng, 7)
+        case = certify_campaign.case(kind, rng, 7)
         for multipliers in (None, case.solution):
             said = certify(case.program, case.x, multipliers)
             assert said.verdict == "proved", said
-            assert not CAMPAIGN.faults(case, case.x, said)
-        for name, (x, multipliers) in CAMPAIGN.planted(case, rng).items():
+            assert not certify_campaign.faults(case, case.x, said)
+        for name, (x, multipliers) in certify_campaign.planted(case, rng).items():
             said = certify(case.program, x, multipliers)
-            assert not CAMPAIGN.faults(case, x, said), (name, said)
-            may_be_proved = name not in CAMPAIGN.MULTIPLIERS and CAMPAIGN.is_still_right(case, x)
+            assert not certify_campaign.faults(case, x, said), (name, said)
+            may_be_proved = (
+                name not in certify_campaign.MULTIPLIERS
+                and certify_campaign.is_still_right(case, x)
+            )
             assert said.verdict != "proved" or may_be_proved, (name, said)
             off += [said.verdict] if name == "off by 1e-2" else []
     assert off.count("disproved") >= 4
@@ -206,7 +195,7 @@ def test_where_all_terms_vanish_the_comparison_is_exact() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_climbing_proves_nothing_wrong(seed: int) -> None:
     """Points that a climber leads to where certify measures little: none that is off by more than 1 % is proved."""
-    assert campaign("attack_programs").attack_certify(np.random.default_rng([69, seed]), 8) == []
+    assert attack_programs.attack_certify(np.random.default_rng([69, seed]), 8) == []
 
 
 def test_an_error_that_the_objective_does_not_see_is_told_by_the_distance() -> None:
@@ -425,8 +414,8 @@ def test_weights_on_the_null_space_leave_a_semidefinite_matrix(
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
+@pytest.mark.few(1)
+@pytest.mark.parametrize("kind", certify_campaign.KINDS)
 def test_any_point_and_any_multipliers_give_a_lower_bound(
     kind: str, draws: Callable[[int], range]
 ) -> None:
@@ -434,7 +423,7 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(
     finite = 0
     for seed in draws(25):
         rng = np.random.default_rng([seed, 21])
-        case = CAMPAIGN.case(kind, rng, 3)
+        case = certify_campaign.case(kind, rng, 3)
         bounds = ProgramProofs(case.program).bounds
         right = np.concatenate(case.multipliers[:2])
         for size in (0.0, 1e-12, 1e-2, 1.0):
@@ -452,7 +441,7 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(
     assert finite >= 2 * len(draws(25))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["definite", "definite, equations"])
 @pytest.mark.parametrize("moved", [0.0, 1e-11, 1e-7])
 def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
@@ -460,10 +449,10 @@ def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
     small = 0
     for seed in range(14):
         rng = np.random.default_rng([seed, 58])
-        case = CAMPAIGN.case(kind, rng, 7)
+        case = certify_campaign.case(kind, rng, 7)
         x = case.x + moved * rng.normal(size=case.x.size)
         said = certify(case.program, x)
-        assert not CAMPAIGN.faults(case, x, said), said
+        assert not certify_campaign.faults(case, x, said), said
         small += said.distance is not None and said.distance <= 1e-4 + 1e4 * moved
     assert small >= 7
 
@@ -541,7 +530,9 @@ def test_what_is_called_feasible_is() -> None:
             found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
             if found is not None:
                 slack = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
-                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(slack)) * 2, (
+                assert (
+                    certify_campaign.violation(program, found.near) <= Fraction(float(slack)) * 2
+                ), (
                     seed,
                     size,
                 )
@@ -716,21 +707,21 @@ def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: s
 # --- Small multipliers, and time -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", MULTIPLIERS.KINDS)
+@pytest.mark.parametrize("kind", multipliers_campaign.KINDS)
 def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
     """Of each kind of degenerate programs some: at most 1e3 times the largest multiplier of HiGHS, bounds included."""
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
-        case = MULTIPLIERS.program(kind, np.random.default_rng([0, seed, 7]))
+        case = multipliers_campaign.program(kind, np.random.default_rng([0, seed, 7]))
         answer = solve_program(case).solution
         assert answer.is_optimal()
-        theirs = MULTIPLIERS.largest_of_highs(case)
-        assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(
-            theirs, 1e-6
-        )
+        theirs = multipliers_campaign.largest_of_highs(case)
+        assert theirs is None or np.abs(
+            answer.multipliers
+        ).max() <= multipliers_campaign.MOST * max(theirs, 1e-6)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "attributes", [{"bounds": [-1, 2]}, {"nonpos": True}, {"bounds": [1.5, 2.5]}, {}]
 )

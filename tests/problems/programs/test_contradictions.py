@@ -91,7 +91,7 @@ def test_a_limit_of_rounding_size_is_met_or_refuted_at_once(
         assert row @ result.x <= 1e-6 * TINY + 1e-12 * np.abs(row * result.x).max()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 @pytest.mark.parametrize("P", [np.eye(2), np.zeros((2, 2))])
 def test_rounding_in_the_place_of_0_is_named_at_once(P: np.ndarray, slope: float) -> None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
-import sys
 import warnings
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns import convex_programs
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import (
@@ -44,31 +42,19 @@ INF = np.inf
 INTERIOR = InteriorPoint()
 
 
-def campaign(name: str) -> Any:
-    """The generator of a campaign."""
-    path = Path(__file__).parents[2] / "campaigns" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-CAMPAIGN = campaign("convex_programs")
-
-
 # --- Solvable programs -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
+@pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
     """Two planted programs of each kind have their value and conditions, measured here."""
     for seed in (77, 78):
-        case, value = CAMPAIGN.case(kind, seed, 0, 25)
+        case, value = convex_programs.case(kind, seed, 0, 25)
         result = solve_program(case)
         answer = result.solution
-        assert CAMPAIGN.said(case, answer, result.status.name, value, "") == (True, False), result
+        assert convex_programs.said(case, answer, result.status.name, value, "") == (True, False), (
+            result
+        )
 
 
 def test_ranges_say_what_they_say() -> None:
@@ -140,7 +126,7 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
     """Planted programs of each kind: the planted value, KKT residuals of 1e-6 row by row, in about twelve steps."""
     for seed in range(4):
         made = chain(6 * largest, np.random.default_rng(seed)) if kind == HARD[0] else None
-        program, value = made or CAMPAIGN.case(kind, seed, 11, largest)
+        program, value = made or convex_programs.case(kind, seed, 11, largest)
         result = solve(program)
         solution = result.solution
         assert result.is_solved, (seed, result, str(solution))
@@ -148,7 +134,7 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
         assert result.iterations <= 2000
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("family", "seed", "largest", "cases"),
     [
@@ -165,14 +151,14 @@ def test_units_and_limits_that_nobody_reaches_cost_no_steps(
 ) -> None:
     """Rows, columns and parts of 1e±6, bounds of 1e9: 1000 steps, or some pivots an unknown, to the planted value."""
     for case in cases:
-        program, value = CAMPAIGN.case(family, seed, case, largest)
+        program, value = convex_programs.case(family, seed, case, largest)
         result = solve(program)
         assert result.is_solved, (case, str(result.solution))
         assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
         assert result.iterations <= (60 * program.n if "daqp" in result.algorithm else 1000)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("family", "seed", "case"),
     [
@@ -186,19 +172,21 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
     family: str, seed: int, case: int
 ) -> None:
     """A program with numbers of 1e-9 to 1e9 is never proved to have no minimum, and SOLVED means its planted value."""
-    program, value = CAMPAIGN.case(family, seed, case, 400 if family == "everything" else 2000)
+    program, value = convex_programs.case(
+        family, seed, case, 400 if family == "everything" else 2000
+    )
     result = solve(program)
     assert not result.has_no_solution
     assert not result.is_solved or result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("seed", "largest", "case"), [(1, 1000, 12), (1, 1000, 42)])
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     seed: int, largest: int, case: int
 ) -> None:
     """Equations that contradict by 2e-9 of their size are more than rows may be off: PRECISION_LIMIT, and x is near."""
-    program, value = CAMPAIGN.case("redundant, rounded", seed, case, largest)
+    program, value = convex_programs.case("redundant, rounded", seed, case, largest)
     result = solve(program)
     assert result.status is Status.PRECISION_LIMIT
     assert "contradict one another by what is rounding" in result.advice
@@ -218,7 +206,7 @@ def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
 
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
-    problem = lcp_from_qp(CAMPAIGN.case("redundant, rounded", 131, 0, 120)[0])
+    problem = lcp_from_qp(convex_programs.case("redundant, rounded", 131, 0, 120)[0])
     result = solve(problem, INTERIOR)
     assert problem.origin.recover(result).is_optimal(1e-9)
     assert result.iterations <= 20
@@ -227,7 +215,7 @@ def test_a_factor_that_magnifies_errors_is_not_used() -> None:
 @pytest.mark.parametrize(("kind", "seed"), [("redundant", 4), ("unstable control", 0)])
 def test_a_second_solve_starts_from_the_first(kind: str, seed: int) -> None:
     """With numbers changed a little the active set that was right is tried first, and solves again or costs little."""
-    program, _ = CAMPAIGN.case(kind, seed, 0, 400)
+    program, _ = convex_programs.case(kind, seed, 0, 400)
     first = lcp_from_qp(program)
     result = solve(first)
     moved = QuadraticProgram(
@@ -254,7 +242,7 @@ def moved(program: QuadraticProgram, share: float) -> QuadraticProgram:
 
 def test_a_start_hides_no_proof_of_infeasibility() -> None:
     """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is rejected."""
-    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
+    program, _ = convex_programs.case("redundant", 4, 0, 400)
     z = np.zeros(3)
     outside = program.with_vectors(lower=np.full(program.n, 1e6), upper=np.full(program.n, 2e6))
     assert solve(outside, z0=z).status is Status.INFEASIBLE
@@ -363,7 +351,7 @@ def highs_verdict(case: QuadraticProgram) -> str:
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     """Planted infeasible and unbounded programs get their proof, which holds exactly and breaks when tampered with."""
-    case, _ = CAMPAIGN.case(kind, seed, 5, 20)
+    case, _ = convex_programs.case(kind, seed, 5, 20)
     proof = proof_of_no_minimum(case)
     assert proof is not None
     assert proof.verdict == kind
@@ -378,14 +366,13 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     assert not broken.verify()
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("kind", CAMPAIGN.SOLVABLE)
+@pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
     """Programs with a planted minimum have no proof that there is none, except for data rounded to few digits."""
-    case, _ = CAMPAIGN.case(kind, seed, 6, 10)
+    case, _ = convex_programs.case(kind, seed, 6, 10)
     assert case.facts.accepted_proof(1e-6) is None
-    assert CAMPAIGN.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
+    assert convex_programs.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
 
 
 def test_numbers_that_are_not_integers() -> None:
@@ -595,7 +582,7 @@ def test_an_optimum_of_0_is_an_optimum() -> None:
         assert solve(QuadraticProgram(B.T @ B, np.zeros(6), A=np.ones((1, 6)), b=[1])).is_solved
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize("rows", [3, 5])
 def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
@@ -807,7 +794,7 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
 ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: · x = 8.9e-16, x ≥ 0
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]]
 )

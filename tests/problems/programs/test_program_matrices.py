@@ -38,7 +38,6 @@ def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("kind", SOLVABLE)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:

@@ -106,7 +106,7 @@ def test_right_hand_sides_that_are_rounding_name_no_unit() -> None:
 
 
 @pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit of program 12")
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", range(15))
 def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     """Dense, sparse, degenerate, rank deficient, linear; with a minimum, infeasible, unbounded; units of 10^±12."""

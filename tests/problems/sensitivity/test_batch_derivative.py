@@ -190,7 +190,7 @@ def contacts(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return M, np.hstack([v @ A.T, np.zeros((count, 4))]), A
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
     """Pyramids make M_FF singular and rows degenerate: each has a gradient in the loop, that which each has alone."""
     M, q, _ = contacts(60, 5)
@@ -209,7 +209,7 @@ def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
         assert one.is_unique is False or not one.advice
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.few(2)
 def test_velocities_of_contacts_have_the_gradient_of_differences() -> None:
     """A function of W Aᵀx, which all solutions share, changes as the gradient of least change says."""
     M, q, A = contacts(60, 7)

@@ -284,7 +284,7 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
     check_against(piece_of(found), found, accuracy=1e-4)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:
@@ -372,7 +372,7 @@ def convection(n: int, drift: float) -> sp.csr_array:
     return sp.csr_array(sp.kron(one, eye) + sp.kron(eye, one) + 1e-3 * sp.eye_array(n * n))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("drift", [0.0, 0.7])
 def test_krylov_steps_solve_as_a_factor_does(drift: float, monkeypatch) -> None:
     """Cycles, transposed ones on a nonsymmetric matrix too, give jvp and vjp of the factor to 1e-11."""

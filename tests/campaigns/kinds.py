@@ -1,36 +1,51 @@
-"""What the long campaign (trust.py) draws and how each case is judged; judges and problems are those of the others."""
+"""The kinds of the campaign (tests/campaign.py): one function each, which draws a problem and yields findings."""
 
 from __future__ import annotations
 
 import sys
 import tempfile
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
-import convex_programs
-import error_bounds
-import guarantees
-import matrix_verdicts
-import search
-import small_lcps
 from collection.judgement import false_claim
 from collection.truth import SOLVABLE, ExactData, decide
 from exact import Exact
 from relations import EXACT, bits, scaled
 
-from lcp_plugin import LCP, LCPError, UnsuitableProblem, all_solutions, error_bound, prepare, solve
+from lcp_plugin import (
+    LCP,
+    LCPError,
+    Status,
+    UnsuitableProblem,
+    all_solutions,
+    error_bound,
+    prepare,
+    solve,
+)
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.algorithm import SWEEPS
 from lcp_plugin.core.errors import UnsuitableMatrix
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
+
+from . import (
+    convex_programs,
+    error_bounds,
+    guarantees,
+    least_squares,
+    matrix_verdicts,
+    near_singular,
+    search,
+    small_lcps,
+)
 
 Generator = np.random.Generator
 
@@ -44,6 +59,10 @@ SOLVED, BOUND, VERDICT, CLAIM, CRASH, MODIFIED = VIOLATIONS = (
 )
 NEAR, OPEN = TOLD = "near", "open"
 TOLERANCE = 1e-9
+OUTLIERS = (
+    "lcp", "program", "linear", "least_squares", "cones", "contacts", "nonlinear", "equilibrium", "game", "batch",
+    "march", "derivative",
+)  # fmt: skip
 ALGORITHMS = (*REGISTRY,)
 
 
@@ -309,6 +328,157 @@ def programs(rng: Generator, kind: str) -> Found:
         yield Finding(MODIFIED, "the program")
 
 
+# --- Kinds of other modules, imported when they run ---------------------------------------------
+
+
+def module(name: str) -> Any:
+    return import_module(f"campaigns.{name}")
+
+
+def near_singularity(rng: Generator, kind: str) -> Found:
+    """SOLVED at the rounding level."""
+    yield from (Finding(CLAIM, text) for text in near_singular.judged(kind, rng))
+
+
+def tiny_diagonals(rng: Generator, kind: str) -> Found:
+    """Integers with a tiny diagonal entry, against all active sets in rational arithmetic."""
+    judge = module("tiny_diagonals")
+    case = judge.drawn(rng, int(rng.integers(1, 6)))
+    status, z = judge.judged(case)
+    if status.endswith("falsely"):
+        yield Finding(SOLVED, f"M = {case[0].tolist()}, q = {case[1].tolist()}: z = {z.tolist()}")
+
+
+def component(rng: Generator, kind: str) -> Found:
+    """Problems of several components, each judged by itself."""
+    with warnings.catch_warnings(action="ignore"):  # of methods that M is not covered by
+        told = module("components").judge(int(rng.integers(2**31)), int(rng.integers(10**6)))[0]
+    for text in told:
+        yield Finding(OPEN if text.startswith("open") else CLAIM, text)
+
+
+def outlier(rng: Generator, kind: str) -> Found:
+    """Small problems with one or two odd numbers."""
+    judge = module("outliers")
+    outcome = judge.run(kind, int(rng.integers(2**31)), 0)
+    if outcome.what == judge.FALSE:
+        yield Finding(CLAIM, outcome.text)
+    elif outcome.what != judge.RIGHT:
+        yield Finding(OPEN, outcome.text)
+
+
+def flow(rng: Generator, kind: str) -> Found:
+    """Convection and diffusion in any units."""
+    extremes = {"guard": 0.0, "error": 0.0}
+    for text in module("flows").judged(rng, Counter(), extremes):
+        yield Finding(SOLVED if text.startswith("FALSE") else CLAIM, text)
+
+
+def scaling(rng: Generator, kind: str) -> Found:
+    """The same problem in other units."""
+    judge = module("scaling")
+    draw = judge.KINDS[int(rng.integers(len(judge.KINDS)))]
+    told = judge.judged(draw, int(rng.integers(10**6)), kind, {"guard": 0.0, "ratio": 1.0})
+    for text in told:
+        if text in judge.FAILURES:
+            yield Finding(CLAIM, f"{draw.__name__}: {text}")
+
+
+def first_try(rng: Generator, kind: str) -> Found:
+    """Ordinary problems, by default."""
+    judge = module("first_try")
+    for verdict, text in judge.judged(str(rng.choice([*judge.BUILDS])), rng):
+        yield Finding(CLAIM if verdict == "WRONG" else OPEN, f"{verdict}: {text}")
+
+
+def game(rng: Generator, kind: str) -> Found:
+    """Bimatrix games with ties, all equilibria in rational arithmetic."""
+    judge = module("games")
+    A, B = judge.game(rng, None if kind == "integers" else float(rng.choice(judge.ODD)))
+    for text in filter(None, (judge.wrong_equilibria(A, B), judge.missed(A, B))):
+        what = OPEN if text in {f"solve: {status.name}" for status in Status} else CLAIM
+        yield Finding(what, f"{text}, A = {A.tolist()}, B = {B.tolist()}")
+
+
+def margin(rng: Generator, kind: str) -> Found:
+    """Infeasible or feasible by a margin."""
+    judge = module("infeasible_by_margin")
+    for text in judge.one(int(rng.integers(2**31)), int(rng.integers(10**6)))[0]:
+        yield Finding(CLAIM, text)
+
+
+def path(rng: Generator, kind: str) -> Found:
+    """Solution paths next to single solves."""
+    status, _, wrong, apart, _ = module("paths").examined(rng, 40, 5)
+    if wrong or apart:
+        yield Finding(CLAIM, f"{wrong} pieces wrong, {apart} apart")
+    elif status != "SOLVED":
+        yield Finding(OPEN, status)
+
+
+def rescaled_program(rng: Generator, kind: str) -> Found:
+    """The same program in euros and in millions."""
+    judge = module("scaled_programs")
+    for text in judge.one(int(rng.integers(2**31)), False, int(rng.integers(10**6)))[0]:
+        yield Finding(CLAIM, text)
+
+
+def derivative(rng: Generator, kind: str) -> Found:
+    """Derivatives against rational arithmetic."""
+    number, is_planted = int(rng.integers(10**6)), kind == "planted"
+    for _, what, where in module("derivatives").judge((0, number, 8, is_planted)):
+        if where:
+            yield Finding(CLAIM, f"{what} in {where}")
+
+
+def cvxpy_program(rng: Generator, kind: str) -> Found:
+    """Programs in cvxpy, against its other solvers."""
+    outcome, case, ours, theirs = module("cvxpy_programs").judged(0, int(rng.integers(10**6)))
+    if outcome.startswith("wrong"):
+        yield Finding(CLAIM, f"{outcome}: {ours}, others {theirs}; {case.atoms}")
+    elif outcome != "agreed":
+        yield Finding(OPEN, outcome)
+
+
+def pyomo_model(rng: Generator, kind: str) -> Found:
+    """Models in Pyomo, judged by its own expressions."""
+    judge = module("random_pyomo_models")
+    yield from (Finding(CLAIM, text) for text in judge.faults_of(judge.planted(rng), rng))
+
+
+def least_cost(rng: Generator, kind: str) -> Found:
+    """Bounded least squares, the minimum in rational arithmetic."""
+    judge = least_squares
+    case = judge.draw(kind, rng)
+    given = {"weights": case.weights, "ridge": case.ridge, "tolerance": judge.TOLERANCE}
+    result = bounded_least_squares(case.A, case.b, case.lower, case.upper, **given)
+    if not result.is_solved:
+        yield Finding(OPEN, result.status.name)
+    elif judge.complaint(case, judge.Exact(case), result.x) == "FALSE":
+        yield Finding(SOLVED, f"cost {result.cost}")
+
+
+def equilibrium(rng: Generator, kind: str) -> Found:
+    """Programs with complementarity constraints, the truth by all pieces."""
+    judge = module("best_equilibria")
+    problem = judge.random_problem(rng, 8)
+    try:
+        truth = judge.truth(problem)
+    except ArithmeticError:  # the pieces are too near to each other
+        return
+    result = minimize_over_solutions(problem, max_seconds=60.0, prove=True)
+    for text in (*judge.complaints(result, truth), *judge.undetected(result)):
+        yield Finding(CLAIM, text)
+
+
+def attack(rng: Generator, kind: str) -> Found:
+    """Hill climbing against the certificates: points off by more than 1 % that pass."""
+    judge = module("attack_nonlinear" if kind == "nonlinear" else "attack_programs")
+    with np.errstate(all="ignore"):
+        fallen = [*getattr(judge, f"attack_{kind}")(rng, 1)]
+    yield from (Finding(SOLVED, text) for text in fallen)
+
+
 def stored(problem: LCP) -> tuple[bytes, ...]:
     return bits(problem.csr, problem.q, problem.lower, problem.upper)
 
@@ -381,6 +551,23 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "program": (programs, tuple(convex_programs.FAMILIES), 38),
     "file": (files, ("npz", "mtx"), 8),
     "batch": (batches, ("auto", "named"), 8),
+    "near_singular": (near_singularity, (*near_singular.KINDS,), 14),
+    "tiny_diagonals": (tiny_diagonals, ("integers",), 40),
+    "component": (component, ("any",), 10),
+    "outlier": (outlier, OUTLIERS, 24),
+    "flow": (flow, ("any",), 4),
+    "scaling": (scaling, ("mixed", "smooth"), 6),
+    "first_try": (first_try, ("any",), 14),
+    "game": (game, ("integers", "odd"), 6),
+    "margin": (margin, ("any",), 12),
+    "path": (path, ("any",), 4),
+    "units": (rescaled_program, ("any",), 6),
+    "derivative": (derivative, ("strict", "planted"), 10),
+    "cvxpy": (cvxpy_program, ("any",), 4),
+    "pyomo": (pyomo_model, ("any",), 2),
+    "least_squares": (least_cost, (*least_squares.KINDS,), 14),
+    "equilibrium": (equilibrium, ("any",), 2),
+    "attack": (attack, ("nonlinear", "certify", "least_squares"), 3),
 }
 
 

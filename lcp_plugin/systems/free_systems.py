@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.scaling import Exponents, scaled, scaling_of, times_power
+from ..core.matrix.scaling import Exponents, scaled, times_power
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import equilibrating_exponents, unit_diagonal
@@ -144,18 +144,21 @@ class FreeSystem:
         return None if best is None else self._extended(best)
 
     @cached_property
-    def pseudo_inverse(self) -> Any | None:
-        """The Moore–Penrose inverse of a block of at most 500 rows, of scaled M, shape (|F|, |F|).
+    def _equilibrated_inverse(self) -> tuple[Any, Any, Exponents]:
+        """The block with rows and columns near 1, its Moore–Penrose inverse, the exponents."""
+        by = Exponents(*np.zeros((2, self.rows.size), np.int64))
+        if self._is_badly_scaled:
+            by = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES)
+        block = scaled(self._dense_block, by)
+        return block, pseudo_inverses(block[np.newaxis])[0][0], by
 
-        None for more rows.
-        """
+    @cached_property
+    def pseudo_inverse(self) -> Any | None:
+        """The Moore–Penrose inverse of the equilibrated block, unscaled; None for more than 500 rows."""
         if self.rows.size > LEAST_SQUARES_UP_TO:
             return None
-        scaling, rows = scaling_of(self.matrix), self.rows
-        if scaling is None:
-            return pseudo_inverses(self._dense_block[np.newaxis])[0][0]
-        balanced = FreeSystem(scaling.matrix, self.free).pseudo_inverse
-        return scaled(balanced, Exponents(scaling.column[rows], scaling.row[rows]))
+        _, inverse, by = self._equilibrated_inverse
+        return scaled(inverse, Exponents(by.column, by.row))
 
     @cached_property
     def determined_slack(self) -> BoolVector | None:
@@ -175,10 +178,8 @@ class FreeSystem:
             return np.ones(self.rows.size, np.bool_)
         if self.pseudo_inverse is None:
             return np.zeros(self.rows.size, np.bool_)
-        scaling = scaling_of(self.matrix)
-        if scaling is not None:
-            return FreeSystem(scaling.matrix, self.free).determined
-        left = self.pseudo_inverse @ self.block - np.eye(self.rows.size)
+        block, inverse, _ = self._equilibrated_inverse
+        left = inverse @ block - np.eye(self.rows.size)
         determined: BoolVector = np.abs(left).max(axis=1) <= CONSISTENT
         return determined
 

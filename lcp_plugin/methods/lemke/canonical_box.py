@@ -1,4 +1,4 @@
-"""Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, M scaled."""
+"""Any dense box or mixed problem as 0 ≤ z ≤ u with u > 0: fixed, free and flipped rows taken out, rows scaled."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.matrix import Matrix
-from ...core.matrix.scaling import Exponents, scaled, scaling_of
-from ...core.matrix.structure import IntVector
 from ...systems.equilibration import power_of_two
 
 FloatMatrix = NDArray[np.float64]
@@ -28,7 +25,7 @@ class CanonicalBox:
     Attributes
     ----------
     M : ndarray, shape (k, k)
-        In the scaling that M needs, the largest entry of each row about 1.
+        The largest entry of each row is about 1.
     q, upper : ndarray, shape (k,)
         max |q_i| is about 1; upper > 0.
     offset : ndarray, shape (n,)
@@ -80,36 +77,25 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows are eliminated
     if their block is well conditioned; otherwise each free variable becomes the difference of two nonnegative ones.
     """
-    M, row_scale, column_scale = _equilibrated(problem.matrix)
+    M = problem.matrix.array if problem.is_dense else problem.csr.toarray()
+    row_scale = 1 - np.frexp(problem.matrix.row_largest)[1]
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)
     base = np.where(is_free, 0.0, np.where(sign > 0.0, problem.lower, problem.upper))
     row_scale = np.minimum(row_scale, LARGEST_OFFSET - np.frexp(problem.q)[1])
-    M = scaled(M, Exponents(row_scale, column_scale))
+    M = np.ldexp(M, row_scale[:, None])
     is_void = (problem.q == 0.0) & ~M.any(axis=1)
     if is_void.any():
         # Such a row is always satisfied; minus its column asks z_i for what the other rows need, as a multiplier would.
         M = np.where(is_void[:, None], -M.T, M)
     M = M * sign[:, None] * sign
-    start = np.ldexp(base, -column_scale) * sign
+    start = base * sign
     q = np.ldexp(problem.q, row_scale) * sign + M @ start
-    upper = np.where(is_free, np.inf, np.ldexp(problem.upper - problem.lower, -column_scale))
-    unit = np.ldexp(sign, column_scale)
+    upper = np.where(is_free, np.inf, problem.upper - problem.lower)
     keep = np.flatnonzero(problem.lower < problem.upper)
     if keep.size < problem.n:
         M = M[np.ix_(keep, keep)]
-    return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
-
-
-def _equilibrated(matrix: Matrix) -> tuple[FloatMatrix, IntVector, IntVector]:
-    """Return M, dense, and the exponents that scale it, with the largest entry of each row near 1."""
-    scaling = scaling_of(matrix)
-    M: FloatMatrix = matrix.array if matrix.is_dense else matrix.csr.toarray()
-    none = np.zeros(matrix.n, np.int64)
-    row, column, rows = (
-        (none, none, matrix) if scaling is None else (scaling.row, scaling.column, scaling.matrix)
-    )
-    return M, row + 1 - np.frexp(rows.row_largest)[1], column
+    return _without_free_rows(M, q[keep], upper[keep], sign, base, keep, is_free[keep])
 
 
 def _without_free_rows(

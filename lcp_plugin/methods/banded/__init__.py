@@ -206,11 +206,7 @@ def _contacts(
 
 
 def solve_one_sided(
-    bands: FloatVector,
-    Q: FloatVector,
-    side: int,
-    value: FloatVector,
-    is_held: NDArray[np.bool_],
+    bands: FloatVector, Q: FloatVector, side: int, value: FloatVector, is_held: NDArray[np.bool_]
 ) -> tuple[FloatVector | None, NDArray[np.bool_]]:
     """Return z and the free rows, shapes (m, n), of tridiagonal problems with bounds on one side; None if it fails.
 

@@ -153,8 +153,8 @@ class ConeCertificate:
     ----------
     problem : Blocks
         The problem that the point was measured on.
-    point, velocity : ndarray, shape (n,)
-        z and w = M z + q.
+    z, w : ndarray, shape (n,)
+        The point, and M z + q.
     relative_residual : float
         The largest ‖R_k‖ relative to the reference of its component, rounded upwards.
     term_residual : float
@@ -167,24 +167,14 @@ class ConeCertificate:
 
     def __init__(self, problem: Blocks, measures: Measures) -> None:
         self.problem, self.measures, pattern = problem, measures, measures.stack.pattern
-        self.point = read_only(pattern.flat(measures.z)[0].copy())
-        self.velocity = read_only(pattern.flat(measures.w)[0].copy())
+        self.z = read_only(pattern.flat(measures.z)[0].copy())
+        self.w = read_only(pattern.flat(measures.w)[0].copy())
 
     @classmethod
     def at(cls, problem: Blocks, z: FloatVector, tolerance: float = 1e-8) -> ConeCertificate:
         """Return the certificate of a point of the cones, shape (n,)."""
         stack = ConeStack.of(problem)
         return cls(problem, measured(stack, stack.pattern.wide(np.array(z)[None]), tolerance))
-
-    @property
-    def z(self) -> FloatVector:
-        """The point, shape (n,)."""
-        return self.point
-
-    @property
-    def w(self) -> FloatVector:
-        """Its slack, shape (n,)."""
-        return self.velocity
 
     @property
     def relative_residual(self) -> float:
@@ -205,7 +195,7 @@ class ConeCertificate:
     @property
     def scaled_residual(self) -> float:
         """‖R_k‖ of that block, in the unit of z."""
-        return float(self.measures.sizes[0, self.worst_index]) if self.point.size else 0.0
+        return float(self.measures.sizes[0, self.worst_index]) if self.z.size else 0.0
 
     @property
     def references(self) -> tuple[FloatVector, FloatVector]:
@@ -226,13 +216,13 @@ class ConeCertificate:
     def dissipation(self) -> float:
         """−rᵀu of contacts, what friction would take at the last velocities; of others −zᵀw, their complementarity."""
         with np.errstate(all="ignore"):
-            return float(-(self.point @ self.velocity))
+            return float(-(self.z @ self.w))
 
     @property
     def lost_energy(self) -> float:
         """−rᵀ(b + u)/2, the kinetic energy that impact and friction take: impulses r change velocities b to u."""
         with np.errstate(all="ignore"):
-            return float(-0.5 * (self.point @ (self.problem.q + self.velocity)))
+            return float(-0.5 * (self.z @ (self.problem.q + self.w)))
 
     def __str__(self) -> str:
         lines = [

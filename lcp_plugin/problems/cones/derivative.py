@@ -15,12 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    FloatVector,
-    checked_vector,
-    is_number,
-    rectangular_matrix,
-)
+from ...core.checks import FloatVector, checked_vector, is_number, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers

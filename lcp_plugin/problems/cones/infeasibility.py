@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar
+from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,9 +26,7 @@ from .data import Blocks
 from .programs import ConvexProgram
 from .stack import ConeStack, length
 
-DIGITS = (
-    2.0**-20
-)  # of the largest |y_i|, to which y is rounded: sums that cancel do so exactly then
+DIGITS = 2.0**-20  # of the largest |y_i|, to which y is rounded: then sums cancel exactly
 MARGIN = 1e-3  # what is taken off the margin for the rounding of the sums in it
 
 
@@ -55,27 +54,17 @@ class NoImpulse:
         for i in np.flatnonzero(self.y):
             for p in range(M.indptr[i], M.indptr[i + 1]):
                 v[M.indices[p]] -= Fraction(float(M.data[p])) * y[i]
-        for k, (first, end) in enumerate(
-            zip(problem.starts[:-1].tolist(), problem.starts[1:].tolist(), strict=True)
-        ):
-            if end - first == 1:
-                is_free = problem.lower[first] == -np.inf and problem.upper[first] == np.inf
-                is_half = problem.lower[first] == 0.0 and problem.upper[first] == np.inf
-                if not (
-                    v[first] == 0
-                    if is_free
-                    else (v[first] >= 0 and y[first] >= 0)
-                    if is_half
-                    else y[first] == 0 and v[first] == 0
-                ):
-                    return False
-                continue
-            mu = Fraction(float(problem.slope[k]))
-            tangents = sum(one**2 for one in v[first + 1 : end])
-            if v[first] < 0 or v[first] ** 2 < mu**2 * tangents or y[first] < 0:
-                return False
-            own = sum(one**2 for one in y[first + 1 : end])
-            if own > (0 if problem.has_friction else mu**2 * y[first] ** 2):
+        for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):
+            if b - a == 1:
+                is_right = v[a] == 0 and (problem.is_free[k] or y[a] == 0)
+                is_right |= problem.is_half[k] and v[a] >= 0 and y[a] >= 0
+            else:
+                square = Fraction(float(problem.slope[k])) ** 2
+                is_right = min(v[a], y[a]) >= 0
+                is_right &= v[a] ** 2 >= square * sum(one**2 for one in v[a + 1 : b])
+                most = 0 if problem.has_friction else square * y[a] ** 2
+                is_right &= sum(one**2 for one in y[a + 1 : b]) <= most
+            if not is_right:
                 return False
         return sum(Fraction(q) * one for q, one in zip(problem.q.tolist(), y, strict=True)) < 0
 
@@ -114,36 +103,24 @@ class NoImpulse:
 
 def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
     """Return a proof that there is no answer, None where Clarabel finds none that verifies."""
-    program = ConvexProgram(problem)
-    n, M = problem.n, problem.rows.csr
-    rows: list[Any] = [program.rows]
-    limits, cones, places = [program.limits], list(program.cones), []
-    identity = sp.eye_array(n, format="csr")
-    for first, end in zip(problem.starts[:-1].tolist(), problem.starts[1:].tolist(), strict=True):
-        is_half = problem.lower[first] == 0.0 and problem.upper[first] == np.inf
-        is_free = problem.lower[first] == -np.inf and problem.upper[first] == np.inf
-        own = (
-            slice(first, first + 1)
-            if end - first == 1 or problem.has_friction
-            else slice(first, end)
-        )
-        if end - first == 1 and not (is_half or is_free):
-            continue
-        rows.append(-(identity[own] @ M))
-        limits.append(problem.q[own])
-        places.append(np.arange(own.start, own.stop))
-        size = own.stop - own.start
-        kind = program.clarabel.SecondOrderConeT if size > 1 else program.clarabel.NonnegativeConeT
-        cones.append(program.clarabel.ZeroConeT(1) if end - first == 1 and is_free else kind(size))
-    if not places:
+    program, n = ConvexProgram(problem), problem.n
+    engine, cones, places = program.clarabel, list(program.cones), [np.zeros(0, np.int64)]
+    for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):
+        size = 1 if problem.has_friction else b - a
+        if b - a > 1 or problem.is_free[k] or problem.is_half[k]:
+            cone = engine.NonnegativeConeT if size == 1 else engine.SecondOrderConeT
+            cones.append((engine.ZeroConeT if problem.is_free[k] else cone)(size))
+            places.append(np.arange(a, a + size))
+    where = np.concatenate(places)
+    if not where.size:
         return None
-    nothing = sp.csc_array((n, n))
-    found = program.solve(nothing, np.zeros(n), sp.vstack(rows), np.concatenate(limits), cones)
+    rows = sp.vstack([program.rows, -problem.rows.csr[where]])
+    limits = np.concatenate([program.limits, problem.q[where]])
+    found = program.solve(sp.csc_array((n, n)), np.zeros(n), rows, limits, cones)
     if "PrimalInfeasible" not in str(found.status):
         return None
-    dual, where = np.asarray(found.z)[program.limits.size :], np.concatenate(places)
     y = np.zeros(n)
-    y[where] = dual
+    y[where] = np.asarray(found.z)[program.limits.size :]
     size = np.abs(y).max(initial=0.0)
     for grain in (DIGITS, 2.0**-8, 0.25):
         rounded = np.round(y / (size * grain)) if size > 0.0 else y

@@ -59,21 +59,14 @@ WORST = (
     Status.INFEASIBLE,
     Status.INTERRUPTED,
 )  # the last of these that a component has is that of all
-NO_MORE = "no method reduces the residual further; next: try another start z0"
 WORDS = {
-    Status.STALLED: NO_MORE,
-    Status.INFEASIBLE: (
-        "no z in the cones has M z + q in the dual cones, even if every condition is relaxed by the tolerance; "
-        "next: check the data (proof: result.proof)"
-    ),
-}
-WORDS_OF_CONTACTS = {
     Status.STALLED: (
-        f"{NO_MORE}, or less friction: a solution need not exist if friction is large or W is singular"
+        "no method reduces the residual further; next: try another start z0, or less friction: with much friction or "
+        "a singular W, a contact problem need not have a solution"
     ),
     Status.INFEASIBLE: (
-        "no impulses prevent penetration at every contact, even if every condition is relaxed by the tolerance; "
-        "next: check the data (proof: result.proof)"
+        "no z in the cones has an M z + q in their duals (no impulses keep every contact from closing further), even "
+        "with errors as large as the tolerance; next: check the data; result.proof proves it"
     ),
 }
 NOT_ASKED = "; not proved infeasible, because prove_infeasibility=False"
@@ -542,7 +535,7 @@ def _result(problem: Blocks, run: Run, log: Log, chosen: str | ConeAlgorithm) ->
     settings, measures = log.settings, run.measures
     assert measures is not None
     certificate = ConeCertificate(problem, measures)
-    words = dict(WORDS_OF_CONTACTS if problem.has_friction else WORDS)
+    words = dict(WORDS)
     if not settings.prove_infeasibility:
         words[Status.STALLED] += NOT_ASKED
     stages = tuple(stage for stage in log.stages if stage.work) or tuple(log.stages[:1])
@@ -550,8 +543,8 @@ def _result(problem: Blocks, run: Run, log: Log, chosen: str | ConeAlgorithm) ->
         stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
     name = ", ".join(dict.fromkeys(stage.name for stage in stages))
     return ConeResult(
-        z=certificate.point,
-        w=certificate.velocity,
+        z=certificate.z,
+        w=certificate.w,
         status=run.status,
         certificate=certificate,  # type: ignore[arg-type]
         algorithm=f"auto: {name}" if chosen == "auto" else chosen.name,  # type: ignore[union-attr]
@@ -575,8 +568,8 @@ def result_of(
     """Return the result of a problem that a stack has solved."""
     certificate = ConeCertificate.at(problem, z, settings.tolerance)
     return ConeResult(
-        z=certificate.point,
-        w=certificate.velocity,
+        z=certificate.z,
+        w=certificate.w,
         status=Status.SOLVED,
         certificate=certificate,  # type: ignore[arg-type]
         algorithm="auto: npgs, newton",

@@ -19,7 +19,6 @@ from ...core.lcp import LCP
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ...methods.banded import Banded
-from ..cones.data import Blocks
 from ..many.answers import AnswerSequence
 from .on_band import Marches, needs_no_scaling
 
@@ -83,9 +82,7 @@ class March(AnswerSequence[Result]):
     def explain(self) -> str:
         """Return the number of steps taken, how they ended, and the explanation of the last one."""
         last = f"the last step: {self[-1]}" if len(self) else ""
-        return "\n".join(
-            filter(None, [*self._summary(), propagator_remark(self.problem, self.propagator), last])
-        )
+        return "\n".join(filter(None, [*self._summary(), last]))
 
     def _summary(self) -> list[str]:
         steps = f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
@@ -102,36 +99,6 @@ class March(AnswerSequence[Result]):
         """Add one step."""
         self.z.append(z)
         self._results.append(result)
-
-
-def propagator_remark(problem: LCP | Blocks, propagator: sp.csr_array) -> str:
-    """Return a sentence where every step raises the q of the next one, as a wrong sign of the propagator does; else ''.
-
-    Parameters
-    ----------
-    problem : LCP or ConeProblem or FrictionalContact
-    propagator : csr_array, shape (n, n)
-
-    Examples
-    --------
-    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
-    >>> print(propagator_remark(rod, sp.csr_array(np.eye(2))))
-    propagator[0, 0] = 1.0 and no entry of propagator is negative: a larger z raises the q of the next step, which
-    lowers z there; an implicit Euler step (I + Δt A) z = z_before has propagator −1
-    >>> propagator_remark(rod, sp.csr_array(-np.eye(2)))
-    ''
-    """
-    if not isinstance(problem, LCP):
-        return ""
-    diagonal = propagator.diagonal()
-    rows = np.flatnonzero((diagonal > 0.0) & (problem.diagonal > 0.0))
-    if not rows.size or (propagator.data < 0.0).any():
-        return ""
-    return (
-        f"propagator[{rows[0]}, {rows[0]}] = {diagonal[rows[0]]} and no entry of propagator is negative: a larger z "
-        "raises the q of the next step, which lowers z there; an implicit Euler step "
-        "(I + Δt A) z = z_before has propagator −1"
-    )
 
 
 def take_steps_together(
@@ -171,10 +138,7 @@ def take_steps_together(
 
 
 def _result_at(
-    stated: Callable[[], LCP],
-    z: FloatVector,
-    algorithm: str | Algorithm,
-    wishes: dict[str, Any],
+    stated: Callable[[], LCP], z: FloatVector, algorithm: str | Algorithm, wishes: dict[str, Any]
 ) -> Result:
     """Return the result of a step from its solution, which ends where it begins."""
     return solve_lcp(stated(), algorithm, z0=z, **wishes)

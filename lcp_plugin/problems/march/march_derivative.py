@@ -15,13 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    FloatVector,
-    finite_vector,
-    is_number,
-    real_array,
-    rectangular_matrix,
-)
+from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP

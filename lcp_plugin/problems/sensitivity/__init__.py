@@ -19,12 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    BoolVector,
-    FloatVector,
-    finite_vector,
-    rectangular_matrix,
-)
+from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal

@@ -289,14 +289,7 @@ class BatchDerivative(ManyDerivatives):
         )
         return degenerate
 
-    def jvp(
-        self,
-        *,
-        dM: Any = None,
-        dq: Any = None,
-        dlower: Any = None,
-        dupper: Any = None,
-    ) -> Any:
+    def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
 
         Parameters

@@ -151,10 +151,7 @@ class ContactBatchDerivative(ManyDerivatives):
     @cached_property
     def degenerate(self) -> Any:
         """The contacts on the edge of two cases, shape (B, k), of bool: there the derivative is one of several."""
-        degenerate, counts = (
-            np.zeros(self.worlds.friction.shape, np.bool_),
-            self.worlds.contacts,
-        )
+        degenerate, counts = (np.zeros(self.worlds.friction.shape, np.bool_), self.worlds.contacts)
         self._fill(
             [degenerate],
             lambda part: [part.is_degenerate],
@@ -229,9 +226,7 @@ class ContactBatchDerivative(ManyDerivatives):
             by_matrix = None if dW is None else dW[k, own, own]
             return [
                 self[k].jvp(
-                    dq=db[k, own],
-                    dM=by_matrix,
-                    dfriction=slopes[k, : self.worlds.contacts[k]],
+                    dq=db[k, own], dM=by_matrix, dfriction=slopes[k, : self.worlds.contacts[k]]
                 )
             ]
 
@@ -286,10 +281,7 @@ class ContactBatchDerivative(ManyDerivatives):
         """Return changes or gradients world by world, 0 behind the last contact of each; None of no dM."""
         if name == "dM" and values is None:
             return None
-        worlds, like = (
-            self.worlds,
-            self.worlds.friction if name == "dfriction" else self.batch.z,
-        )
+        worlds, like = (self.worlds, self.worlds.friction if name == "dfriction" else self.batch.z)
         counts = worlds.contacts * (1 if name == "dfriction" else worlds.dimension)
         is_there = (np.arange(like.shape[1]) < counts[:, np.newaxis]) & self._is_solved[
             :, np.newaxis

@@ -139,7 +139,7 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
         rng.standard_normal(near.size),
     ):
         certificate = solve(problem, z0=z, max_iterations=0).certificate
-        point = certificate.point
+        point = certificate.z
         exact = float(exact_relative_residual(problem, point))
         assert exact <= certificate.relative_residual
         measures = certificate.measures

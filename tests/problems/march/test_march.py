@@ -24,7 +24,7 @@ from lcp_plugin import (
     march,
     solve,
 )
-from lcp_plugin.problems.march import March, propagator_remark
+from lcp_plugin.problems.march import March
 from lcp_plugin.problems.march.march_derivative import MarchDerivative
 from lcp_plugin.problems.sensitivity import Derivative
 
@@ -581,23 +581,3 @@ def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
 
 
 STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
-
-
-@pytest.mark.parametrize(
-    ("propagator", "is_remarked"),
-    [
-        (sp.eye_array(16), True),
-        (MASS, True),  # a consistent mass matrix with the wrong sign
-        (-sp.eye_array(16), False),
-        (-MASS, False),
-        (5.0 * STIFFNESS - sp.eye_array(16), False),  # Crank–Nicolson with long steps
-        (sp.csr_array((16, 16)), False),
-        (sp.eye_array(16, k=1), False),  # a delay
-    ],
-)
-def test_a_propagator_of_the_wrong_sign_is_remarked(propagator: Any, is_remarked: bool) -> None:
-    """A propagator that raises every q is remarked on with the sign of an implicit step; others are not."""
-    said = propagator_remark(
-        LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(propagator)
-    )
-    assert ("has propagator −1" in said) == is_remarked == bool(said)

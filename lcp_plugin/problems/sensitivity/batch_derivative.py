@@ -84,6 +84,11 @@ class BatchPart(Linearised):
         self.is_plain = is_exact & is_clear.all(axis=1)
         self.is_plain &= self.blocks.is_regular | self.blocks.is_singular
 
+    @property
+    def points(self) -> Any:
+        """The refined solutions, shape (k, n)."""
+        return self.z
+
     def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
         """Return [dz], NaN if it is one-sided or a block is singular."""
         held = np.where(self.free, 0.0, np.where(self.is_upper, upper, lower))
@@ -212,6 +217,53 @@ class ManyDerivatives:
                 self.errors[k] = error
         return alone
 
+    @cached_property
+    def z(self) -> Any:
+        """The solutions at which the derivatives are taken, shape (B, n); NaN if there is none."""
+        z = np.full(self.batch.z.shape, np.nan)
+        self._fill([z], lambda part: [part.points], lambda k: [self[k].z])
+        return read_only(z)
+
+    @cached_property
+    def degenerate(self) -> Any:
+        """Rows with w = 0 at a bound, shape (B, n), or contacts on the edge of two cases, (B, k), of bool."""
+        found = np.zeros((len(self), self._pieces), np.bool_)
+        places = np.arange(self._pieces)
+        self._fill(
+            [found],
+            lambda part: [part.degenerate],
+            lambda k: [np.isin(places, self[k].degenerate)],
+        )
+        return found
+
+    @property
+    def _pieces(self) -> int:
+        """Number of rows, or contacts, of a problem."""
+        return int(self.batch.z.shape[1])
+
+    def _is_there(self, name: str) -> Any:
+        """Return the rows, or contacts, of solved problems."""
+        return np.broadcast_to(self._is_solved[:, np.newaxis], (len(self), self._pieces))
+
+    def _rows(self, values: Any, name: str) -> Any:
+        """Return a vector for each problem, 0 by default; those of unsolved problems may be anything."""
+        is_there = self._is_there(name)
+        values = np.zeros(is_there.shape[1]) if values is None else values
+        return self._given(values, name, is_there)
+
+    def _changed(self, dM: Any, dq: Any) -> Any:
+        """Return dM z + dq of each problem."""
+        change = self._rows(dq, "dq")
+        if dM is None:
+            return change
+        n, z = change.shape[1], np.where(self._is_solved[:, np.newaxis], self.z, 0.0)
+        is_row = self._is_there("dM")
+        if sp.issparse(dM) or np.ndim(dM) == 2:
+            moved = (rectangular_matrix(dM, "dM", n, n) @ z.T).T
+            return np.where(is_row, moved, 0.0) + change
+        is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
+        return products(self._given(dM, "dM", is_there), z) + change
+
     def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
         """Write 0 for the items without a derivative of which functions with these gradients ask for none."""
         for k in self.errors:
@@ -265,29 +317,11 @@ class BatchDerivative(ManyDerivatives):
     """
 
     @cached_property
-    def z(self) -> Any:
-        """The solutions at which the derivatives are taken, shape (B, n); NaN if there is none."""
-        z = self._table(np.nan)
-        self._fill([z], lambda part: [part.z], lambda k: [self[k].z])
-        return read_only(z)
-
-    @cached_property
     def free(self) -> Any:
         """The rows that `vjp` takes as free, shape (B, n), of bool."""
         free = self._table(False)
         self._fill([free], lambda part: [part.free], lambda k: [self[k].free])
         return free
-
-    @cached_property
-    def degenerate(self) -> Any:
-        """The rows that are at a bound and have w = 0, shape (B, n), of bool."""
-        degenerate = self._table(False)
-        self._fill(
-            [degenerate],
-            lambda part: [part.degenerate],
-            lambda k: [np.isin(np.arange(degenerate[k].size), self[k].degenerate)],
-        )
-        return degenerate
 
     def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
@@ -317,9 +351,7 @@ class BatchDerivative(ManyDerivatives):
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
-        h, low, high = map(self._rows_of, (dq, dlower, dupper), ("dq", "dlower", "dupper"))
-        if dM is not None:
-            h = h + self._product(dM)
+        h, low, high = self._changed(dM, dq), *map(self._rows, (dlower, dupper), NUMBERS[:2])
         dz = self._table(np.nan)
         self._fill(
             [dz],
@@ -356,11 +388,8 @@ class BatchDerivative(ManyDerivatives):
                [ 0. , -0.5]]), array([[-1.25,  0.  ],
                [ 0.  , -1.  ]]))
         """
-        rows, by_w, tables = (
-            self._rows_of(g, "g"),
-            self._rows_of(gw, "gw"),
-            [self._table(np.nan) for _ in range(3)],
-        )
+        rows, by_w = self._rows(g, "g"), self._rows(gw, "gw")
+        tables = [self._table(np.nan) for _ in range(3)]
         left = self._fill(
             tables,
             lambda part: part.gradients(rows[part.items], by_w[part.items]),
@@ -389,19 +418,3 @@ class BatchDerivative(ManyDerivatives):
 
     def _table(self, value: Any) -> Any:
         return np.full(self.batch.z.shape, value)
-
-    def _rows_of(self, values: Any, name: str) -> Any:
-        """Return a vector for each problem; those of unsolved problems may be anything."""
-        is_there = np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
-        return self._given(
-            np.zeros(is_there.shape[1]) if values is None else values, name, is_there
-        )
-
-    def _product(self, dM: Any) -> Any:
-        """Return dM z of each problem."""
-        n, z = self.batch.z.shape[1], self.z.copy()
-        z[~self._is_solved] = 0.0
-        if sp.issparse(dM) or np.ndim(dM) == 2:
-            return (rectangular_matrix(dM, "dM", n, n) @ z.T).T
-        is_there = np.broadcast_to(self._is_solved[:, np.newaxis, np.newaxis], (len(self), n, n))
-        return products(self._given(dM, "dM", is_there), z)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, read_only
+from ...core.checks import BoolVector
 from ...systems.least_norm import FreeBlocks, products
 from ..batches.worlds import stack_of_worlds
 from ..cones.derivative import StackDerivative
@@ -34,6 +34,16 @@ class _Together(StackDerivative):
         """The inverses on the free rows."""
         free = np.repeat(self.is_free, self.stack.pattern.sizes, axis=1)
         return FreeBlocks(whole_systems(self.stack, self.by_z, self.by_w), free)
+
+    @property
+    def points(self) -> Any:
+        """The refined impulses, shape (B, n)."""
+        return self.stack.pattern.flat(self.z)
+
+    @property
+    def degenerate(self) -> Any:
+        """The contacts on the edge of two cases, shape (B, k)."""
+        return self.is_degenerate
 
     def changes(self, change: Any, slopes: Any) -> list[Any]:
         """Return [dz], a row a world, by changes of W z + b and of friction; NaN if it is one-sided."""
@@ -142,24 +152,6 @@ class ContactBatchDerivative(ManyDerivatives):
         return parts
 
     @cached_property
-    def z(self) -> Any:
-        """The impulses at which the derivatives are taken, shape (B, n); NaN if none exist."""
-        z = np.full(self.batch.z.shape, np.nan)
-        self._fill([z], lambda part: [part.stack.pattern.flat(part.z)], lambda k: [self[k].z])
-        return read_only(z)
-
-    @cached_property
-    def degenerate(self) -> Any:
-        """The contacts on the edge of two cases, shape (B, k), of bool: there the derivative is one of several."""
-        degenerate, counts = (np.zeros(self.worlds.friction.shape, np.bool_), self.worlds.contacts)
-        self._fill(
-            [degenerate],
-            lambda part: [part.is_degenerate],
-            lambda k: [np.isin(np.arange(counts[k]), self[k].degenerate)],
-        )
-        return degenerate
-
-    @cached_property
     def is_singular(self) -> Any:
         """The worlds in which several impulses make one motion, shape (B,), of bool: dz is the least of several."""
         is_singular = np.zeros(len(self), np.bool_)
@@ -172,23 +164,17 @@ class ContactBatchDerivative(ManyDerivatives):
     @property
     def advice(self) -> str:
         """What to know of derivatives that are not the only ones, in words; "" where none is known of others."""
-        parts = (
-            (
-                self.degenerate.any(axis=1),
-                "have contacts on the edge of two cases: jvp is one-sided there, and vjp the "
-                "gradient of one of the pieces that meet",
+        named = {
+            "contacts on the edge of two cases: jvp is one-sided there, and vjp the gradient of one of the pieces that "
+            "meet": self.degenerate.any(axis=1),
+            "several impulses for one motion: dz is the least change, that of the motion is the same for all": (
+                self.is_singular
             ),
-            (
-                self.is_singular,
-                "have several impulses for one motion: dz is the least change, that of the motion is "
-                "the same for all",
-            ),
-            (~self._is_solved, "have no derivative: errors says why"),
-        )
-        of_all = f"of {len(self)} worlds"
+            "no derivative: errors says why": ~self._is_solved,
+        }
         return "; ".join(
-            f"{which.sum()} {of_all} ({_named(which)}) {words}"
-            for which, words in parts
+            f"{which.sum()} of {len(self)} worlds ({_named(which)}) have {words}"
+            for words, which in named.items()
             if which.any()
         )
 
@@ -214,29 +200,19 @@ class ContactBatchDerivative(ManyDerivatives):
         InvalidProblem
             For another shape, or numbers that are not finite.
         """
-        db, dW, slopes = (
-            self._by_world(dq, "dq"),
-            self._by_world(dM, "dM"),
-            self._by_world(dfriction, "dfriction"),
-        )
-        change, dz = self._moved(db, dW), np.full(db.shape, np.nan)
+        change, slopes = self._changed(dM, dq), self._rows(dfriction, "dfriction")
+        dz, counts = np.full(change.shape, np.nan), self.worlds.contacts
 
         def alone(k: int) -> list[Any]:
-            own = slice(self[k].z.size)
-            by_matrix = None if dW is None else dW[k, own, own]
-            return [
-                self[k].jvp(
-                    dq=db[k, own], dM=by_matrix, dfriction=slopes[k, : self.worlds.contacts[k]]
-                )
-            ]
+            own = slopes[k, : counts[k]]
+            return [self[k].jvp(dq=change[k, : self[k].z.size], dfriction=own)]
 
         self._fill([dz], lambda part: part.changes(change[part.items], slopes[part.items]), alone)
         return dz
 
     def dw(self, dz: ArrayLike, *, dq: ArrayLike | None = None, dM: ArrayLike | None = None) -> Any:
         """Return the changes of the velocities w = W z + b that go with changes dz of z, shape (B, n)."""
-        dw = products(self.worlds.W, self._by_world(dz, "dz"))
-        dw += self._moved(self._by_world(dq, "dq"), self._by_world(dM, "dM"))
+        dw = products(self.worlds.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
         return dw
 
@@ -255,7 +231,7 @@ class ContactBatchDerivative(ManyDerivatives):
         InvalidProblem
             For another shape, or numbers that are not finite.
         """
-        by_z, by_w = self._by_world(g, "g"), self._by_world(gw, "gw")
+        by_z, by_w = self._rows(g, "g"), self._rows(gw, "gw")
         tables = np.full(by_z.shape, np.nan), np.full(self.worlds.friction.shape, np.nan)
 
         def alone(k: int) -> Any:
@@ -269,28 +245,16 @@ class ContactBatchDerivative(ManyDerivatives):
         self._forget_unasked(tables, g, gw)
         return ContactBatchGradient(*tables, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
 
-    def _moved(self, db: Any, dW: Any) -> Any:
-        """Return dW z + db, shape (B, n)."""
-        return (
-            db
-            if dW is None
-            else products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0)) + db
-        )
+    @property
+    def _pieces(self) -> int:
+        """Number of contacts, those that are not there included."""
+        return int(self.worlds.friction.shape[1])
 
-    def _by_world(self, values: Any, name: str) -> Any:
-        """Return changes or gradients world by world, 0 behind the last contact of each; None of no dM."""
-        if name == "dM" and values is None:
-            return None
-        worlds, like = (self.worlds, self.worlds.friction if name == "dfriction" else self.batch.z)
-        counts = worlds.contacts * (1 if name == "dfriction" else worlds.dimension)
-        is_there = (np.arange(like.shape[1]) < counts[:, np.newaxis]) & self._is_solved[
-            :, np.newaxis
-        ]
-        if name == "dM":
-            is_whole = is_there.all()
-            is_there = np.broadcast_to(is_there[:, :, np.newaxis], worlds.W.shape)
-            is_there = is_there if is_whole else is_there & is_there.swapaxes(1, 2)
-        return self._given(np.zeros(like.shape[1]) if values is None else values, name, is_there)
+    def _is_there(self, name: str) -> Any:
+        """Return the rows, or the contacts, that solved worlds have."""
+        d = 1 if name == "dfriction" else self.worlds.dimension
+        counts = np.where(self._is_solved, d * self.worlds.contacts, 0)
+        return np.arange(d * self._pieces) < counts[:, np.newaxis]
 
 
 def _named(which: BoolVector) -> str:

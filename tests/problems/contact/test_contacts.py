@@ -121,7 +121,7 @@ MISTAKES: dict[str, tuple[str, Any]] = {
         ((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL),
     ),
     "tangents of other contacts": (
-        "tangents must be .*k = 1",
+        "tangents must .*k = 1",
         ((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL),
     ),
     "odd directions": ("even number ≥ 4.*got 5", (EYE, 0.5, FALL, 5)),

@@ -24,9 +24,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.core.tuning import PIVOTED_UP_TO
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
-from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 CONTACT = falling_bodies(10)
 TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle
@@ -143,32 +141,6 @@ def test_no_algorithm_is_advised_to_itself(name: str) -> None:
                     )
 
 
-def test_too_large_for_pivots() -> None:
-    """Lemke refuses a component whose inverse is too large, and what it names solves it."""
-    n = PIVOTED_UP_TO + 1
-    problem = LCP(
-        sp.diags_array(
-            [np.full(n - 1, -1.0), np.full(n, 2.5), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
-        ),
-        np.where(np.arange(n) % 3, 1.0, -1.0),
-    )
-    advice = advice_of(lambda: solve(problem, "lemke"))
-    assert calls_in(advice) == [{"algorithm": "auto"}]
-    assert solve(problem).is_solved
-
-
-def test_no_narrow_band() -> None:
-    """Banded refuses a matrix whose factor fills in too much, and what it names solves it."""
-    rng, n = np.random.default_rng(0), 30_000
-    M = sp.random_array((n, n), density=8.0 / n, rng=rng)
-    problem = LCP(
-        sp.csr_array(sp.diags_array(abs(M).sum(axis=1) + 1.0) - M), rng.standard_normal(n)
-    )
-    advice = advice_of(lambda: solve(problem, "banded"))
-    assert calls_in(advice) == [{"algorithm": "auto"}]
-    assert solve(problem).is_solved
-
-
 def hard(seed: int = 0) -> tuple[LCP, np.ndarray]:
     """Return a problem that auto does not solve from z°, and a solution of it."""
     rng, n = np.random.default_rng(seed), 90
@@ -259,16 +231,6 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     assert "npsor" not in result.explain()
 
 
-def test_the_remedy_of_a_guarantee_is_followed() -> None:
-    """The line "What to do" in explain() is guaranteed, and solves the problem."""
-    result = solve(TRAPPED, "npsor", scaling=None)
-    assert 'remedy: scaling="auto"' in result.explain()
-    assert solve(TRAPPED, "npsor", scaling="auto").is_solved
-    uncovered = convergence_guarantee(CONTACT, "npsor")
-    assert 'algorithm="auto"' in uncovered.remedy
-    assert solve(CONTACT).is_solved
-
-
 def test_least_squares_that_stop_are_told_what_helps() -> None:
     """A limit names x0=result.x, which goes on."""
     rng = np.random.default_rng(0)
@@ -280,18 +242,6 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
     assert first.status is Status.MAX_ITERATIONS
     assert "continue from x0=result.x" in first.advice
     assert bounded_least_squares(A, b, x0=first.x).is_solved
-
-
-def test_words_lead_where_they_say() -> None:
-    """INFEASIBLE names the proof that README names; a proof is told by its repr; a bound is advised once."""
-    infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 2.0]))
-    assert "(proof: result.proof)" in infeasible.advice
-    assert infeasible.proof.verify()
-    assert "row 0 contradicts its bounds" in repr(infeasible.proof)
-    stiff = LCP(np.diag([1.0, 1e12]) + np.array([[0.0, -1.0], [-3.0, 0.0]]), [-1.0, -1.0])
-    for asked in (False, True):
-        said = solve(stiff, error_bound=asked).explain()
-        assert not ("no error bound" in said and "error_bound=True" in said)
 
 
 def test_an_equation_too_many_is_told_the_way_out() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from exact import exact_rows, solve_fractions
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve, solve_batch
@@ -18,7 +17,9 @@ from lcp_plugin.core.settings import Settings
 
 METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
 TINY = 2.0**-17
-CONSTRUCTED: dict[str, tuple[Any, Any, Any, Any]] = {  # M, q, a wrong point, the right one or None
+STACKED = np.array([[1e-8, -1e-8, 0], [-1e-8, 1 + 1e-8, -1], [0, -1, 1 + 1e-8]])
+WEIGHTS = np.linalg.solve(STACKED, [0.04905, 0, 0])  # about 9.81e6, 4.905e6, 4.905e6
+CONSTRUCTED: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or None, lower
     "the snapped point is measured": (
         [[1, 1], [0, 1]],
         [-(2.0**33), 64],
@@ -45,16 +46,51 @@ CONSTRUCTED: dict[str, tuple[Any, Any, Any, Any]] = {  # M, q, a wrong point, th
     ),
     "components": (np.eye(2), [-1e10, -0.5], [1e10, 0.6], [1e10, 0.5]),
     "a row of zeros": ([[1, 1], [0, 0]], [-1, -1e-9], [1, 0], None),
+    "a tiny diagonal entry": ([[1, -2], [3, 1e-9]], [-3, -1], [1.672, 0], [3, 0]),
+    "heavy on light": (STACKED, [-0.04905, 0, 0], [4.905e6, 0, 0], WEIGHTS),
+    "a sign that is wrong for every z": ([[1e-9, 1], [-1, 0]], [-1, -1], [0, 1.1e16], None),
+    "a sign next to 1e15": (
+        [[1, 0, 2], [0, 1, 2], [-2, -2, 0]],
+        [0, -1e15, -1],
+        [0, 0, 0.5e15],
+        None,
+    ),
+    "a row in small units": (
+        [[1e6, 0, 0], [-2, -1, 0], [-1, 2, 1]],
+        [-1e6, 1, -1e15],
+        [1, 0, 1e15],
+        None,
+    ),
+    "a chain to a row with q": (
+        [[1, 0, 1, -1], [0, 1, 1, -1], [-1, -1, 0, 0], [1, 1, 0, 0]],
+        [-1e19, 2, -2, 0],
+        [-1, -1, 1e19, 0],
+        None,
+        [-1e10, -1, 0, 0],
+    ),
+    "rows that do not act": (
+        [[0.1, 0, 0, 1], [0, 0.1, 0, 1e8], [0, 0, 0.1, 1e16], [-1, -1, -1, 0]],
+        [-50, -50, -50, 1],
+        [2, 0, 0, 49.8],
+        [1, 0, 0, 49.9],
+    ),
+    "not moved to a bound": ([[1e-9, -1], [1, 1e-9]], [-1e-9, 0], [6, 5e-9], [1, 0]),
+    "excused at 1e-8": ([[2e-6, 1], [-1, 1e-11]], [-1, -2e-11], [2e-12, 1], [0, 2]),
 }
+
+
+def constructed(name: str) -> tuple[LCP, Any, Any]:
+    """Return the problem, a wrong point and the right one."""
+    M, q, wrong, right, *lower = CONSTRUCTED[name]
+    return LCP(np.array(M, float), q, lower=lower[0] if lower else 0.0), wrong, right
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", CONSTRUCTED)
 def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) -> None:
     """No method calls a constructed wrong point SOLVED: the answer is right, or the status says that it is not."""
-    M, q, wrong, right = CONSTRUCTED[name]
-    problem = LCP(np.array(M, float), q)
-    if method == "psor" and not problem.diagonal.all():
+    problem, wrong, right = constructed(name)
+    if method == "psor" and (problem.diagonal <= 0.0).any():
         with pytest.raises(UnsuitableMatrix):
             solve(problem, method)
         return
@@ -63,30 +99,25 @@ def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) 
         if right is None:
             assert not result.is_solved
         elif result.is_solved:
-            np.testing.assert_allclose(result.z, right, rtol=1e-4)
+            np.testing.assert_allclose(result.z, right, rtol=1e-4, atol=1e-3)
     if method == "auto":
         assert result.is_solved is (right is not None)
 
 
 @pytest.mark.parametrize("name", CONSTRUCTED)
-def test_a_certificate_refuses_the_wrong_point(name: str) -> None:
-    """The point itself fails one of the two tests."""
-    M, q, wrong, right = CONSTRUCTED[name]
-    problem = LCP(np.array(M, float), q)
-    assert not Certificate.of(problem, wrong).meets(Settings())
-    if right is not None:
-        assert Certificate.of(problem, right).meets(Settings())
-
-
-def test_a_small_row_in_the_unit_of_another_is_not_excused() -> None:
-    """w₄ = −2 at its bound, next to z₃ = 1e19, is wrong: row 3 has q₃ = −2 and the same unknowns."""
-    M = np.array([[1, 0, 1, -1], [0, 1, 1, -1], [-1, -1, 0, 0], [1, 1, 0, 0]], float)
-    q, lower = [-1e19, 2, -2, 0], [-1e10, -1, 0, 0]
-    for matrix in (M, sp.csr_array(M)):
-        problem = LCP(matrix, q, lower=lower)
-        assert not Certificate.of(problem, [-1, -1, 1e19, 0]).meets(Settings())
-        assert not solve(problem).is_solved
-    assert not solve_batch(M, [q, q], lower=lower)[0].is_solved
+def test_a_certificate_and_a_batch_refuse_the_wrong_point(name: str) -> None:
+    """The point itself fails one of the two tests, sparse or dense, and a batch does not end there."""
+    problem, wrong, right = constructed(name)
+    M, q, lower = problem.csr, problem.q, problem.lower
+    for one in (problem, LCP(M, q, lower=lower)):
+        assert not Certificate.of(one, wrong).meets(Settings())
+        if right is not None:
+            assert Certificate.of(one, right).meets(Settings())
+    batch = solve_batch(M.toarray(), [q, q], lower=lower, z0=[np.maximum(lower, 0.0), wrong])
+    for z, status in zip(batch.z, batch.status, strict=True):
+        assert (status is Status.SOLVED) == (right is not None)
+        if right is not None:
+            np.testing.assert_allclose(z, right, rtol=1e-5, atol=1e-3)
 
 
 @pytest.mark.parametrize("power", [-300, -40, 0, 40, 300])

@@ -124,21 +124,6 @@ def test_rounding_level_is_a_precision_limit() -> None:
         np.testing.assert_allclose(result.z, EXAMPLE.exact, rtol=1e-14)
 
 
-def test_zero_start_that_solves_is_returned_at_once() -> None:
-    """Where z° solves the problem, it is the answer after 0 iterations."""
-    for q in ([0.0, 0.0], [1.0, 2.0]):
-        result = solve(LCP([[2.0, 1.0], [1.0, 2.0]], q))
-        assert (result.status, result.iterations) == (Status.SOLVED, 0)
-
-
-@pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_empty_problem_is_solved(name: str) -> None:
-    """N = 0 is SOLVED by every algorithm with an empty z."""
-    result = solve(LCP(np.zeros((0, 0)), []), name)
-    assert result.status is Status.SOLVED
-    assert result.z.shape == result.w.shape == (0,)
-
-
 def test_warm_start_is_used_and_left_alone() -> None:
     """A start at the answer needs no iteration; the caller's z0 is not modified; a start outside is projected."""
     answer = np.array(EXAMPLE.exact)
@@ -279,17 +264,6 @@ def test_callback_stops_the_run_and_cannot_write() -> None:
         solve(OBSTACLE.problem, "npgs", callback=writes)
 
 
-@pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_the_caller_s_floating_point_settings_are_his_own(name: str) -> None:
-    """What a callback finds in np.geterr() is what was set before solve, and so it is afterwards."""
-    problem = OBSTACLE.problem if name in ("auto", *BOUNDED) else EXAMPLE.problem
-    with np.errstate(over="raise", invalid="warn", divide="print", under="ignore"):
-        before, seen = np.geterr(), []
-        solve(problem, name, max_iterations=20, callback=lambda sample, z: seen.append(np.geterr()))
-        assert seen
-        assert all(settings == before for settings in [*seen, np.geterr()])
-
-
 @pytest.mark.parametrize("name", DIRECT)
 def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
     """Every step, also on the way, is a point of the box, although Newton and interior point methods leave it."""
@@ -327,38 +301,6 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
 
 
-def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:
-    """The step at which a callback stops is in the history, with its residual."""
-    result = solve(
-        OBSTACLE.problem, "psor", record=True, callback=lambda sample, z: sample.iteration == 57
-    )
-    assert result.history[-1].iteration == result.iterations == 57
-    assert result.history[-1].residual is not None
-
-
-@dataclass(frozen=True, kw_only=True)
-class BadFinish(Scripted):
-    """Ends with a clean-up that spoils the answer."""
-
-    def finish(self, problem: LCP, z: np.ndarray) -> np.ndarray:
-        return z + 1.0
-
-
-def test_a_spoiling_clean_up_is_discarded() -> None:
-    """finish() is kept only where the certificate is no worse."""
-    result = solve(TWO, BadFinish(points=((2.5, 0.0),)))
-    assert result.status is Status.SOLVED
-    np.testing.assert_array_equal(result.z, (2.5, 0.0))
-
-
-def test_options_reach_the_algorithm() -> None:
-    """Options given to solve are those of the dataclass; a name and an object mean the same."""
-    by_name = solve(OBSTACLE.problem, "psor", relaxation=1.6, sweep="symmetric")
-    by_object = solve(OBSTACLE.problem, create("psor", {"relaxation": 1.6, "sweep": "symmetric"}))
-    np.testing.assert_array_equal(by_name.z, by_object.z)
-    assert by_name.iterations != solve(OBSTACLE.problem, "psor", relaxation=1.2).iterations
-
-
 def test_require_solved_raises_with_the_advice() -> None:
     """require_solved returns the result itself, or raises NotConverged with status, residual and advice."""
     good = solve(TWO, "pgs")
@@ -367,25 +309,6 @@ def test_require_solved_raises_with_the_advice() -> None:
         NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: .* raise max_iterations"
     ):
         solve(OBSTACLE.problem, "npsor", max_iterations=2).require_solved()
-
-
-def test_result_tells_its_story() -> None:
-    """explain(), str() and JSON carry status, residual, counts; JSON has null for what is not finite."""
-    result: Result = solve(OBSTACLE.problem, "psor")
-    assert str(result) == result.explain()
-    assert "SOLVED" in result.explain()
-    content = json.loads(result.to_json())
-    assert content["status"] == "SOLVED"
-    assert content["iterations"] == result.iterations
-    diverged = solve(LCP([[1e-300]], [1.0], lower=-np.inf), "npgs", max_iterations=3)
-    assert json.loads(diverged.to_json())["n"] == 1
-
-
-def test_every_status_is_an_advice() -> None:
-    """The value of each status is a sentence that no other status has."""
-    advice = [status.value for status in Status]
-    assert len(set(advice)) == len(advice)
-    assert all(len(text.split()) > 5 for text in advice)
 
 
 # --- Error bounds and guarantees -----------------------------------------------------------------------------

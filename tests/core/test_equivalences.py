@@ -8,10 +8,10 @@ from itertools import islice
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from families import BOUNDED, MODULUS, NEEDS_MONOTONE, SWEEPERS
+from families import BOUNDED, SWEEPERS
 from numpy.testing import assert_allclose
 
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
 from lcp_plugin.core.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
 from lcp_plugin.core.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
@@ -290,36 +290,6 @@ def test_maor_is_bai_s_iteration(
 # --- Bounds and shifts -------------------------------------------------------------------------------------
 
 
-def shifted(problem: LCP, by: float) -> LCP:
-    """The problem in the unknown z + by."""
-    return problem.with_q(
-        problem.q - problem.csr @ np.full(problem.n, by),
-        lower=problem.lower + by,
-        upper=problem.upper + by,
-    )
-
-
-# The size of the unknowns is what an interior point method begins at, and a shift changes it.
-@pytest.mark.parametrize("name", [name for name in BOUNDED if name not in NEEDS_MONOTONE])
-@EVERY_KIND
-def test_a_shift_of_the_box_shifts_the_iterates(name: str, kind: str) -> None:
-    """In the unknown z + c a bounded problem has the iterates z_k + c."""
-    problem = random_problem(kind, bounds=True)
-    algorithm, start = create(name, {}), start_for(problem)
-    path = iterates(algorithm, problem, start)
-    assert_same(iterates(algorithm, shifted(problem, 3.0), start + 3.0), path + 3.0)
-
-
-@pytest.mark.parametrize("name", MODULUS)
-@EVERY_KIND
-def test_the_modulus_family_works_above_any_lower_bound(name: str, kind: str) -> None:
-    """With a finite lower bound the modulus iterates are those of the plain problem, shifted."""
-    plain = random_problem(kind, bounds=False)
-    start = np.maximum(start_for(plain), 0.0)
-    path = iterates(create(name, {}), plain, start)
-    assert_same(iterates(create(name, {}), shifted(plain, -2.0), start - 2.0), path - 2.0)
-
-
 @pytest.mark.parametrize("name", REGISTRY)
 @pytest.mark.parametrize("exponent", [-300, 60])  # beyond, a bound is none
 def test_another_unit_of_z_changes_no_bit(name: str, exponent: int) -> None:
@@ -357,23 +327,6 @@ def test_diagonal_scaling_is_the_row_scaled_problem(
     )
     scaled = replace(algorithm, scaling="diagonal", scaling_factor=factor)
     assert_same(iterates(scaled, problem), iterates(replace(algorithm, scaling=None), rows_scaled))
-
-
-@pytest.mark.parametrize(
-    "name", [n for n in REGISTRY if not n.startswith("np") and n not in NEEDS_MONOTONE]
-)
-@EVERY_KIND
-def test_relatives_do_not_see_row_scaling(name: str, kind: str) -> None:
-    """P*, M* with Ω a multiple of D, Newton, Lemke take the same steps on (M, q) and (SM, Sq), S powers of two.
-
-    Lemke does so from a guess that is near; from 0 it covers w by r = 1 in equilibrated units.
-    """
-    problem = random_problem(kind, bounds=False)
-    S = np.exp2(np.arange(problem.n) % 41 - 20)
-    rows_scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
-    start = 1.01 * solve(problem).z if name == "lemke" else start_for(problem)
-    path = iterates(create(name, {}), problem, start)
-    assert_same(path, iterates(create(name, {}), rows_scaled, start))
 
 
 # --- Order of the rows -------------------------------------------------------------------------------------

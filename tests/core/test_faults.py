@@ -7,23 +7,20 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from shutil import copytree, ignore_patterns
-from typing import Any
 
 import numpy as np
 import pytest
 from families import BOUNDED
-from relations import bits, data_of, surroundings
+from relations import bits, data_of
 
-from lcp_plugin import LCP, Status, analyze, error_bound, gallery, prepare, solve
+from lcp_plugin import LCP, Status, analyze, error_bound, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Step
 from lcp_plugin.core.splittings.projected_type import NPSOR
 
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
-TOTAL = gallery.build("obstacle_2d", size=12, shifted=True).problem
 SWEPT = gallery.build("obstacle_2d", size=30).problem  # auto begins with npsor
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 
@@ -35,42 +32,6 @@ def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[s
         [sys.executable, "-P", "-W", "error", "-c", textwrap.dedent(code)],
         capture_output=True, text=True, check=False, timeout=120, env={**os.environ, **settings},
     )  # fmt: skip
-
-
-def fresh_bits(name: str, problem: LCP = TOTAL) -> tuple[bytes, ...]:
-    """The answer to the problem stated anew."""
-    return bits(
-        solve(LCP(problem.csr.copy(), problem.q, lower=problem.lower, upper=problem.upper), name).z
-    )
-
-
-# --- Callbacks and clocks -------------------------------------------------------------------------------------------
-
-
-class Stop(Exception):
-    """Raised by a callback of these tests."""
-
-
-@EVERY_ALGORITHM
-def test_what_a_callback_raises_is_passed_on_and_corrupts_nothing(name: str) -> None:
-    """An exception of the callback arrives as it is, at whatever step; the same problem then gives the same bits."""
-    problem = prepare(LCP(TOTAL.csr.copy(), TOTAL.q, lower=TOTAL.lower))
-    before, around, expected = data_of(problem), surroundings(), fresh_bits(name)
-    for step in (0, 1, 3):
-        seen = []
-
-        def raises(sample: Any, z: np.ndarray, step: int = step, seen: list[int] = seen) -> None:
-            seen.append(sample.iteration)
-            if sample.iteration == step:
-                raise Stop(step)
-
-        with suppress(Stop):
-            solve(problem, name, callback=raises)
-            assert max(seen) < step  # the run was over before
-        assert seen[-1] <= step
-        assert data_of(problem) == before
-        assert surroundings() == around
-        assert bits(solve(problem, name).z) == expected
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------------

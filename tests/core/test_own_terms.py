@@ -7,72 +7,8 @@ import pytest
 import scipy.sparse as sp
 from campaigns import tiny_diagonals
 
-from lcp_plugin import LCP, Certificate, Status, solve, solve_batch
-from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.errors import UnsuitableMatrix
+from lcp_plugin import LCP, Certificate, solve, solve_batch
 from lcp_plugin.core.settings import Settings
-
-STACKED = [[1e-8, -1e-8, 0.0], [-1e-8, 1.0 + 1e-8, -1.0], [0.0, -1.0, 1.0 + 1e-8]]
-FAR_ROWS = [
-    [0.1, 0.0, 0.0, 1.0],
-    [0.0, 0.1, 0.0, 1e8],
-    [0.0, 0.0, 0.1, 1e16],
-    [-1.0, -1.0, -1.0, 0.0],
-]
-HIDDEN = {
-    "a tiny diagonal entry": ([[1.0, -2.0], [3.0, 1e-9]], [-3.0, -1.0], [3.0, 0.0], [1.672, 0.0]),
-    "heavy on light": (
-        STACKED,
-        [-0.04905, 0.0, 0.0],
-        [9.81e6, 4.905e6, 4.905e6],
-        [4.905e6, 0.0, 0.0],
-    ),
-    "rows that do not act": (
-        FAR_ROWS,
-        [-50.0, -50.0, -50.0, 1.0],
-        [1.0, 0.0, 0.0, 49.9],
-        [2.0, 0.0, 0.0, 49.8],
-    ),
-}
-
-
-@pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
-@pytest.mark.parametrize("kind", HIDDEN)
-def test_solved_is_the_solution(kind: str, algorithm: str) -> None:
-    """From wherever a run begins: SOLVED is right to 1e-5, and auto solves it; a false z is refused."""
-    M, q, right, false = HIDDEN[kind]
-    problem = LCP(M, q)
-    assert not Certificate.of(problem, false).meets(Settings())
-    for z0 in (None, false):
-        try:
-            result = solve(problem, algorithm, z0=z0, max_iterations=2000)
-        except UnsuitableMatrix:
-            continue
-        assert result.is_solved or algorithm != "auto"
-        if result.is_solved:
-            assert result.z == pytest.approx(right, rel=1e-5, abs=1e-3)
-
-
-@pytest.mark.parametrize("kind", HIDDEN)
-def test_a_batch_is_judged_alike(kind: str) -> None:
-    """What a compiled loop takes is judged by rows, too, whatever the start."""
-    M, q, right, false = HIDDEN[kind]
-    batch = solve_batch(np.array([M, M]), np.array([q, q]), z0=np.array([np.zeros(len(q)), false]))
-    assert batch.all_solved
-    for z in batch.z:
-        assert z == pytest.approx(right, rel=1e-5, abs=1e-3)
-
-
-def test_no_row_below_its_sign_is_solved() -> None:
-    """w_2 = −z_1 − 1 < 0 for every z: infeasible, however far z_2 would bring the residual down."""
-    problem = LCP([[1e-9, 1.0], [-1.0, 0.0]], [-1.0, -1.0])
-    assert not Certificate.of(problem, [0.0, 1.1e16]).meets(Settings())
-    assert solve(problem).status is Status.INFEASIBLE
-    far = LCP(
-        [[1.0, 0.0, 2.0], [0.0, 1.0, 2.0], [-2.0, -2.0, 0.0]], [0.0, -1e15, -1.0]
-    )  # w_3 ≤ −1 beside w_2 of 1e15
-    assert not Certificate.of(far, [0.0, 0.0, 0.5e15]).meets(Settings())
-    assert solve(far).status is not Status.SOLVED
 
 
 def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
@@ -87,65 +23,6 @@ def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
         assert Certificate.of(beside, [1.0 + 2.0 * z_2, np.nextafter(z_2, 1.0)]).meets(Settings())
 
 
-def test_what_fell_under_attack_is_refused() -> None:
-    """Points that earlier forms of the rule passed: not moved to a bound; excused at 1e-8; moved as far as z is."""
-    for M, q, false in (
-        ([[1e-9, -1.0], [1.0, 1e-9]], [-1e-9, 0.0], [6.0, 5e-9]),
-        ([[2e-6, 1.0], [-1.0, 1e-11]], [-1.0, -2e-11], [2e-12, 1.0]),
-        (
-            [
-                [1e-6, 0.0, 0.0, 0.0],
-                [1.0, 1e-6, 0.0, 0.0],
-                [-3.0, -2.0, 1.0, 0.0],
-                [-2.0, 1.0, 3.0, 1e-6],
-            ],
-            [-1e-6, -1.0, 1.0, 2999996.0],
-            [1.0, 0.0, 2.0, 0.9993],
-        ),
-    ):
-        assert not Certificate.of(LCP(M, q), false).meets(Settings())
-
-
-@pytest.mark.full
-def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
-    """w_3 = .5 where z_3 = 1: neither SOLVED nor rounding, though m_34 = −1e19 would hide it."""
-    M = [
-        [0.0, -3.0, 2.0, -1.0],
-        [3.0, -3.0, 3.0, 1.0],
-        [1.0, -2.0, 2.0, -1e19],
-        [1.0, -3.0, 1.0, -2.0],
-    ]
-    problem = LCP(M, [-2.0, 0.0, -1.5, 0.0])
-    for result in (solve(problem), *solve_batch([problem, problem])):
-        assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
-
-
-def test_a_row_with_a_q_is_asked_for_in_its_own_unit() -> None:
-    """w_2 = −1 and w_3 = −1 off a bound beside z = 1e15 and 1e19 in the same component: neither has a solution."""
-    for M, q, lower, false in (
-        (
-            [[1e6, 0.0, 0.0], [-2.0, -1.0, 0.0], [-1.0, 2.0, 1.0]],
-            [-1e6, 1.0, -1e15],
-            0.0,
-            [1.0, 0.0, 1e15],
-        ),
-        (
-            [
-                [1.0, 0.0, 1.0, -1.0],
-                [0.0, 1.0, 1.0, -1.0],
-                [-1.0, -1.0, 0.0, 0.0],
-                [1.0, 1.0, 0.0, 0.0],
-            ],
-            [-1e19, 2.0, -2.0, 0.0],
-            [-1e10, -1.0, 0.0, 0.0],
-            [0.0, -1.0, 1e19, 0.0],
-        ),
-    ):
-        problem = LCP(M, q, lower=lower)
-        assert not Certificate.of(problem, false).meets(Settings())
-        assert solve(problem).status is not Status.SOLVED
-
-
 def test_rows_where_no_double_is_nearer_are_right() -> None:
     """A step of diffusion into a far field that underflows is solved; a wrong row of 1e-309 there is not excused."""
     n = 2400
@@ -157,25 +34,6 @@ def test_rows_where_no_double_is_nearer_are_right() -> None:
     false = result.z.copy()
     false[n - 200] += 1e-309
     assert not Certificate.of(problem, false).meets(Settings())
-
-
-@pytest.mark.full
-def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:
-    """w_4 = −3.3e-13 and −2.2e-12 are all of their rows; without them w_1 > 0 where z_1 > 0."""
-    for M, q in (
-        ([[1e-12, 0, -1, -1], [0, 1e-11, 0, 2], [3, 2, 1e-10, 3], [0, 0, -1, -3]], [0, 2, -1, 0]),
-        (
-            [
-                [1e-12, -2, 2, 2, 3],
-                [2, 0, -1, 2, -1],
-                [1, -3, 2, 1, 2],
-                [0, -3, -3, -2, 3],
-                [0, 1, 1, -3, -3],
-            ],
-            [0, -3, 0, 0, 3],
-        ),
-    ):
-        assert solve(LCP(M, q)).status is not Status.SOLVED
 
 
 @pytest.mark.full

@@ -46,35 +46,6 @@ def test_a_run_is_printed_from_header_to_end(capsys: pytest.CaptureFixture[str])
     )
 
 
-@pytest.mark.parametrize("name", ["auto", "pgs", "newton"])
-def test_printing_changes_nothing(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """z, iterations, work and history are those of a run that prints nothing."""
-    silent = solve(scene(), name, record=True)
-    assert capsys.readouterr().out == ""
-    told = solve(scene(), name, record=True, verbose=True)
-    assert np.array_equal(told.z, silent.z)
-    assert (told.iterations, told.work, told.status) == (
-        silent.iterations,
-        silent.work,
-        silent.status,
-    )
-    assert [sample.residual for sample in told.history] == [
-        sample.residual for sample in silent.history
-    ]
-
-
-def test_small_problems_are_printed_too(capsys: pytest.CaptureFixture[str]) -> None:
-    """What one compiled call solves otherwise is taken step by step, to the same answer."""
-    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    silent = solve(problem)
-    assert capsys.readouterr().out == ""
-    told = solve(problem, verbose=True)
-    header, _, iterations, _ = printed_by(told, capsys.readouterr().out)
-    assert "M dense, symmetric, with positive diagonal" in header
-    assert iterations[0] == 0
-    np.testing.assert_allclose(told.z, silent.z, atol=1e-8)
-
-
 def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFixture[str]) -> None:
     """The linear problems inside print nothing."""
     problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]))

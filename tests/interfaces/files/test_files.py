@@ -25,7 +25,6 @@ from lcp_plugin import LCP, UnreadableFile
 INF = math.inf
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 1 / 3]])
 PROBLEM = LCP(M, [1e-320, 0.1, -3e300], lower=[-INF, 0.0, -1.0], upper=[INF, INF, 1.0])
-EMPTY = LCP(np.zeros((0, 0)), [])
 VECTOR = "%%MatrixMarket matrix array real general\n3 1\n{}\n{}\n{}\n"
 
 
@@ -65,48 +64,6 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 
 # --- round trips -----------------------------------------------------------------------------------------------
-
-ROUND_TRIPS = {
-    "bounds of every kind": PROBLEM,
-    "plain": LCP(M, [1.0, 2.0, 3.0]),
-    "free rows": LCP(M, [1.0, 2.0, 3.0], lower=-INF),
-    "box": LCP(M, [1.0, 2.0, 3.0], lower=-1.0, upper=[1.0, 1.0, -1.0]),
-    "one unknown": LCP([[2.0]], [-1.0]),
-    "one unknown, no entry": LCP([[0.0]], [1.0]),
-    "no entries": LCP(sp.csr_array((3, 3)), [1.0, 2.0, 3.0]),
-    "ends of the doubles": LCP(
-        [[5e-324, 1.0], [-5e-324, 1.7976931348623157e308]],
-        [2.2250738585072014e-308, -1.7976931348623157e308],
-        lower=[-9.99e19, -5e-324],
-        upper=[5e-324, 9.999999999999998e19],
-    ),
-    "17 digits": LCP(
-        np.random.default_rng(1).standard_normal((7, 7)),
-        np.random.default_rng(2).standard_normal(7),
-    ),
-    "empty": EMPTY,
-}
-
-
-@pytest.mark.parametrize("p", [pytest.param(p, id=name) for name, p in ROUND_TRIPS.items()])
-def test_npz_round_trip(p: LCP, tmp_path: Path) -> None:
-    """A problem saved as .npz and loaded again has the same bits, infinities and subnormal numbers included."""
-    p.save(tmp_path / "p.npz")
-    assert_same(p, LCP.load(tmp_path / "p.npz"))
-    assert list(files_in(tmp_path)) == ["p.npz"]
-
-
-@pytest.mark.parametrize("p", [pytest.param(p, id=name) for name, p in ROUND_TRIPS.items() if p.n])
-def test_folder_round_trip(p: LCP, tmp_path: Path) -> None:
-    """A problem saved as Matrix Market files and loaded again has the same bits."""
-    p.save(tmp_path / "deep" / "folder")
-    assert_same(p, LCP.load(tmp_path / "deep" / "folder"))
-    assert sorted(files_in(tmp_path / "deep" / "folder")) == [
-        "M.mtx",
-        "lower.mtx",
-        "q.mtx",
-        "upper.mtx",
-    ]
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -247,33 +204,6 @@ def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         LCP.load(tmp_path).M, [[1.0, 4.0, 7.0], [2.0, 5.0, 8.0], [3.0, 6.0, 9.0]]
     )
-
-
-SCIPY_WRITES = {
-    "symmetric": np.array([[2, -1, 0], [-1, 2, -1], [0, -1, 2]]),
-    "skew-symmetric": np.array([[0, 1, 0], [-1, 0, 2], [0, -2, 0]]),
-    "general": np.array([[2, -1, 0], [0, 2, -1], [1, 0, 2]]),
-    "triangular": np.array([[2, 0, 0], [5, 2, 0], [1, 0, 2]]),
-    "one unknown": np.array([[3]]),
-    "zero": np.zeros((3, 3), dtype=int),
-}
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int64, np.uint8])
-@pytest.mark.parametrize("is_sparse", [True, False], ids=["sparse", "dense"])
-@pytest.mark.parametrize("matrix", SCIPY_WRITES.values(), ids=SCIPY_WRITES.keys())
-def test_what_scipy_writes_is_read(
-    matrix: np.ndarray, is_sparse: bool, dtype: type, tmp_path: Path
-) -> None:
-    """Every real matrix and vector written by scipy.io.mmwrite, which picks field and symmetry itself, is read."""
-    kind = np.dtype(dtype).kind
-    values = (np.abs(matrix) if kind == "u" else matrix).astype(dtype)
-    q = np.arange(len(values)).reshape(-1, 1).astype(dtype)
-    scipy.io.mmwrite(tmp_path / "M.mtx", sp.coo_array(values) if is_sparse else values)
-    scipy.io.mmwrite(tmp_path / "q.mtx", sp.coo_array(q) if is_sparse else q)
-    p = LCP.load(tmp_path)
-    np.testing.assert_array_equal(p.csr.toarray(), values.astype(float))
-    np.testing.assert_array_equal(p.q, q.ravel().astype(float))
 
 
 # --- refused files -----------------------------------------------------------------------------------------------

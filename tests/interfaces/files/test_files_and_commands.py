@@ -200,10 +200,7 @@ def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
     for grid in ("3×4", "2x2x3"):
         assert lcp_plugin("solve", name, "--plot", "out.png", "--grid", grid).exit_code == 0
     for words, pattern in (
-        (
-            "--plot out.png --grid 3x5",
-            r"shape \(3, 5\) has 15 unknowns, and the problem has 12",
-        ),
+        ("--plot out.png --grid 3x5", r"shape \(3, 5\) has 15 unknowns, and the problem has 12"),
         (
             "--plot out.png --grid 3by4",
             "--grid requires integers, rows x columns, as --grid 500x500; got '3by4'",

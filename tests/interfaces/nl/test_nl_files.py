@@ -157,26 +157,6 @@ def test_suffixes_of_binary_files_are_passed_over(tmp_path: Path) -> None:
     assert difference(read(tmp_path, data[:at] + whole + real + data[at:]), plain) == ""
 
 
-@pytest.mark.parametrize(
-    ("announced", "is_there", "is_fine"), [(1, 1, 1), (2, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1)]
-)
-def test_a_gradient_may_be_shorter_than_announced_but_not_missing(
-    tmp_path: Path, announced: int, is_there: bool, is_fine: bool
-) -> None:
-    """AMPL announces more entries of an objective than it writes at times; a file cut before them is damaged."""
-    text = SMALL.replace(b" 2 2 0 0 1 0", b" 2 2 1 0 1 0").replace(
-        b" 4 0\n", b" 4 %d\n" % announced
-    )
-    text = text.replace(b"x1\t", b"O0 1\nn3\nx1\t") + b"G0 1\n1 5\n" * is_there
-    if is_fine:
-        content = read(tmp_path, text)
-        assert content.objective_linear.toarray().tolist() == [[0, 5 * is_there]]
-        assert content.is_maximized.all()
-    else:
-        with pytest.raises(errors.UnreadableFile, match=r"line 8 .*segments G"):
-            read(tmp_path, text)
-
-
 def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
     """Names come from .col and .row; where none are announced or some are missing, such files are left alone."""
     (tmp_path / "m.col").write_text("price\nquantity [a b]\n")
@@ -274,19 +254,6 @@ def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
             )
 
 
-@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0x7FF8000000000000, 0x7FF0000000000000])
-def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int) -> None:
-    """A NaN of either kind and an infinity in an expression are refused with their byte, without a warning."""
-    write_form(read(tmp_path, SMALL), tmp_path / "m.nl", binary=True)
-    data = (tmp_path / "m.nl").read_bytes()
-    old = b"n" + struct.pack("<d", -2.0)
-    assert data.count(old) == 1
-    with pytest.raises(
-        errors.UnreadableFile, match=rf"byte {data.index(old)}: a number is not finite"
-    ):
-        read(tmp_path, data.replace(old, b"n" + struct.pack("<Q", bits)))
-
-
 @pytest.mark.parametrize("options", [(3, 1, 1, 0), (5, 0, 1, 0, 7, 2021), (3, 1, 3, 0)])
 @pytest.mark.parametrize("has_values", [True, False])
 def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
@@ -322,32 +289,6 @@ def read_by_pyomo(path: Path, x: object, y: object, options: tuple[int, ...]) ->
         old = ResultsReader_sol()(str(path), suffixes=["dual"])
         assert old.solver.id == 200
         assert [old.solution(0).variable[f"v{j}"]["Value"] for j in range(len(values))] == values
-
-
-def test_wrong_calls_are_told(tmp_path: Path) -> None:
-    """What is no content, no path, no answer, or lacks its sizes is refused in words."""
-    path = tmp_path / "m.nl"
-    path.write_bytes(SMALL)
-    for call, kind, words in (
-        (
-            lambda: write_nl("m.nl", path),
-            errors.InvalidProblem,
-            "of an LCP, a QuadraticProgram, .* got str",
-        ),
-        (lambda: read_content(None), errors.InvalidOption, "path must be"),  # type: ignore[arg-type]
-        (
-            lambda: write_sol(path, "", None, None, (0,), 0),
-            errors.InvalidProblem,
-            r"give sizes=\(m, n\)",
-        ),
-        (
-            lambda: write_sol(path, "", [1], [2], (0,), 0, sizes=(1, 2)),
-            errors.InvalidProblem,
-            r"x must have the shape",
-        ),
-    ):
-        with pytest.raises(kind, match=words):
-            call()
 
 
 @pytest.mark.parametrize("seed", range(6))

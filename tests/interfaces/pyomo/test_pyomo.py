@@ -525,22 +525,6 @@ def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
     assert (results.problem.sense == pe.maximize) == (sense == pe.maximize)
 
 
-def test_reduced_costs_of_variables_whose_bounds_are_equal_hold_the_objective_and_nonlinear_rows() -> (
-    None
-):
-    """They are slopes of the Lagrangian by every variable, also where equal bounds make one a number."""
-    m = program()
-    m.rate = pe.Var(bounds=(2, 2))
-    m.o.set_value(m.o.expr + 5 * m.rate * m.x[2])
-    m.product = pe.Constraint(expr=m.rate * m.x[2] >= 1)
-    pe.assert_optimal_termination(SOLVER.solve(m))
-    assert [m.x[1].value, m.x[2].value] == pytest.approx([1.5, 0.5], abs=1e-8)
-    assert (m.dual[m.limit], m.dual[m.product]) == pytest.approx((-3.0, 7.5))
-    assert (m.rc[m.rate], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx(
-        (2.5 - 7.5 * 0.5, 0.0, 0.0), abs=1e-8
-    )
-
-
 def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible() -> None:
     """Not unbounded, as the rest would be, nor optimal with a remark; one that holds but for rounding is none."""
     m = model(lambda m: None)
@@ -718,17 +702,6 @@ def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None
         "False",
         "lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'",
     ]
-
-
-def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:
-    """Pyomo's file leaves it out; after "optimal" it is as near to 0 as its bounds let it."""
-    model = pe.ConcreteModel()
-    model.x, model.y, model.z = pe.Var(bounds=(0, None)), pe.Var(bounds=(1, 3)), pe.Var()
-    model.goal = pe.Objective(expr=(model.x - 1) ** 2 + 0 * model.y)
-    model.row = pe.Constraint(expr=model.x + 0 * model.z >= 0.5)
-    found = pe.SolverFactory("lcp_plugin").solve(model)
-    assert str(found.solver.termination_condition) == "optimal"
-    assert [one.value for one in (model.x, model.y, model.z)] == pytest.approx([1.0, 1.0, 0.0])
 
 
 COMMANDS_MODEL = """

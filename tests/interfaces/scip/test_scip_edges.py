@@ -21,7 +21,7 @@ from sol_files import read_sol
 
 import lcp_plugin.pyomo
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, derivative
-from lcp_plugin.commands import ampl, cli
+from lcp_plugin.commands import ampl
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
@@ -386,38 +386,6 @@ def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere
 # --- Whose bound it is, and how to ask for a proof ---
 
 
-def test_prove_is_a_keyword_of_the_executable_and_an_option_of_the_command(
-    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """prove=1 leaves no word of SCIP's bound; what cannot be proved is told; it is no option of other problems."""
-    m = toll_in_pyomo()
-    m.income.set_value(m.flow[0] - 2 * m.toll)
-    m.toll.setub(20.0)
-    for words, is_proved in (((), False), (("prove=0",), False), (("prove=1",), True)):
-        found = answered_by_ampl(m, tmp_path, *words)
-        assert found.code == 0
-        if is_proved:
-            assert "SCIP" not in found.message
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["lcp-plugin", "solve", "m.nl", "--option", "prove=true"])
-    with pytest.raises(SystemExit) as ended:
-        cli.run()
-    assert ended.value.code == 0
-    assert "result.verify() checks the proof" in capsys.readouterr().out
-    m.income.set_value(m.flow[0] * m.toll)
-    found = answered_by_ampl(m, tmp_path, "prove=1")
-    assert found.code == 500
-    assert "this problem has an objective that is not convex; leave it out" in found.message
-    found = answered_by_ampl(m, tmp_path)
-    assert "bound by SCIP, in floating point" in found.message
-    m.income.deactivate()
-    m.toll.fix(1.0)
-    assert answered_by_ampl(m, tmp_path).code == 0
-    found = answered_by_ampl(m, tmp_path, "prove=1")
-    assert found.code == 500
-    assert "prove" in found.message
-
-
 def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
     """In cvxpy; without it the bound is SCIP's, and said to be."""
     with pytest.raises(
@@ -431,38 +399,6 @@ def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
     assert result.gap <= result.tolerance
     assert result.problem.excess(result.x) <= 1e-7
     assert not result.verify()
-
-
-@pytest.mark.parametrize("chosen", [[(1,)], ([1],)])
-def test_of_a_variable_some_entries_may_be_whole(chosen: Any) -> None:
-    """The second entry alone is an integer, or 0 or 1; the first one stops at its bounds, 0.5 and 1.5."""
-    x, y = cp.Variable(2, integer=chosen), cp.Variable()
-    problem = cp.Problem(
-        cp.Minimize(cp.sum(x)), [complements(y >= 0, x[0] - 0.5 >= 0), x[1] >= 0.2, x[0] >= 0.1]
-    )
-    assert problem.solve(method="LCP") == pytest.approx(1.5)
-    assert x.value == pytest.approx([0.5, 1.0])
-    x = cp.Variable(2, boolean=chosen)
-    problem = cp.Problem(cp.Maximize(cp.sum(x)), [complements(y >= 0, 1.5 - x[0] >= 0)])
-    assert problem.solve(method="LCP") == pytest.approx(2.5)
-
-
-def test_integers_beside_products_go_through_a_file(tmp_path: Path) -> None:
-    """What Pyomo orders as nonlinear and integer before what is linear is written, and read as it was."""
-    m = toll_in_pyomo()
-    m.steps = pe.Var(within=pe.Integers, bounds=(0, 9))
-    m.few = pe.Var(within=pe.Binary)
-    m.step = pe.Constraint(expr=m.toll == 2 * m.steps + m.few)
-    m.income.set_value(2 * m.steps * m.flow[0] + m.few)
-    found = answered_by_ampl(m, tmp_path)
-    assert found.code == 0
-    solver = pe.SolverFactory("lcp_plugin")
-    pe.assert_optimal_termination(solver.solve(m))
-    assert (m.steps.value, m.few.value) == (
-        2.0,
-        0.0,
-    )  # 4 (6 − 4/1.5), or with few (6 − 5/1.5) 4 + 1
-    assert f"objective {-pe.value(m.income):.6g}"[:12] in found.message
 
 
 def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from hypothesis import given
 
 from lcp_plugin import (
     LCP,
-    BoundedLeastSquares,
     InvalidOption,
     InvalidProblem,
     QuadraticProgram,
@@ -155,29 +153,6 @@ def test_exact_answers_are_found(drawn: tuple[QuadraticProgram, QPAnswer]) -> No
     size = 1.0 + abs(float(answer.objective))
     assert abs(Fraction(float(answers.objective[0])) - answer.objective) <= 1e-5 * size
     assert abs(one.objective - answers.objective[0]) <= 1e-5 * size
-
-
-def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The matrices the same for all, sparse ones too: the answers are those of programs with matrices of their own."""
-    by_themselves, rng = alone(monkeypatch), np.random.default_rng(0)
-    F, B, steps = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.0], [0.1]]), 6
-    A = np.kron(np.eye(steps), np.hstack([np.eye(2), -B]))
-    for k in range(1, steps):
-        A[2 * k : 2 * k + 2, 3 * k - 3 : 3 * k - 1] = -F
-    b = np.zeros((50, 2 * steps))
-    b[:, :2] = rng.uniform(-1.0, 1.0, (50, 2)) @ F.T
-    bound = np.tile([5.0, 1.0, 1.0], steps)
-    P, c = np.diag(np.tile([1.0, 0.1, 0.01], steps)), np.zeros(3 * steps)
-    answers = solve_batch(
-        QuadraticProgramBatch(sp.csr_array(P), c, A=sp.csr_array(A), b=b, lower=-bound, upper=bound)
-    )
-    stacked = QuadraticProgramBatch(
-        np.stack([P] * 50), c, A=np.stack([A] * 50), b=b, lower=-bound, upper=bound
-    )
-    assert answers.all_solved
-    assert bits(answers) == bits(solve_batch(stacked))
-    assert not by_themselves
-    assert answers[7].objective == pytest.approx(solve(stacked[7]).objective, abs=1e-9)
 
 
 # --- One bad item, and the others --------------------------------------------------------------------------------
@@ -390,25 +365,6 @@ def test_programs_of_a_list_are_answered_together() -> None:
             np.testing.assert_allclose(answers.x[k], alone.x, rtol=1e-9, atol=1e-12)
             assert answers.objective[k] == pytest.approx(alone.objective, rel=1e-9)
             assert answers[k].status is answers.status[k] is Status.SOLVED
-
-
-def test_answers_of_other_kinds_have_rows_too() -> None:
-    """x, objective and iterations of any batch are arrays where sizes agree, and a list of x where they do not."""
-    program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
-    mixed = solve_batch(
-        [
-            program,
-            BoundedLeastSquares(np.eye(3)[:, :2], [1.0, 2.0, 3.0]),
-            LCP(np.eye(2), [-1.0, 2.0]),
-        ]
-    )
-    np.testing.assert_allclose(mixed.x, [[0.5, 1.5], [1.0, 2.0], [1.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(mixed.objective, [-2.25, 4.5, np.nan], atol=1e-9)
-    assert mixed.iterations.shape == (3,)
-    several = solve_batch([program, QuadraticProgram([[1.0]], [-1.0], G=[[1.0]], h=[0.5])])
-    assert [x.size for x in several.x] == [2, 1]
-    unbounded = solve_batch([program.with_vectors(c=[0.0, 0.0]), program])
-    assert unbounded.objective == pytest.approx([0.0, -2.25], abs=1e-12)
 
 
 def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes() -> None:

@@ -160,8 +160,7 @@ def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list
     """What is skew is refused as well, with a way out for unknowns that are no translations."""
     bodies = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [tangents]
     with pytest.raises(
-        InvalidProblem,
-        match=r"must be orthogonal unit vectors.*or, if the unknowns are not transl",
+        InvalidProblem, match=r"must be orthogonal unit vectors.*or, if the unknowns are not transl"
     ):
         LCP.from_contacts(bodies, 0.4, [0.5, 0.3, -1.0])
 

@@ -114,10 +114,7 @@ MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)
         ((MASS, NORMALS[:, :9], TANGENTS), "normals must have shape (k, 24), 24 the size of the"),
         ((-MASS, NORMALS, TANGENTS), "the mass matrix must be positive definite"),
         ((MASS[:, :9], NORMALS, TANGENTS), "the mass matrix must be square, got shape (24, 9)"),
-        (
-            (MASS, 2.0 * NORMALS, TANGENTS),
-            "must be orthogonal unit vectors, but contact 0",
-        ),
+        ((MASS, 2.0 * NORMALS, TANGENTS), "must be orthogonal unit vectors, but contact 0"),
         ((MASS, NORMALS), "contacts must be W, or (mass matrix, normals, tangents), got 2 arrays"),
         ((MASS + sp.eye_array(24, k=1), NORMALS, TANGENTS), "the mass matrix must be symmetric"),
         ((MASS * np.nan, NORMALS, TANGENTS), "the mass matrix must be finite"),

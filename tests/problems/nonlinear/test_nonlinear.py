@@ -24,7 +24,6 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
 )
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear.certificate import shares_of_unknowns, term_residuals
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
@@ -184,21 +183,6 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
     first = solve_nonlinear(one.problem, x, max_iterations=0)
     second = solve_nonlinear(other, x * unit, max_iterations=0)
     assert first.residual == second.residual
-
-
-def test_a_start_may_be_a_number_where_there_is_one_unknown() -> None:
-    """As elsewhere for equations in one unknown; for several it is rejected."""
-    problem = NonlinearProblem(lambda x: x**2 - 4.0)
-    for x0 in (5, 5.0, np.float64(5.0), np.array(5.0)):
-        assert np.array_equal(solve_nonlinear(problem, x0).z, solve_nonlinear(problem, [5.0]).z)
-    assert solve(LCP([[2.0]], [-4.0]), z0=5.0).z.round(6).tolist() == [2.0]
-    assert bounded_least_squares([[2.0]], [4.0], x0=5.0).x.round(6).tolist() == [2.0]
-    with pytest.raises(InvalidOption, match=r"x0 must be a vector of length 2, got shape \(\)"):
-        solve_nonlinear(NonlinearProblem(lambda x: x, lower=[0.0, 0.0]), 5.0)
-    with pytest.raises(
-        InvalidOption, match=r"z0 must be a finite vector of length 2 \(M is 2×2\), got shape \(\)"
-    ):
-        solve(LCP(np.eye(2), [-4.0, 1.0]), z0=5.0)
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0, 4.0])

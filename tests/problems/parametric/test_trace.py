@@ -243,20 +243,6 @@ def test_lasso_path_meets_solves(shape: tuple[int, int]) -> None:
         assert path.at(share * most).objective == pytest.approx(answer.cost, rel=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_lasso_path_is_that_of_lars(seed: int) -> None:
-    """Breakpoints and values are those of scikit-learn's lars_path."""
-    linear_model = pytest.importorskip("sklearn.linear_model")
-    A, b = lasso(seed, *((40, 15), (25, 50))[seed % 2])
-    most = np.abs(A.T @ b).max()
-    theirs, _, x = linear_model.lars_path(A, b, method="lasso", alpha_min=1e-3 * most / b.size)
-    path = trace(
-        BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most
-    ).require_solved()
-    assert np.allclose(path.breakpoints, theirs * b.size, rtol=0, atol=1e-9 * most)
-    assert np.allclose(path.x(np.clip(theirs * b.size, 1e-3 * most, most)), x.T, rtol=0, atol=1e-7)
-
-
 def test_penalties_within_bounds_weights_and_a_ridge() -> None:
     """Bounds on both sides of 0, on one side, columns without a penalty, weights and a ridge, sparse and dense."""
     rng = np.random.default_rng(5)
@@ -273,27 +259,6 @@ def test_penalties_within_bounds_weights_and_a_ridge() -> None:
             answer = solve(problem.with_vectors(l1=theta * change)).require_solved()
             assert np.abs(path.at(theta).x - answer.x).max() <= 1e-6
     assert set(np.unique(path.pieces[0].case)) <= {-1, 0, 1, 2}
-
-
-def test_right_hand_sides_move() -> None:
-    """From one b to another, for nonnegative least squares."""
-    A, b = lasso(6, 20, 8)
-    problem = BoundedLeastSquares(A, b)
-    path = trace(problem, {"b": -2 * b}, 0, 1).require_solved()
-    for theta in (0.2, 0.5, 0.9):
-        answer = solve(problem.with_vectors(b=(1 - 2 * theta) * b)).require_solved()
-        assert np.abs(path.at(theta).x - answer.x).max() <= 1e-7
-
-
-def test_what_nothing_determines_rests() -> None:
-    """An unknown that stands in no row stays where it is, also beside one that depends on it."""
-    M = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    path = trace(LCP(M, [1, 1, 0], lower=-INF), {"q": [1, 1, 0]}, 0, 3).require_solved()
-    assert path.x([0.0, 1.0, 3.0])[:, :2].sum(axis=1) == pytest.approx([-1.0, -2.0, -4.0])
-    assert not path.jumps
-    ended = trace(LCP(M, [1, 1, 0], lower=-INF), {"q": [1, 1, 1]}, 0, 3)
-    assert ended.status is Status.INFEASIBLE
-    assert ended.reached == pytest.approx(0.0, abs=1e-9)
 
 
 # --- words ----------------------------------------------------------------------------------------------------
@@ -317,9 +282,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(
-    ("problem", "along", "stop", "error", "words"),
-    REFUSED,
-    ids=[case[-1] for case in REFUSED],
+    ("problem", "along", "stop", "error", "words"), REFUSED, ids=[case[-1] for case in REFUSED]
 )
 def test_what_cannot_be_traced_is_refused_in_words(
     problem: Any, along: Any, stop: float, error: type[Exception], words: str

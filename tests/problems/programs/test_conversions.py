@@ -132,16 +132,6 @@ def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
     assert np.linalg.eigvalsh(M + M.T).min() > -1e-12
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_kkt_form_folds_singletons(seed: int) -> None:
-    """Singleton rows leave the KKT form; their multipliers come back from the reduced costs."""
-    answer = planted(seed, singletons=3)
-    problem = lcp_from_qp(answer.program)
-    assert problem.n == 8 + 4 + 2
-    z = np.concatenate([answer.x, answer.inequality[:4], answer.equality])
-    answer.agrees(problem.origin.recover(z), 1e-12)
-
-
 # --- Which form, and what is folded -------------------------------------------------------------------------
 
 
@@ -174,17 +164,6 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
     # The smallest cost may be 1e-3, which errors of multipliers are beside.
     solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved())
     assert solution.is_optimal(1e-8), solution
-
-
-def test_singleton_equation_fixes_a_variable() -> None:
-    """2 x = 6 becomes x = 3, and its multiplier has the sign of cvxpy's."""
-    program = QuadraticProgram(
-        np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [3.5], [[2.0, 0.0]], [6.0], lower=0
-    )
-    solution = lcp_from_qp(program).origin.recover([3.0, 0.5, 0.5])
-    np.testing.assert_allclose(solution.x, [3.0, 0.5])
-    np.testing.assert_allclose(solution.equality, [-2.25])
-    assert solution.is_optimal(1e-14)
 
 
 @pytest.mark.parametrize(

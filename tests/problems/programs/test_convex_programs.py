@@ -14,18 +14,8 @@ import scipy.sparse as sp
 from campaigns import convex_programs
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
-from lcp_plugin import (
-    LCP,
-    InvalidProblem,
-    QPSolver,
-    Status,
-    UnsupportedModel,
-    certify,
-    complements,
-    solve,
-)
+from lcp_plugin import LCP, InvalidProblem, QPSolver, Status, UnsupportedModel, certify, solve
 from lcp_plugin.methods.interior_point import InteriorPoint
-from lcp_plugin.modeling.registration import build
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 from lcp_plugin.problems.programs.no_minimum import (
     QPInfeasibility,
@@ -36,7 +26,6 @@ from lcp_plugin.problems.programs.no_minimum import (
 )
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
-from lcp_plugin.proofs.exact.linear_systems import solved_nearby
 
 INF = np.inf
 INTERIOR = InteriorPoint()
@@ -136,30 +125,6 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
-    ("family", "seed", "largest", "cases"),
-    [
-        ("graded rows", 5, 400, (2,)),
-        ("graded rows, columns", 5, 400, (0, 3, 7)),
-        ("huge bounds", 5, 400, (4, 6, 7)),
-        ("Netlib-like", 5, 400, (0, 1, 3)),
-        ("everything", 5, 400, (1, 5)),
-        ("graded rows, columns", 0, 800, (2, 8)),
-    ],
-)
-def test_units_and_limits_that_nobody_reaches_cost_no_steps(
-    family: str, seed: int, largest: int, cases: tuple[int, ...]
-) -> None:
-    """Rows, columns and parts of 1e±6, bounds of 1e9: 1000 steps, or some pivots an unknown, to the planted value."""
-    for case in cases:
-        program, value = convex_programs.case(family, seed, case, largest)
-        result = solve(program)
-        assert result.is_solved, (case, str(result.solution))
-        assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
-        assert result.iterations <= (60 * program.n if "daqp" in result.algorithm else 1000)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
     ("family", "seed", "case"),
     [
         ("tiny P", 7001, 42),
@@ -210,54 +175,6 @@ def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     result = solve(problem, INTERIOR)
     assert problem.origin.recover(result).is_optimal(1e-9)
     assert result.iterations <= 20
-
-
-@pytest.mark.parametrize(("kind", "seed"), [("redundant", 4), ("unstable control", 0)])
-def test_a_second_solve_starts_from_the_first(kind: str, seed: int) -> None:
-    """With numbers changed a little the active set that was right is tried first, and solves again or costs little."""
-    program, _ = convex_programs.case(kind, seed, 0, 400)
-    first = lcp_from_qp(program)
-    result = solve(first)
-    moved = QuadraticProgram(
-        program.P,
-        program.c * (1.0 + 1e-7),
-        program.G,
-        program.h,
-        program.A,
-        program.b,
-        program.lower,
-        program.upper,
-    )
-    again = lcp_from_qp(moved)
-    cold, warm = solve(again), solve(again, z0=result.z)
-    assert warm.is_solved
-    assert warm.work <= 1.1 * cold.work
-    assert again.origin.recover(warm).is_optimal(1e-6)
-
-
-def moved(program: QuadraticProgram, share: float) -> QuadraticProgram:
-    """The program with a gradient that is larger by that share."""
-    return program.with_vectors(c=program.c * (1.0 + share))
-
-
-def test_a_start_hides_no_proof_of_infeasibility() -> None:
-    """From an earlier answer, an infeasible program is INFEASIBLE and one that is not convex is rejected."""
-    program, _ = convex_programs.case("redundant", 4, 0, 400)
-    z = np.zeros(3)
-    outside = program.with_vectors(lower=np.full(program.n, 1e6), upper=np.full(program.n, 2e6))
-    assert solve(outside, z0=z).status is Status.INFEASIBLE
-    bent = QuadraticProgram(
-        -1.0 * program.P,
-        program.c,
-        program.G,
-        program.h,
-        program.A,
-        program.b,
-        program.lower,
-        program.upper,
-    )
-    with pytest.raises(UnsupportedModel, match="not convex"):
-        solve(bent, z0=z)
 
 
 def test_an_infinite_limit_may_be_rounded() -> None:
@@ -375,25 +292,6 @@ def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
     assert convex_programs.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
 
 
-def test_numbers_that_are_not_integers() -> None:
-    """Dense random data: the multipliers and the direction are exact rationals, though nothing cancels by itself."""
-    rng = np.random.default_rng(2)
-    n, m = 12, 20
-    G, y = rng.normal(size=(m, n)), rng.random(m)
-    G[0] = -(G[1:].T @ y[1:]) / y[0]
-    h = rng.normal(size=m)
-    h[0] -= (h @ y + 1.0) / y[0]
-    proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), G, h))
-    assert proof is not None
-    assert proof.verify()
-    F, d = rng.normal(size=(n, 4)), rng.normal(size=n)
-    F -= np.outer(d, d @ F) / (d @ d)
-    A = rng.normal(size=(3, n))
-    unbounded = prove_unbounded(QuadraticProgram(F @ F.T, rng.normal(size=n), A=A, b=A @ d))
-    assert unbounded is not None
-    assert unbounded.verify()
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
     """Rows and unknowns in units from 1e-5 to 1e5: the multipliers are found, whatever the units."""
@@ -409,34 +307,6 @@ def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
     )
     assert proof is not None
     assert proof.verify()
-
-
-@pytest.mark.parametrize("n", [8, 80])
-@pytest.mark.parametrize("kind", ["inequality", "equality below", "equality above"])
-def test_one_row_is_enough(kind: str, n: int) -> None:
-    """A row that the bounds contradict is found by its signs, where the bounds come as rows in any unit as well."""
-    rng = np.random.default_rng(n)
-    unit = rng.uniform(0.1, 3.0, n)
-    A = np.abs(rng.standard_normal((n // 2, n)))
-    bounds: dict[str, Any] = {"G": -np.diag(unit), "h": np.zeros(n)}
-    if kind == "inequality":
-        bounds = {
-            "G": np.vstack([A, bounds["G"]]),
-            "h": np.concatenate([np.full(n // 2, -1.0), np.zeros(n)]),
-        }
-    else:
-        sign = -1.0 if kind == "equality below" else 1.0
-        bounds |= {"A": sign * A, "b": np.full(n // 2, -sign)}
-    program = QuadraticProgram(np.zeros((n, n)), np.ones(n), **bounds)
-    proof = proof_of_no_minimum(program)
-    assert isinstance(proof, QPInfeasibility)
-    assert proof.program is program
-    assert proof.verify()
-    of_rows, of_bounds = np.split(
-        np.array(proof.multipliers, dtype=bool), [program.constraints.rows]
-    )
-    assert not of_bounds.any()
-    assert of_rows.sum() == n + 1
 
 
 @pytest.mark.parametrize(
@@ -682,25 +552,6 @@ def test_an_exact_descent_counts_beside_its_own_costs(
     assert certify(program, claim="unbounded").verdict == "proved"
 
 
-@pytest.mark.parametrize("size", [3, 14])
-def test_repair_solves_exactly_and_moves_only_what_it_may(size: int) -> None:
-    """The repaired vector satisfies redundant equations exactly, near the guess; fixed entries stay; or None."""
-    rng = np.random.default_rng(size)
-    A = rng.normal(size=(size, size + 4))
-    rows = [{j: Fraction(a) for j, a in enumerate(row)} for row in [*A, A[0] * 2.0]]
-    y = [Fraction(int(v)) for v in rng.integers(-5, 5, size + 4)]
-    right = [sum((a * y[j] for j, a in row.items()), Fraction(0)) for row in rows]
-    guess = [value + Fraction(1, 10**6) for value in y]
-    movable = [j != 1 for j in range(size + 4)]
-    exact = solved_nearby(rows, right, guess, movable)
-    assert exact is not None
-    assert exact[1] == guess[1]
-    products = [sum((a * exact[j] for j, a in row.items()), Fraction(0)) for row in rows]
-    assert products == right
-    assert max(abs(a - b) for a, b in zip(exact, y, strict=True)) < Fraction(1, 1000)
-    assert solved_nearby(rows, [*right[:-1], right[-1] + 1], guess, movable) is None
-
-
 # --- Inside cvxpy ------------------------------------------------------------------------------------------------
 
 
@@ -750,43 +601,6 @@ def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
     problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
     with pytest.raises(UnsupportedModel, match=r'psor needs a positive diagonal.*algorithm="auto"'):
         problem.solve(solver=QPSolver, algorithm="psor")
-
-
-# --- Optimality conditions written by hand ----------------------------------------------------------------------
-
-
-def is_monotone(constraints: list[Any]) -> bool:
-    M = build(constraints).problem.csr.toarray()
-    return bool(np.linalg.eigvalsh(M + M.T).min() > -1e-10 * np.abs(M).max())
-
-
-@pytest.mark.parametrize("turned", [1.0, -1.0])
-@pytest.mark.parametrize("rank", [8, 3, 0])
-def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: float) -> None:
-    """Stationarity, feasibility and pairs of a QP, whichever way its equations are turned: monotone, right value."""
-    rng = np.random.default_rng(rank)
-    F, G, A, x0 = (
-        rng.normal(size=(8, rank)),
-        rng.normal(size=(5, 8)),
-        rng.normal(size=(3, 8)),
-        rng.normal(size=8),
-    )
-    P, h, b = F @ F.T, G @ x0 + rng.random(5), A @ x0
-    c = -(P @ x0 + G.T @ rng.random(5) + A.T @ rng.normal(size=3))
-    x, inequality, equality = cp.Variable(8), cp.Variable(5), cp.Variable(3)
-    constraints = [
-        complements(inequality >= 0, h - G @ x >= 0),
-        turned * (A @ x - b) == 0,
-        turned * (P @ x + c + G.T @ inequality + A.T @ equality) == 0,
-    ]
-    assert is_monotone(constraints)
-    problem = cp.Problem(cp.Minimize(0), constraints)
-    problem.solve(method="LCP", algorithm=INTERIOR, tolerance=1e-10)
-    assert problem.status == "optimal"
-    answer = solve_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
-    assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(
-        answer.objective, rel=1e-8, abs=1e-8
-    )
 
 
 # --- Infeasible, and by how much ---------------------------------------------------------------------------------

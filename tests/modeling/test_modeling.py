@@ -315,7 +315,7 @@ def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) 
     excluded = cp.Problem(cp.Minimize(goal(x)), [pair, x[1] >= 0.2])
     excluded.solve(method="LCP")
     assert excluded.status == cp.INFEASIBLE
-    with pytest.raises(UnsupportedModel, match="stands alone"):
+    with pytest.raises(UnsupportedModel, match="does not belong to a complementarity"):
         LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [pair, z >= 0.2]))
 
 
@@ -661,9 +661,9 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
         ),
         (lambda p: complements([True, False, True], p.variables()[0]), "Booleans"),
         (lambda p: box(-np.ones(3) >= 0, 0, 1), "expression of box holds Booleans"),
-        (lambda p: box(None, 0, 1), "no cvxpy expression"),
-        (lambda p: box([[1, 2], [3]], 0, 1), "no cvxpy expression"),
-        (lambda p: complements("x", p.variables()[0]), "no cvxpy expression"),
+        (lambda p: box(None, 0, 1), "not a cvxpy expression"),
+        (lambda p: box([[1, 2], [3]], 0, 1), "not a cvxpy expression"),
+        (lambda p: complements("x", p.variables()[0]), "not a cvxpy expression"),
         (lambda p: complements(p.constraints[0], p.variables()[0]), "constraint itself"),
     ],
 )

@@ -156,7 +156,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "an objective": (
         lambda: cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method="LCP"),
-        "nothing searches for the best",
+        "the best of its solutions cannot be computed",
     ),
     "bounds of entries": (
         lambda: solved(complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))),

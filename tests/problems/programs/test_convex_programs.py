@@ -326,7 +326,7 @@ def test_a_run_that_a_proof_ends_says_so(
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
     assert end.startswith(f"{word.upper()}: ")
-    assert f": {word}: " in end
+    assert f": {word}" in end
     assert "Ctrl-C" not in end
     for result in (watched, quiet):
         assert result.status.name.lower() == word

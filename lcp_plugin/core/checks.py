@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ Arrays = tuple[NDArray[Any], NDArray[Any], FloatVector]  # of a sparse matrix: i
 
 DOUBLE = np.dtype(np.float64)
 DENSE_ABOVE_DENSITY = 0.25
-KEPT_UP_TO = 1000  # entries of a vector that costs no memory
 DENSE_UP_TO_SIZE = 5000
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # files may hold 9.999999999999999e19
 
@@ -150,14 +148,10 @@ def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> Inva
 
 
 def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array:
-    """Return M as canonical, checked CSR; without a copy where it is that already and none is asked for."""
+    """Return M as canonical, checked CSR; without a copy if it is canonical already and none is required."""
     try:
-        matrix = _repaired(M, is_copied)
-    except (
-        ValueError,
-        IndexError,
-        TypeError,
-    ) as error:  # scipy's words for arrays that do not fit together
+        matrix = _canonical(M, is_copied)
+    except (ValueError, IndexError, TypeError) as error:  # the arrays do not fit together
         raise InvalidProblem(
             f"{name} is a damaged sparse array: {error}; build it again"
         ) from error
@@ -169,26 +163,15 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
     return matrix
 
 
-def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
-    """Return M as read-only CSR in doubles, sorted, without duplicates and zeros; another object on its arrays."""
-    if M.format in ("csr", "csc") and _is_canonical(M):
-        data, indices, indptr = M.data, M.indices, M.indptr
-        if M.format == "csc":  # which is a transpose in rows, and this one's columns are rows of M
-            by_columns = assembled(data, indices, indptr, M.shape[::-1]).tocsc()
-            data, indices, indptr = by_columns.data, by_columns.indices, by_columns.indptr
-        elif is_copied:
-            data, indices, indptr = map(np.array, (data, indices, indptr))
-        return assembled(data, indices, indptr, M.shape)
-    if M.format == "csr":
-        # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
-        matrix = sp.csr_array((M.data, M.indices, M.indptr), shape=M.shape, copy=is_copied)
-        _check_compressed(matrix)
-    else:
-        _check_before_conversion(M)
-        matrix = in_doubles(M).tocsr()
-        if not isinstance(matrix, sp.csr_array):
-            matrix = sp.csr_array(matrix)
-    matrix = in_doubles(matrix)
+def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
+    """Return M as read-only CSR in double precision, sorted, without duplicates and zeros; a new object."""
+    if M.format in ("csr", "csc", "bsr"):  # scipy's flags are stale if M.data was written to
+        M = type(M)((M.data, M.indices, M.indptr), shape=M.shape)
+        M.check_format(full_check=True)
+    elif M.format == "coo":
+        M = sp.coo_array((M.data, (M.row, M.col)), shape=M.shape)
+    with np.errstate(over="ignore"):  # entries beyond double precision become infinite
+        matrix = sp.csr_array(M.astype(np.float64, copy=False), copy=is_copied)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()
         matrix.sum_duplicates()
@@ -196,54 +179,6 @@ def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
         matrix = matrix.copy()
         matrix.eliminate_zeros()
     return frozen(matrix)
-
-
-def _is_canonical(M: Any) -> bool:
-    """Return whether a compressed array holds doubles, none of them 0, its arrays fit together, and it is sorted."""
-    starts, columns, data = M.indptr, M.indices, M.data
-    count, width = M.shape if M.format == "csr" else M.shape[::-1]
-    if not (starts.ndim == columns.ndim == data.ndim == 1 and data.dtype == np.float64):
-        return False
-    if not (starts.dtype == columns.dtype and starts.dtype.kind == "i"):
-        return False
-    if starts.size != count + 1 or data.size != columns.size:
-        return False
-    if starts[0] != 0 or starts[-1] != data.size or not (starts[1:] >= starts[:-1]).all():
-        return False
-    rises, begin = columns[1:] > columns[:-1], starts[1:-1]
-    rises[begin[(begin > 0) & (begin < data.size)] - 1] = True  # another row, or column
-    is_inside = not data.size or 0 <= columns.min() <= columns.max() < width
-    return bool(is_inside and rises.all() and np.count_nonzero(data) == data.size)
-
-
-def _check_compressed(M: Any) -> None:
-    """Raise where the arrays of a compressed format do not fit together."""
-    M.check_format(full_check=True)
-    if (np.diff(M.indptr) < 0).any():
-        raise ValueError("index pointer values must form a non-decreasing sequence")
-
-
-def in_doubles(M: Any) -> Any:
-    """Return the sparse array in float64, before anything is summed in it: two entries of 100 overflow an int8."""
-    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
-        return M if M.dtype == np.float64 else M.astype(np.float64)
-
-
-def _check_before_conversion(M: Any) -> None:
-    """Raise where scipy's conversion to CSR would read or write outside its arrays."""
-    if M.format in (
-        "csc",
-        "bsr",
-    ):  # a fresh array: scipy's check cuts off what its arrays have to spare
-        _check_compressed(type(M)((M.data, M.indices, M.indptr), shape=M.shape))
-    elif M.format == "coo":
-        if not M.row.size == M.col.size == M.data.size:
-            raise ValueError("row, column and data arrays must have the same length")
-        for index, count in zip((M.row, M.col), M.shape, strict=True):
-            if index.size and not 0 <= index.min() <= index.max() < count:
-                raise ValueError(f"indices must lie in 0 … {count - 1}")
-    elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
-        raise ValueError("each row must have as many values as columns")
 
 
 def check_kind(dtype: np.dtype[Any], need: str) -> None:
@@ -405,27 +340,8 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
-    """Return a bound that callers state, where ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
-    if type(values) is float and abs(values) <= np.inf:
-        return same_for_all(
-            values + 0.0 if abs(values) < INFINITE_LIMIT else np.inf if values > 0.0 else -np.inf, n
-        )
+    """Return a bound that callers state; ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
     return read_only(as_stated(checked_bound(values, name, n)))
-
-
-def same_for_all(value: float, n: int) -> FloatVector:
-    """Return a read-only vector of one number; a short one is the same object for all: most have such a bound."""
-    return _kept(value, n) if n <= KEPT_UP_TO else read_only(np.full(n, value))
-
-
-@lru_cache(maxsize=64)
-def _kept(value: float, n: int) -> FloatVector:
-    return read_only(np.full(n, value))
-
-
-def are_no_limits(lower: FloatVector, upper: FloatVector) -> bool:
-    """Return whether these are the short vectors of no bounds on either side that `same_for_all` returns."""
-    return lower is same_for_all(-np.inf, lower.size) and upper is same_for_all(np.inf, upper.size)
 
 
 def as_stated(limits: NDArray[Any]) -> FloatVector:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 
 LONG_LIST = 20  # longer lists of names are not printed next to a guess
 CLOSE = 0.6  # of 1, which is the same word
@@ -76,17 +76,8 @@ def did_you_mean(
         hints = [f"{len(written)} are known, lcp-plugin list shows them"]
     written |= {name: repr(name) for name in of_solve}
     hints += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
-    given = str(word).lower()
-    closeness = {name: SequenceMatcher(None, name, given).ratio() for name in sorted(written)}
-    if len(given) > 2:  # an abbreviation is close too
-        closeness = {
-            name: ratio + (CLOSE if name.startswith(given) else 0.0)
-            for name, ratio in closeness.items()
-        }
-    guess = max(closeness, key=closeness.__getitem__, default="")
-    is_close = closeness.get(guess, 0.0) >= CLOSE
-    return (
-        f"; did you mean {written[guess]}? ({'; '.join(hints)})"
-        if is_close
-        else f"; {'; '.join(hints)}"
-    )
+    close = [name for name in sorted(written) if len(str(word)) > 2 and name.startswith(str(word))]
+    close = close or get_close_matches(str(word).lower(), sorted(written), 1, CLOSE)
+    if not close:
+        return f"; {'; '.join(hints)}"
+    return f"; did you mean {written[close[0]]}? ({'; '.join(hints)})"

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.checks import FloatVector, are_no_limits
+from ..core.checks import FloatVector
 from .engine import (
     Engine,
     EngineAnswer,
@@ -56,7 +56,9 @@ class DAQP(Engine):
         if not isinstance(P, np.ndarray):
             P, G, A = P.toarray(), G.toarray(), A.toarray()
         m, n, p = program.h.size, program.c.size, program.b.size
-        settings, bounds = self.settings, 0 if are_no_limits(program.lower, program.upper) else n
+        settings = self.settings
+        has_bounds = np.isfinite(program.lower).any() or np.isfinite(program.upper).any()
+        bounds = n if has_bounds else 0
         if limits.seconds < math.inf:
             settings["time_limit"] = limits.seconds
         above = np.concatenate(

@@ -21,7 +21,6 @@ from ...core.checks import (
     is_number,
     read_only,
     rectangular_matrix,
-    same_for_all,
 )
 from ...core.errors import InvalidOption, InvalidProblem
 from ...systems.equilibration import power_of_two
@@ -120,7 +119,7 @@ class BoundedLeastSquares:
         if self.has_entries:
             self._check_range("A", self.A.data if self.is_sparse else self.A, "A and b")
             self._check_range("b", self.b, "A and b")
-        self.l1 = same_for_all(0.0, n) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
+        self.l1 = read_only(np.zeros(n)) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"

@@ -170,6 +170,8 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
         M.check_format(full_check=True)
     elif M.format == "coo":
         M = sp.coo_array((M.data, (M.row, M.col)), shape=M.shape)
+    elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
+        raise ValueError("each row must have as many values as columns")  # scipy reads beyond them
     with np.errstate(over="ignore"):  # entries beyond double precision become infinite
         matrix = sp.csr_array(M.astype(np.float64, copy=False), copy=is_copied)
     if not matrix.has_canonical_format:

@@ -6,7 +6,7 @@ import inspect
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cvxpy as cp
@@ -121,22 +121,15 @@ class Model:
             lower[: compiled.program.n] = compiled.program.lower
             upper[: compiled.program.n] = compiled.program.upper
         first = {key: span.start for key, span in self.spans.items()}
-        self.statement = Statement(self.reader.compiler, first, lower, upper, self._name)
+        # No reference to the model, which is freed at once then: a cycle waits for the collector.
+        name = partial(_name_of, self.variables, self.spans)
+        self.statement = Statement(self.reader.compiler, first, lower, upper, name)
         self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
         self.cones: list[ConePair] = []
         self.friction: list[tuple[Any, int]] = []
         self._equations: list[Any] = []
         self._known: dict[int, ReadSide] = {}
-
-    def _name(self, column: int) -> str:
-        """Return how an unknown is written: h[2]."""
-        for variable in self.variables:
-            if 0 <= (k := column - self.spans[variable.id].start) < variable.size:
-                place = np.unravel_index(k, variable.shape, order="F")
-                entry = f"[{', '.join(map(str, place))}]" if place else ""
-                return f"{variable.name()}{entry}"
-        return ""
 
     # --- reading ---
 
@@ -457,6 +450,16 @@ class Model:
             f"{name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
             f"variables, and {expected:.9g} was computed"
         )
+
+
+def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
+    """Return how an unknown is written: h[2]."""
+    for variable in variables:
+        if 0 <= (k := column - spans[variable.id].start) < variable.size:
+            place = np.unravel_index(k, variable.shape, order="F")
+            entry = f"[{', '.join(map(str, place))}]" if place else ""
+            return f"{variable.name()}{entry}"
+    return ""
 
 
 def friction_of(side: Side) -> FloatVector | None:

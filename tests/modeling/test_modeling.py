@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import itertools
 import pickle
 from typing import Any
@@ -23,6 +24,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
+from lcp_plugin.modeling.model import Model
 from lcp_plugin.modeling.registration import build, is_complementarity_problem
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
@@ -210,6 +212,20 @@ def test_copies_of_a_model_are_models() -> None:
         np.testing.assert_allclose(other.variables()[0].value, PLAIN.z, atol=1e-10)
     assert "complements" in str(problem)
     assert not is_complementarity_problem(cp.Problem(cp.Minimize(x[0]), [x >= 0]))
+
+
+def test_a_model_is_freed_without_the_collector() -> None:
+    """Its arrays are as large as the problem's: a cycle of references would keep them until a collection."""
+    gc.collect()
+    gc.disable()
+    try:
+        x = cp.Variable(3)
+        problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x - 1 >= 0)])
+        problem.solve(method="LCP")
+        del problem, x
+        assert not [one for one in gc.get_objects() if isinstance(one, Model)]
+    finally:
+        gc.enable()
 
 
 def test_limits_keep_the_values_and_warn() -> None:

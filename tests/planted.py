@@ -1,10 +1,12 @@
-"""Batches whose rows are where they were put: the place of each is chosen first, then q."""
+"""Problems whose solutions are chosen first, then q or c: of one LCP, of a batch, of a program."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+
+from lcp_plugin import LCP, QuadraticProgram
 
 INF = np.inf
 
@@ -39,3 +41,40 @@ def planted(
     w = np.where(at_lower, 1.0, np.where(at_upper, -1.0, 0.0)) * (0.1 + rng.random((count, n)))
     q = w - (M @ z[:, :, None])[:, :, 0]
     return (M[0] if shared else M), q, lower, upper
+
+
+def planted_lcp(M: Any, rng: Any, *, bounds: bool = True) -> tuple[LCP, np.ndarray]:
+    """Return the LCP and z*, integers as w*: active, inactive, degenerate; boxed, one-sided, free, fixed rows."""
+    if isinstance(rng, int):
+        rng = np.random.default_rng(rng)
+    n = M.shape[0]
+    if not bounds:
+        share = rng.random(n)
+        z = np.where(share < 0.5, rng.integers(1, 10, n), 0.0)
+        return LCP(M, np.where(share > 0.6, rng.integers(1, 10, n), 0.0) - M @ z), z
+    lower = np.where(rng.random(n) < 0.3, -INF, -2.0)
+    upper = np.where(rng.random(n) < 0.3, INF, 3.0)
+    lower = np.where(rng.random(n) < 0.1, 1.0, lower)
+    upper = np.where(rng.random(n) < 0.1, 1.0, np.maximum(upper, 1.0))
+    z = np.clip(rng.choice([-2.0, 0.0, 3.0], n), lower, upper)
+    w = rng.integers(0, 4, n) * ((z == lower).astype(float) - (z == upper))
+    w = np.where(lower == upper, rng.integers(-3, 4, n), w)
+    return LCP(M, w - M @ z, lower=lower, upper=upper), z
+
+
+def planted_program(
+    n: int, rows: int, equations: int, rank: int, seed: int
+) -> tuple[QuadraticProgram, np.ndarray, float]:
+    """Return a program, its solution x and its value; half of the rows and a third of the bounds are active."""
+    rng = np.random.default_rng(seed)
+    factor = rng.standard_normal((n, rank))
+    P, G, A = factor @ factor.T, rng.standard_normal((rows, n)), rng.standard_normal((equations, n))
+    x = np.round(rng.standard_normal(n), 3)
+    multipliers = np.where(rng.random(rows) < 0.5, rng.random(rows) + 0.1, 0.0)
+    lower = np.where(rng.random(n) < 0.3, x, -INF)
+    upper = np.where(rng.random(n) < 0.5, x + 1.0, INF)
+    at_lower = np.where(lower == x, rng.random(n), 0.0)
+    h = G @ x + np.where(multipliers > 0.0, 0.0, rng.random(rows) + 0.1)
+    c = -(P @ x + G.T @ multipliers + A.T @ rng.standard_normal(equations)) + at_lower
+    program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
+    return program, x, program.objective(x)

@@ -150,15 +150,6 @@ def test_it_arrives(name: str, kind: str, measured: int) -> None:
     assert result.iterations <= math.ceil(SLACK * measured)
 
 
-@pytest.mark.parametrize(("name", "kind"), PROMISED)
-def test_it_arrives_where_its_class_says(name: str, kind: str) -> None:
-    """An algorithm without a row is measured on the matrices that its `solves` names."""
-    problem, exact = problem_of(kind)
-    result = solve(problem, name)
-    assert result.status is Status.SOLVED
-    assert error(result.z, exact) < 1e-7
-
-
 @pytest.mark.parametrize("sweep", ["backward", "symmetric"])
 @pytest.mark.parametrize("name", SWEEPERS)
 def test_it_arrives_in_every_direction(name: str, sweep: str) -> None:
@@ -243,32 +234,6 @@ def test_the_scaling_trap_catches_the_unscaled_method() -> None:
         Certificate.of(trap.problem, step.z).relative_residual for step in islice(steps, 300)
     ]
     assert min(residuals) > 1e-5
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "measured"),
-    [
-        ("npgs", {"scaling": None}, 1183),
-        ("npj", {"scaling": None}, 1851),
-        ("npgs", {}, 22),
-        ("npj", {}, 20),
-        ("npsor", {}, 17),
-        ("npaor", {}, 18),
-        ("npsplitting", {}, 31),
-        ("npsor", {"relaxation": 1.7, "scaling": "diagonal"}, 28),
-        ("npgs", {"scaling": "diagonal"}, 33),
-        ("auto", {}, 8),
-    ],
-)
-def test_the_scaling_trap_is_solved_otherwise(
-    name: str, options: dict[str, Any], measured: int
-) -> None:
-    """From z = 0 unscaled NPGS converges slowly; NPSOR(1.7) scaled by the diagonal takes 28, by itself 17 sweeps."""
-    trap = scaling_trap()
-    result = solve(trap.problem, name, **options)
-    assert result.status is Status.SOLVED
-    assert error(result.z, trap.exact) < 1e-7
-    assert result.iterations <= math.ceil(SLACK * measured)
 
 
 # --- Automatic relaxation ----------------------------------------------------------------------------------

@@ -30,22 +30,6 @@ def row_order(n: int, backward: bool) -> range:
     return range(n - 1, -1, -1) if backward else range(n)
 
 
-def splitting_sweep(
-    M: np.ndarray, rows: np.ndarray, coupling: float, projected: bool, backward: bool, z: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """One sweep of an AOR-type splitting, as the kernel's docstring states it: (new, largest)."""
-    new, largest = z.copy(), 0.0  # as long as row j has not been done, new_j − z_j = 0
-    for i in row_order(len(z), backward):
-        q, lower, upper, inverse_scale, step, inverse_pivot = rows[i]
-        w = q + M[i] @ z
-        c = M[i] @ (new - z)
-        r = z[i] - clamp(z[i] - step * w, lower, upper)
-        drive = 2.0 * r + coupling * step * c if projected else step * (w + coupling * c)
-        new[i] = clamp(z[i] - drive * inverse_pivot, lower, upper)
-        largest = max(largest, abs(z[i] - clamp(z[i] - w * inverse_scale, lower, upper)))
-    return new, largest
-
-
 def relaxation_sweep(
     M: np.ndarray, rows: np.ndarray, relaxation: float, backward: bool, z: np.ndarray
 ) -> tuple[np.ndarray, float, float]:
@@ -56,20 +40,6 @@ def relaxation_sweep(
         new[i] = clamp(new[i] - relaxation * inverse_scale * (M[i] @ new + q), lower, upper)
     change = abs(new - z)
     return new, change.max(initial=0.0), change.sum()
-
-
-def modulus_sweep(
-    M: np.ndarray, rows: np.ndarray, alpha: float, beta: float, backward: bool, x: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """One modulus sweep: (new, z, largest)."""
-    new, positive, largest = x.copy(), np.maximum(x, 0.0), 0.0
-    for i in row_order(len(x), backward):
-        q, _, inverse_scale, omega, inverse_pivot = rows[i]
-        w = M[i] @ positive + q
-        c = M[i] @ (new - x)
-        new[i] = x[i] - (2.0 * alpha * (w - omega * max(-x[i], 0.0)) + beta * c) * inverse_pivot
-        largest = max(largest, abs(min(positive[i], w * inverse_scale)))
-    return new, rows[:, 1] + positive, largest
 
 
 # --- Matrices of every shape -------------------------------------------------------------------------------
@@ -153,41 +123,6 @@ def close(actual: object, expected: object) -> None:
 
 @EVERY_SHAPE
 @EVERY_WIDTH
-def test_splits_cut_each_row_at_its_diagonal(shape: str, width: type) -> None:
-    """Before the cut stand the columns < i (backward: ≤ i), behind it the rest, stored diagonal or not."""
-    matrix = compressed(SHAPES[shape], width)
-    indptr, indices, _ = matrix.arrays
-    for backward in (False, True):
-        split = matrix.splits[backward]
-        assert split.dtype == width
-        for i in range(len(matrix.dense)):
-            before, behind = indices[indptr[i] : split[i]], indices[split[i] : indptr[i + 1]]
-            assert all(before <= i) if backward else all(before < i)
-            assert all(behind > i) if backward else all(behind >= i)
-
-
-@EVERY_SHAPE
-@EVERY_WIDTH
-@DIRECTIONS
-@pytest.mark.parametrize("projected", [True, False])
-def test_splitting_sweep_is_its_formula(
-    shape: str, width: type, backward: bool, projected: bool
-) -> None:
-    """New iterate and the norm are those of the literal loop; the incoming iterate is left alone."""
-    matrix = compressed(SHAPES[shape], width)
-    n = len(matrix.dense)
-    rows = packed(n, "q", "lower", "upper", "inverse_scale", "step", "inverse_pivot")
-    z = vectors(n)["z"]
-    before, new = z.copy(), np.full(n, np.nan)
-    largest = kernels.splitting_sweep(*matrix.of(backward), rows, 0.7, projected, backward, z, new)
-    expected, expected_largest = splitting_sweep(matrix.dense, rows, 0.7, projected, backward, z)
-    close(new, expected)
-    close(largest, expected_largest)
-    assert np.array_equal(z, before)
-
-
-@EVERY_SHAPE
-@EVERY_WIDTH
 @DIRECTIONS
 def test_relaxation_sweep_is_its_formula(shape: str, width: type, backward: bool) -> None:
     """The iterate in place, its largest and its total change are those of the literal loop."""
@@ -199,32 +134,6 @@ def test_relaxation_sweep_is_its_formula(shape: str, width: type, backward: bool
     norms = kernels.relaxation_sweep(*matrix.of(backward), rows, 1.3, backward, z)
     close(z, expected)
     close(norms, expected_norms)
-
-
-@EVERY_SHAPE
-@EVERY_WIDTH
-@DIRECTIONS
-def test_modulus_sweep_is_its_formula(shape: str, width: type, backward: bool) -> None:
-    """New modulus vector, z and the norm are those of the literal loop; the incoming vector is left alone."""
-    from lcp_plugin.methods.modulus.kernels.modulus_sweep import modulus_sweep as kernel
-
-    matrix = compressed(SHAPES[shape], width)
-    n = len(matrix.dense)
-    values = vectors(n)
-    lower = np.where(np.isfinite(values["lower"]), values["lower"], 0.5)
-    rows = kernels.packed(
-        values["q"], lower, values["inverse_scale"], values["omega"], values["inverse_pivot"]
-    )
-    x = values["z"]
-    before, new, z = x.copy(), np.full(n, np.nan), np.full(n, np.nan)
-    largest = kernel(*matrix.of(backward), rows, 1.2, 0.6, backward, x, new, z)
-    expected, expected_z, expected_largest = modulus_sweep(
-        matrix.dense, rows, 1.2, 0.6, backward, x
-    )
-    close(new, expected)
-    close(z, expected_z)
-    close(largest, expected_largest)
-    assert np.array_equal(x, before)
 
 
 # --- What the algorithms make of them ----------------------------------------------------------------------

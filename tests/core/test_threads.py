@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import threading
 import time
-import warnings
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -20,31 +17,6 @@ from lcp_plugin.core.settings import checked_threads
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
-
-
-PATIENCE = 120.0  # seconds until a child counts as hanging
-
-
-def exit_code_of_a_child(work: Callable[[], bool]) -> int | None:
-    """Fork, let the child work, and return its exit code; None where it hangs, which ends it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of forks beside threads,
-        warnings.simplefilter("ignore", RuntimeWarning)  # and JAX, where another test has loaded it
-        child = os.fork()
-    if child == 0:
-        try:
-            os._exit(0 if work() else 1)
-        finally:
-            os._exit(2)
-    until = time.monotonic() + PATIENCE
-    while time.monotonic() < until:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.01)
-    os.kill(child, 9)
-    os.waitpid(child, 0)
-    return None
 
 
 def pieces(count: int, smallest: int) -> list[tuple[int, int]]:
@@ -68,60 +40,6 @@ def test_an_error_waits_until_every_piece_has_ended() -> None:
             share(work, 3, 1)
         assert ended == [2]
         assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]
-
-
-@pytest.mark.skipif(
-    not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread"
-)
-def test_ctrl_c_waits_for_the_pieces_at_work() -> None:
-    """Ctrl-C, in the caller's piece or while it waits for another one, comes out when no piece writes any more."""
-    main = threading.main_thread()
-
-    def work(first: int, end: int) -> None:
-        together.wait()
-        if threading.current_thread() is main:
-            if interrupts_own_piece:
-                signal.raise_signal(signal.SIGINT)
-            own_piece_ends.set()
-        else:
-            if not interrupts_own_piece:
-                own_piece_ends.wait(60.0)
-                time.sleep(
-                    0.1
-                )  # by now the caller waits, most likely; if not, the outcome is the same
-                signal.pthread_kill(main.ident, signal.SIGINT)
-            time.sleep(0.2)
-        ended.append(first)
-
-    for interrupts_own_piece in (True, False):
-        together, own_piece_ends, ended = threading.Barrier(2, timeout=60.0), threading.Event(), []
-        with threads_for(2), pytest.raises(KeyboardInterrupt):
-            share(work, 2, 1)
-        assert len(ended) == (1 if interrupts_own_piece else 2)
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no fork")
-def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
-    """A child forked while the helpers are there, and at work, shares its work with new ones."""
-    go_on = threading.Event()
-
-    def shared() -> bool:
-        together = threading.Barrier(3, timeout=60.0)
-        with threads_for(3):
-            return sorted(share(lambda first, end: together.wait(), 3, 1)) == [0, 1, 2]
-
-    def busy() -> None:
-        with threads_for(3):
-            share(lambda first, end: go_on.wait(), 3, 1)
-
-    thread = threading.Thread(target=busy)
-    thread.start()
-    try:
-        assert exit_code_of_a_child(shared) == 0
-    finally:
-        go_on.set()
-        thread.join()
-    assert shared()
 
 
 class Seen(NPGS):

@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
+from planted import planted_program
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import (
@@ -29,35 +30,11 @@ INF = np.inf
 QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_alone]
 
 
-def planted(seed: int, n: int = 12, m: int = 9, p: int = 3) -> tuple[QuadraticProgram, Any, float]:
-    """A strictly convex program, its x, chosen first, and its value: rows that act, and rows that do not."""
-    rng = np.random.default_rng(seed)
-    L, G, A = (rng.normal(size=shape) for shape in ((n, n), (m, n), (p, n)))
-    P, x = L @ L.T / n + 0.1 * np.eye(n), rng.normal(size=n)
-    lower = np.where(rng.random(n) < 0.3, x, x - 1.0)
-    acts = rng.random(m) < 0.5
-    y, e, at = (
-        acts * (0.1 + rng.random(m)),
-        rng.normal(size=p),
-        (lower == x) * (0.1 + rng.random(n)),
-    )
-    program = QuadraticProgram(
-        P,
-        at - P @ x - G.T @ y - A.T @ e,
-        G,
-        G @ x + ~acts * (0.5 + rng.random(m)),
-        A,
-        A @ x,
-        lower=lower,
-    )
-    return program, x, program.objective(x)
-
-
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("name", QUADRATIC)
 def test_each_engine_finds_the_planted_answer(name: str, seed: int) -> None:
     """X to 1e-9 after the polish, its multipliers, and the engine's name in the result."""
-    program, x, value = planted(seed)
+    program, x, value = planted_program(12, 9, 3, 12, seed)
     found = solve(program, name)
     assert np.abs(found.x - x).max() <= 1e-9 * (1.0 + np.abs(x).max())
     assert found.objective == pytest.approx(value, abs=1e-9)
@@ -140,7 +117,7 @@ def test_a_large_coefficient_excuses_no_other_term_of_its_row() -> None:
 
 def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
     """An option goes through by its name; a wrong one is refused."""
-    program, x, _ = planted(0)
+    program, x, _ = planted_program(12, 9, 3, 12, 0)
     assert np.abs(solve(program, "piqp", max_iter=60, eps_abs=1e-8).x - x).max() <= 1e-7
     for name in QUADRATIC:
         with pytest.raises(InvalidOption, match=f"{name} does not take max_itr=3"):
@@ -167,7 +144,7 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
 
 def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
     """A limit of steps, a record, a callback; a start changes nothing; wrong values of options are refused."""
-    program, x, _ = planted(0)
+    program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)
     assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may mend one step
     assert short.iterations <= 4  # it is asked again in other units
@@ -214,7 +191,7 @@ def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
 @pytest.mark.parametrize("far", [1e9, 1e12, 1e15, 1e19])
 def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: float) -> None:
     """Two rows and bounds of 1e9 … 1e19 beside a planted program: the planted answer."""
-    program, x, value = planted(7)
+    program, x, value = planted_program(12, 9, 3, 12, 7)
     rng = np.random.default_rng(1)
     G = np.vstack([program.G, rng.normal(size=(2, x.size))])
     stretched = QuadraticProgram(
@@ -258,7 +235,7 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
     """An x that is wrong by 1e-4 with the right multipliers: the planted x to rounding."""
-    program, x, _ = planted(2)
+    program, x, _ = planted_program(12, 9, 3, 12, 2)
     statement = ProgramData(
         kind(program.P),
         program.c,

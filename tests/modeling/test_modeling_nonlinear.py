@@ -286,39 +286,6 @@ def test_cournot_oligopoly_as_published() -> None:
     np.testing.assert_allclose(q.value, [36.9325, 41.8181, 43.7066, 42.6592, 39.1790], atol=2e-4)
 
 
-def test_ces_exchange_economy_clears_its_markets() -> None:
-    """Prices of an economy with CES demand: each market clears, and a good that nobody wants is free."""
-    generator = np.random.default_rng(5)
-    share, endowment = generator.random((3, 3)), 1.0 + generator.random((3, 4))
-    sigma = np.array([0.5, 1.5, 0.8])
-
-    def demand(prices: Any, income: Any, power: Any, times: Any) -> Any:
-        bundles = [
-            times(share[k], power(prices, -sigma[k]))
-            * (income[k] / (share[k] @ power(prices, 1 - sigma[k])))
-            for k in range(3)
-        ]
-        return bundles[0] + bundles[1] + bundles[2]
-
-    p = cp.Variable(
-        4
-    )  # relative prices: the first good is the measure, and its market clears by Walras' law
-    p.value = np.ones(4)
-    wanted = demand(p[:3], endowment @ p, cp.power, cp.multiply)
-    supply = endowment.sum(axis=0)
-    solved(
-        [
-            complements(p[1:3] >= 0, supply[1:3] - wanted[1:] >= 0),
-            complements(p[3] >= 0, supply[3] + 0 * p[3] >= 0),
-            p[0] == 1,
-        ]
-    )
-    np.testing.assert_allclose(
-        demand(p.value[:3], endowment @ p.value, np.power, np.multiply), supply[:3], rtol=1e-8
-    )
-    assert p.value[3] == 0.0
-
-
 def test_semilinear_obstacle() -> None:
     """−u″ + exp(u) = 6 above an obstacle: as scipy finds it on the same contact set, and twice the same bits."""
     n = 40

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from planted import planted_lcp
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.algorithms import create
@@ -35,9 +36,7 @@ def planted(seed: int, n: int = 12) -> tuple[LCP, np.ndarray]:
     random = np.random.default_rng(seed)
     M = random.uniform(-1, 1, (n, n))
     np.fill_diagonal(M, 1.2 * np.abs(M).sum(axis=1))
-    z = np.where(random.random(n) < 0.5, random.random(n), 0.0)
-    w = np.where(z > 0.0, 0.0, random.random(n))
-    return LCP(M, w - M @ z), z
+    return planted_lcp(M, random, bounds=False)
 
 
 @pytest.mark.parametrize(("name", "options"), METHODS, ids=[name for name, _ in METHODS])

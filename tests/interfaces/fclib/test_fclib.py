@@ -140,15 +140,11 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
     [
         (without("fclib_local"), "holds nothing; an fclib file holds fclib_local with spacedim, W"),
         (without("fclib_local/vectors/mu"), "object 'mu' doesn't exist"),
-        (without("fclib_local/vectors"), "object 'vectors' doesn't exist"),
         (without("fclib_local/W"), "object 'W' doesn't exist"),
-        (without("fclib_local/W/p"), "object 'p' doesn't exist"),
-        (with_("fclib_local/W", None), "object 'm' doesn't exist"),
         (
             with_("fclib_local/vectors/q", ["a"]),
             "fclib_local/vectors/q holds object in place of float",
         ),
-        (with_("fclib_local/vectors/q", None), "an fclib file holds fclib_local"),
         (
             with_("fclib_local/vectors/q", np.zeros(2)),
             "mu has 1 numbers, spacedim is 3 (2 or 3), but velocities are 2",
@@ -157,13 +153,11 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
             with_("fclib_local/spacedim", [2]),
             "mu has 1 numbers, spacedim is 2 (2 or 3), but velocities are 3",
         ),
-        (with_("fclib_local/spacedim", [2, 3]), "mu has 1 numbers, spacedim is 2"),
         (
             with_("fclib_local/W/m", [10**9]),
             "fclib_local/W is of 1000000000 × 3, its vectors need 3 × 3",
         ),
         (with_("fclib_local/W/p", np.array([0, 9, 9, 9])), "index pointer"),
-        (with_("fclib_local/W/i", np.full(6, 7)), "indices must be < 3"),
         (with_("fclib_local/W/x", np.arange(6.0)), "W must be symmetric"),
         (
             with_("fclib_local/vectors/mu", [-1.0]),

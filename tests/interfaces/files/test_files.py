@@ -291,39 +291,6 @@ def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> 
     assert "unsafe" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "pattern"),
-    [
-        ("missing.npz", r"no such file: .*missing\.npz$"),
-        ("missing", r"no such file: .*missing"),
-        ("missing.mtx", r"no such file: .*missing\.mtx$"),
-        ("missing_M.mtx", r"no such file: .*missing_M\.mtx$"),
-        ("no/such/folder/p.npz", r"no such file: .*p\.npz$"),
-        ("folder", r"no such file: .*folder.M\.mtx; a folder must hold M\.mtx and q\.mtx$"),
-        ("folder.npz", r"cannot read .*folder\.npz"),
-        (
-            "notes.txt",
-            r"notes\.txt: expected an \.npz, .* file, or M\.mtx with q\.mtx.* holds M .*M=M, q=q",
-        ),
-        ("a.mat", r"cannot read .*a\.mat: it is damaged or no \.mat file of numbers"),
-        ("missing.mat", r"no such file: .*missing\.mat$"),
-        ("half", r"M\.mtx has no companion .*q\.mtx"),
-        ("half/M.mtx", r"M\.mtx has no companion .*q\.mtx"),
-        ("half/M.mtx/M.mtx", r"no such file"),
-    ],
-)
-def test_what_is_not_there_is_named(name: str, pattern: str, tmp_path: Path) -> None:
-    """A missing file, a folder without a problem, a problem without q: UnreadableFile with the path."""
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder.npz").mkdir()
-    for other in ("notes.txt", "a.mat"):
-        (tmp_path / other).write_text("M = 3")
-    PROBLEM.save(tmp_path / "half")
-    (tmp_path / "half" / "q.mtx").unlink()
-    with pytest.raises(UnreadableFile, match=pattern):
-        LCP.load(tmp_path / name)
-
-
 class Trap:
     """An object that leaves a mark where its pickle is read."""
 

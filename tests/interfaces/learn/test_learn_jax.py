@@ -182,37 +182,6 @@ def test_single_precision_is_refused() -> None:
         lcp_layer(jnp.eye(2), jnp.ones(2))
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: lcp_layer(jnp.eye(2), 1.0), "q must have shape"),
-        (
-            lambda: lcp_layer(jnp.eye(2), jnp.ones((3, 2)), jnp.zeros((4, 2))),
-            "must broadcast, got M",
-        ),
-        (
-            lambda: lcp_layer(jnp.eye(2), jnp.ones(2), jnp.zeros(3)),
-            "lower must be a number or have the length of q, 2",
-        ),
-        (lambda: lcp_layer(jnp.ones(2), jnp.ones(2)), "M must have shape"),
-        (
-            lambda: lcp_layer(jnp.eye(3), jnp.ones(2)),
-            r"M must have shape \(…, n, n\), n = 2 as q has, got \(3, 3\)",
-        ),
-        (lambda: lcp_layer(None, jnp.ones(2)), "M must be an array of real numbers, got None"),
-        (lambda: lcp_layer(jnp.eye(2), ["a", "b"]), "q must be an array of real numbers, got text"),
-        (
-            lambda: lcp_layer(jnp.eye(2), 1j * jnp.ones(2)),
-            "q must be an array of real numbers, got complex",
-        ),
-    ],
-)
-def test_what_is_refused(call: Callable[[], Any], said: str) -> None:
-    """Other shapes and numbers that are no problem, in words."""
-    with pytest.raises(InvalidProblem, match=said):
-        call()
-
-
 def worlds(count: int) -> Any:
     """W, b and friction of one body at two contacts."""
     rng = np.random.default_rng(3)

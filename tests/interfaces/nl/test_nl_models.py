@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import cmath
-import json
 import math
 import re
 from collections.abc import Iterator
@@ -764,39 +763,3 @@ def lcp_plugin(*arguments: Any) -> Any:
         result.exception
     )
     return result
-
-
-def test_the_commands_take_models(tmp_path: Path) -> None:
-    """`solve` prints and saves values by name, `analyze` takes the LCP."""
-    path = tmp_path / "p.nl"
-    write_nl(
-        replace(program("products"), names=["bread", "wine", "oil"], row_names=["a", "b", "c"]),
-        path,
-    )
-    done = lcp_plugin("solve", path, "--out", tmp_path / "o.npz")
-    assert done.exit_code == 0, done.output
-    assert "optimal, objective" in done.stdout
-    assert re.search(r"^wine +0\.", done.stdout, re.M)
-    with np.load(tmp_path / "o.npz") as saved:
-        assert list(saved["names"]) == ["bread", "wine", "oil"]
-        np.testing.assert_allclose(saved["x"], model_of(program("products")).solve().x, rtol=1e-6)
-    assert json.loads(lcp_plugin("solve", path, "--json").stdout)["status"] == "SOLVED"
-    write_nl(best(), tmp_path / "b.nl")
-    done = lcp_plugin("solve", tmp_path / "b.nl", "--out", tmp_path / "b.npz", "--threads", "1")
-    assert (done.exit_code, "optimal; objective 0, none " in done.stdout) == (0, True), done.output
-    with np.load(tmp_path / "b.npz") as saved:
-        np.testing.assert_allclose(saved["x"], [1.0, 0.0], atol=1e-9)
-    assert (
-        json.loads(lcp_plugin("solve", tmp_path / "b.nl", "--json").stdout)["algorithm"]
-        == "branch and bound"
-    )
-    write_nl(best(0.25), tmp_path / "b.nl")
-    done = lcp_plugin("solve", tmp_path / "b.nl", "--out", tmp_path / "b.npz")
-    assert (done.exit_code, "nan" in done.stdout) == (1, False), done.output
-    with np.load(tmp_path / "b.npz") as saved:
-        assert (str(saved["status"]), "x" in saved) == ("INFEASIBLE", False)
-    assert "which takes no algorithm" in lcp_plugin("solve", tmp_path / "b.nl", "-a", "psor").stderr
-    M, q, _ = random_pairs()
-    write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
-    assert lcp_plugin("analyze", tmp_path / "m.nl").exit_code == 0
-    assert lcp_plugin("solve", tmp_path / "m.nl", "-a", "lemke").exit_code == 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planted import planted_lcp
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithm import Step
@@ -35,16 +36,6 @@ def best(problem: LCP, **options: Any) -> Certificate:
         (Certificate.of(problem, z) for _, z in steps(problem, **options)),
         key=lambda found: found.relative_residual,
     )
-
-
-def planted(M: np.ndarray, seed: int = 0, share: float = 0.5) -> LCP:
-    """Integer z* and w*, some rows degenerate; q = w* − M z*."""
-    generator = np.random.default_rng(seed)
-    n = M.shape[0]
-    u = generator.random(n)
-    z = np.where(u < share, generator.integers(1, 10, size=n), 0.0)
-    w = np.where(u > share + 0.1, generator.integers(1, 10, size=n), 0.0)
-    return LCP(M, w - M @ z)
 
 
 # --- published problems ---------------------------------------------------------------------------------------
@@ -191,7 +182,7 @@ def test_exponential_families(name: str, n: int) -> None:
     """Where one covering vector needs 2ⁿ pivots another needs few."""
     M = FAMILIES[name](n)
     # Csizmadia's answer to q = −1 is 2ⁱ, whose w no double can check at n = 60.
-    problem = planted(M) if name == "Csizmadia" else LCP(M, -np.ones(n))
+    problem = planted_lcp(M, 0, bounds=False)[0] if name == "Csizmadia" else LCP(M, -np.ones(n))
     found = steps(problem)
     assert min(Certificate.of(problem, z).relative_residual for _, z in found) <= 1e-12
     assert len(found) <= 90
@@ -240,7 +231,7 @@ MONOTONE: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
 @pytest.mark.parametrize("kind", MONOTONE)
 def test_classes_with_a_guarantee(kind: str, n: int) -> None:
     """Monotone and strictly copositive problems with a solution are solved along the first path."""
-    problem = planted(MONOTONE[kind](np.random.default_rng(n), n), seed=n)
+    problem = planted_lcp(MONOTONE[kind](np.random.default_rng(n), n), n, bounds=False)[0]
     assert best(problem, restarts=0).relative_residual <= 1e-10
 
 
@@ -295,7 +286,7 @@ def test_components_are_solved_one_by_one() -> None:
     M = np.kron(np.eye(10), [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])[
         np.ix_(order, order)
     ]
-    problem = planted(M)
+    problem = planted_lcp(M, 0, bounds=False)[0]
     assert sorted(rows.size for rows in rows_of_components(problem)) == [3] * 10
     assert best(problem).relative_residual <= 1e-14
 

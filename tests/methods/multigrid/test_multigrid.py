@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from planted import planted_lcp
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
@@ -222,20 +223,7 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
         np.fill_diagonal(M, 0.0)
         np.fill_diagonal(M, np.abs(M).sum(axis=1) * generator.uniform(1.01, 2.0) + 0.1)
         M *= 10.0 ** generator.uniform(-3.0, 3.0, n)[:, None]
-    z, w = generator.normal(size=n), np.zeros(n)
-    lower, upper = z - generator.uniform(0.1, 2.0, n), z + generator.uniform(0.1, 2.0, n)
-    kind = generator.integers(0, 6, n)
-    lower[kind == 0], w[kind == 0] = (
-        z[kind == 0],
-        M.diagonal()[kind == 0] * generator.uniform(0, 2, n)[kind == 0],
-    )
-    upper[kind == 1], w[kind == 1] = (
-        z[kind == 1],
-        -M.diagonal()[kind == 1] * generator.uniform(0, 2, n)[kind == 1],
-    )
-    lower[kind == 2] = upper[kind == 2] = z[kind == 2]
-    lower[kind == 3], upper[kind >= 3] = -np.inf, np.inf
-    return LCP(M, w - M @ z, lower=lower, upper=upper), z
+    return planted_lcp(M, generator)
 
 
 def second_order(cells: int) -> LCP:

@@ -12,6 +12,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
+from planted import planted_lcp
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.methods.multigrid import Multigrid
@@ -61,11 +62,7 @@ def planted(seed: int, n: int) -> tuple[LCP, np.ndarray]:
         (n, n), density=3.0 / n, rng=generator, data_sampler=generator.standard_normal
     )
     M = sp.csr_array(B @ B.T + sp.diags_array(generator.uniform(0.3, 1.0, n)))
-    side, z = generator.integers(-1, 2, n), generator.normal(size=n)
-    w = np.where(side == 0, 0.0, -side * generator.uniform(0.0, 1.0, n))
-    lower = np.where(side < 0, z, np.where(generator.random(n) < 0.5, -np.inf, z - 1.0))
-    upper = np.where(side > 0, z, np.where(generator.random(n) < 0.5, np.inf, z + 1.0))
-    return LCP(M, w - M @ z, lower=lower, upper=upper), z
+    return planted_lcp(M, generator)
 
 
 @given(st.integers(0, 10**6), st.integers(70, 150), st.sampled_from(sorted(WAYS)))

@@ -12,6 +12,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planted import planted_lcp
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.methods.newton.active_set import NewtonState, solve_active_set
@@ -32,22 +33,6 @@ def five_point(m: int) -> sp.csr_array:
     return sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))
 
 
-def planted(M: object, seed: int) -> tuple[LCP, np.ndarray]:
-    """Boxed, one-sided, free and fixed rows with integer z* and w*, degenerate rows among them."""
-    rng = np.random.default_rng(seed)
-    n = M.shape[0]  # type: ignore[attr-defined]
-    lower = np.where(rng.random(n) < 0.3, -np.inf, -2.0)
-    upper = np.where(rng.random(n) < 0.3, np.inf, 3.0)
-    lower, upper = (
-        np.where(rng.random(n) < 0.1, 1.0, lower),
-        np.where(rng.random(n) < 0.1, 1.0, np.maximum(upper, 1.0)),
-    )
-    z = np.clip(rng.choice([-2.0, 0.0, 3.0], n), lower, upper)
-    w = rng.integers(0, 4, n) * ((z == lower).astype(float) - (z == upper))
-    w = np.where(lower == upper, rng.integers(-3, 4, n), w)
-    return LCP(M, w - M @ z, lower=lower, upper=upper), z  # type: ignore[operator]
-
-
 # --- Newton ------------------------------------------------------------------------------------------------
 
 
@@ -65,7 +50,7 @@ def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind: str, se
         ),
         "nonsymmetric P": lambda: B @ B.T + np.eye(40) + 9.0 * (np.triu(B, 1) - np.triu(B, 1).T),
     }[kind]()
-    problem, z = planted(M, seed)
+    problem, z = planted_lcp(M, seed)
     result = solve(
         problem, Newton(), tolerance=1e-12, z0=rng.integers(-5, 6, problem.n).astype(float)
     )
@@ -262,7 +247,7 @@ def test_fischer_burmeister_vanishes_exactly_at_solutions(seed: int) -> None:
     """Φ = 0 at a planted answer, and Φ ≠ 0 wherever the certificate sees a residual."""
     rng = np.random.default_rng(seed)
     B = rng.integers(-3, 4, (5, 5)).astype(float)
-    problem, z = planted(B @ B.T + np.eye(5), seed)
+    problem, z = planted_lcp(B @ B.T + np.eye(5), seed)
     assert np.abs(fischer_burmeister(problem, z, problem.slack(z)).value).max() <= 1e-12
     elsewhere = z + rng.integers(-1, 2, 5)
     residual = Certificate.of(problem, elsewhere).scaled_residual
@@ -274,7 +259,7 @@ def test_fischer_burmeister_vanishes_exactly_at_solutions(seed: int) -> None:
 def test_the_derivative_of_fischer_burmeister_is_that_of_differences(seed: int) -> None:
     """The diagonals of the Jacobian agree with central differences, bounds of every kind."""
     rng = np.random.default_rng(seed)
-    problem, _ = planted(np.eye(6) * 2.0, seed)
+    problem, _ = planted_lcp(np.eye(6) * 2.0, seed)
     z, w, h = rng.uniform(-3, 4, 6), rng.uniform(-3, 3, 6), 1e-6
     phi = fischer_burmeister(problem, z, w)
     by_z = (

@@ -32,7 +32,6 @@ from lcp_plugin import (
     ModelWarning,
     Status,
     UnknownAlgorithm,
-    UnreadableFile,
     derivative,
     load_problem,
     solve,
@@ -278,35 +277,6 @@ def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) ->
         ConeProblem(np.eye(4), -np.ones(4), [cone])
 
 
-@pytest.mark.parametrize(
-    ("changed", "words"),
-    [
-        ({"shape": [np.inf, 4]}, "shape must hold integers"),
-        ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
-        ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"),
-        ({"cone_kinds": [3]}, "cone_kinds names 1 cones"),
-        ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
-        ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"),
-        ({"data": None}, "lacks the keys"),
-    ],
-)
-def test_a_damaged_file_over_cones_is_told_what_is_wrong(
-    changed: Any, words: str, tmp_path: Path
-) -> None:
-    """Shapes, indices, kinds and rows that are no integers, or none of a matrix; a kind of −1 counts from none."""
-    ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
-        tmp_path / "p.npz"
-    )
-    with np.load(tmp_path / "p.npz") as file:
-        content = {**file, **changed}
-    np.savez(
-        tmp_path / "p.npz",
-        **{name: np.array(value) for name, value in content.items() if value is not None},
-    )
-    with pytest.raises(UnreadableFile, match=words):
-        load_problem(tmp_path / "p.npz")
-
-
 def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
     """Its matrix and q alone would be another problem: LCP.load says what it is, and what reads it."""
     contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
@@ -402,41 +372,6 @@ def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
     assert isinstance(pyramid, LCP)
     near = pyramid.origin.recover(solve(pyramid).require_solved()).body_velocities
     assert 0.0 < np.abs(near - moved).max() < 0.1
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_derivatives_by_bounds_and_of_the_slack(seed: int) -> None:
-    """Of boxes beside cones: vjp is jvp transposed, and jvp the difference of two answers."""
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(7, 7))
-    M, q, low, high = (
-        A @ A.T + np.eye(7),
-        3.0 * rng.normal(size=7),
-        np.full(4, -0.3),
-        np.full(4, 0.2),
-    )
-    changes = {"dq": rng.normal(size=7), "dlower": rng.normal(size=7), "dupper": rng.normal(size=7)}
-
-    def answer(step: float) -> Any:
-        own = low + step * changes["dlower"][:4], high + step * changes["dupper"][:4]
-        return solve(
-            ConeProblem(M, q + step * changes["dq"], [("box", *own), ("second_order", 3)]),
-            tolerance=1e-13,
-        )
-
-    found = derivative(answer(0.0))
-    dz = found.jvp(**changes)
-    dw = found.dw(dz, dq=changes["dq"])
-    ends = answer(1e-6), answer(-1e-6)
-    np.testing.assert_allclose(dz, (ends[0].z - ends[1].z) / 2e-6, atol=1e-5)
-    np.testing.assert_allclose(dw, (ends[0].w - ends[1].w) / 2e-6, atol=1e-4)
-    g, gw = rng.normal(size=(2, 7))
-    gradient = found.vjp(g, gw)
-    pulled = sum(getattr(gradient, name[1:]) @ change for name, change in changes.items())
-    np.testing.assert_allclose(pulled, g @ dz + gw @ dw, rtol=1e-9, atol=1e-9)
-    assert not gradient.friction.any()
-    with pytest.raises(InvalidOption, match="dfriction is of a FrictionalContact"):
-        found.jvp(dfriction=np.ones(2))
 
 
 def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:

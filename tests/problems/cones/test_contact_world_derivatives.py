@@ -70,33 +70,6 @@ def test_gradients_are_those_of_differences(count: int) -> None:
     assert np.median(wrong) < 1e-7
 
 
-@pytest.mark.parametrize("compliance", [0.05, 0.0])
-def test_each_world_has_the_derivative_that_it_has_by_itself(compliance: float) -> None:
-    """Where several impulses make one motion, too; degenerate contacts are named, whose gradient is one of several."""
-    rng = np.random.default_rng(5)
-    W, b, mu = drawn(80, rng, compliance=compliance)
-    found, other = derived(W, b, mu, threads=1), derived(W, b, mu, threads=2)
-    g, gw = rng.standard_normal((2, *b.shape))
-    gradient, same = found.vjp(g, gw), other.vjp(g, gw)
-    assert gradient.q.tobytes() == same.q.tobytes()
-    dz = found.jvp(dq=b, dM=W, dfriction=0.1)
-    for k in range(0, 80, 2):
-        one = found[k]
-        assert np.flatnonzero(found.degenerate[k]).tolist() == one.degenerate.tolist()
-        assert found.is_singular[k] == one.is_singular
-        expected = one.jvp(dq=b[k], dM=W[k], dfriction=0.1)
-        assert np.abs(expected).max(initial=0.0) > 1e6 or close(
-            dz[k], expected, 1e-7
-        )  # large: in doubt
-        if one.degenerate.size == 0:
-            own = one.vjp(g[k], gw[k])
-            assert close(gradient.q[k], own.q, 1e-8)
-            assert close(gradient.friction[k], own.friction, 1e-8)
-            assert close(gradient.M[k], own.M.toarray(), 1e-7)
-    assert found.is_singular.any() == (compliance == 0.0)
-    assert ("several impulses" in found.advice) == (compliance == 0.0)
-
-
 def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
     """By the pseudo-inverse of D⁻¹W, whatever direction the rounding of velocities has; the motion's is unique."""
     rng = np.random.default_rng(0)

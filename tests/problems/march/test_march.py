@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -305,40 +304,6 @@ def test_a_march_without_steps_has_a_derivative() -> None:
 # --- Many at once ---------------------------------------------------------------------------------------------
 
 
-def strikes(n: int, k: int, count: int) -> tuple[LCP, np.ndarray, sp.csr_array]:
-    """American puts with one M: the problem, the payoff of each strike, a propagator of a Crank–Nicolson scheme."""
-    x = np.linspace(-1.0, 1.0, n)
-    A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (0.02 * (n / 2) ** 2)
-    payoff = np.maximum(np.linspace(0.8, 1.2, count)[:, None] - np.exp(x), 0.0)
-    propagator = sp.csr_array(A / (2 * k) - sp.eye_array(n))
-    return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, propagator
-
-
-def test_strikes_at_once_are_those_one_by_one() -> None:
-    """Several strikes at once give the bits of single marches, and results with the same status and residual."""
-    problem, payoff, propagator = strikes(120, 100, 41)
-    forcing = np.zeros((100, 120))
-    alone = [march(problem.with_q(problem.q, lower=g), forcing, propagator, z0=g) for g in payoff]
-    found = march(problem, forcing, propagator, lower=payoff, z0=payoff)
-    assert len(found) == 41
-    for ours, theirs in zip(found, alone, strict=True):
-        assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
-        for k in (0, 1, 50, 98, 99):
-            assert np.array_equal(ours.z[k], theirs.z[k])
-        assert np.array_equal(ours[50].w, theirs[50].w)
-        assert np.array_equal(ours[50].certificate.problem.q, theirs[50].certificate.problem.q)
-        assert (
-            ours[50].certificate.relative_residual
-            <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
-        )
-        assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
-    np.testing.assert_allclose(
-        derivative(found[7]).vjp(np.ones(120)).z0,
-        derivative(alone[7]).vjp(np.ones(120)).z0,
-        rtol=1e-12,
-    )
-
-
 @pytest.mark.parametrize(
     "make",
     [
@@ -370,23 +335,6 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
         for one, z in zip(same, states, strict=True)
     )
     assert [len(one) for one in march(problem, forcing[:, :0], propagator)] == [0] * 6
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("count", [1, 16, 17])
-def test_contacts_on_either_side_are_those_one_by_one(side: float, count: int) -> None:
-    """Puts, whose guess is right, and calls, whose is wrong: the bits of one alone, however many are marched."""
-    n, k = 80, 12
-    x = np.linspace(-1.0, 1.0, n)
-    A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * 0.4
-    problem, forcing = LCP(sp.csr_array(sp.eye_array(n) + A), np.zeros(n)), np.full((k, n), 1e-3)
-    payoffs = np.maximum(np.linspace(-0.2, 0.2, 17)[:count, None] - side * x, 0.0)
-    found = march(problem, forcing, lower=payoffs, z0=payoffs)
-    for payoff, ours in zip(payoffs, found, strict=True):
-        theirs = march(problem.with_q(problem.q, lower=payoff), forcing, z0=payoff)
-        assert ours.all_solved
-        assert all(np.array_equal(ours.z[j], theirs.z[j]) for j in range(k))
-        assert all(result.certificate.relative_residual < 1e-8 for result in ours)
 
 
 def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, list[sp.csr_array]]:
@@ -542,42 +490,6 @@ def test_damped_crank_nicolson_is_of_order_two() -> None:
         ]
         orders = np.log2(errors[:-1]) - np.log2(errors[1:])
         assert (np.abs(orders - 2.0) < 0.05).all() == damped
-
-
-def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
-    """Delta, vega and rho far from the ends, forwards and backwards, against Black and Scholes, to the grid's error."""
-    x, legs = european(80)
-    n, half, normal = x.size, 0.5 / 80, NormalDist()
-    d1 = (x + 0.05 + 0.045) / 0.3
-    density = np.exp(-0.5 * d1**2) / np.sqrt(2.0 * np.pi)
-    below = np.array([normal.cdf(d) for d in d1 - 0.3])
-    expected = {
-        "delta": np.exp(x) * (np.array([normal.cdf(d) for d in d1]) - 1.0),
-        "vega": np.exp(x) * density,
-        "rho": -np.exp(-0.05) * (1.0 - below),
-    }
-    by_volatility = (black_scholes(x, 0.4) - black_scholes(x, 0.2)) / 0.2  # A is quadratic in it
-    by_rate = sp.eye_array(n) - sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (
-        2.0 * (x[1] - x[0])
-    )
-    shift, node = np.where(x < -1e-12, -np.exp(x), np.where(x < 1e-12, -0.5, 0.0)), n // 2
-    for name, dA, dz0 in (
-        ("delta", 0.0 * by_rate, shift),
-        ("vega", by_volatility, 0.0 * x),
-        ("rho", by_rate, 0.0 * x),
-    ):
-        dz = dz0
-        for found, old in legs:
-            dz = found.jvp(dM=half * dA, dpropagator=old * dA, dz0=dz, only_last=True)
-        assert abs(dz - expected[name])[180:300].max() <= 1e-3 * abs(expected[name]).max()
-        g, back = np.eye(n)[node], 0.0
-        for found, old in reversed(legs):
-            gradient = found.vjp(g)
-            back, g = (
-                back + (half * gradient.M + old * gradient.propagator).multiply(dA).sum(),
-                gradient.z0,
-            )
-        assert back + g @ dz0 == pytest.approx(dz[node], rel=1e-10)
 
 
 STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))

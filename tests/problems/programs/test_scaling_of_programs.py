@@ -11,10 +11,7 @@ from campaigns import scaled_programs
 
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
-from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
-
-NAMES = ("primal_residual", "duality_gap")
 
 
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-12])
@@ -43,57 +40,6 @@ def test_a_small_slope_is_followed_to_its_bound() -> None:
     assert solve(QuadraticProgram(None, [-1e-9], upper=1.0)).x.tolist() == [1.0]
     answers = solve_batch(QuadraticProgramBatch(np.zeros((1, 1)), [[-1e-9], [-1e-6]], upper=1.0))
     assert answers.x.tolist() == [[1.0], [1.0]]
-
-
-def test_errors_are_the_same_in_units_of_rows_and_of_the_objective() -> None:
-    """Powers of two that multiply the objective and each row change no error of the same answer."""
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        n, m, p = 6, 5, 2
-        factor, G, A = rng.normal(size=(n, n)), rng.normal(size=(m, n)), rng.normal(size=(p, n))
-        P, c, h, b = factor @ factor.T, rng.normal(size=n), rng.normal(size=m), rng.normal(size=p)
-        P = (P + P.T) / 2
-        x, y, v = rng.normal(size=n), np.abs(rng.normal(size=m)), rng.normal(size=p)
-        low = np.abs(rng.normal(size=n))
-        size, rows = 2.0 ** rng.integers(-30, 31), 2.0 ** rng.integers(-30, 31, m + p)
-        first = QPSolution(
-            QuadraticProgram(P, c, G, h, A, b, lower=-1.0), x, y, v, low, np.zeros(n)
-        )
-        other = QuadraticProgram(
-            size * P,
-            size * c,
-            rows[:m, None] * G,
-            rows[:m] * h,
-            rows[m:, None] * A,
-            rows[m:] * b,
-            lower=-1.0,
-        )
-        second = QPSolution(
-            other, x, size * y / rows[:m], size * v / rows[m:], size * low, np.zeros(n)
-        )
-        assert first.primal_residual == second.primal_residual
-        assert first.duality_gap == pytest.approx(second.duality_gap, rel=1e-2)
-
-
-def test_errors_are_the_same_in_units_of_unknowns_far_apart() -> None:
-    """Unknowns in units of 2^±30 are judged in those that the data show: errors of the same size within 2^8."""
-    rng = np.random.default_rng(0)
-    n, m = 8, 6
-    factor, G, x, y = (
-        rng.normal(size=(n, n)),
-        rng.normal(size=(m, n)),
-        rng.normal(size=n),
-        np.abs(rng.normal(size=m)),
-    )
-    P, h, c = factor @ factor.T, -1.0 - np.abs(rng.normal(size=m)), rng.normal(size=n)
-    P = (P + P.T) / 2
-    units = 2.0 ** rng.choice([-30, 30], n)
-    first = QPSolution(QuadraticProgram(P, c, G, h), x, y, [], np.zeros(n), np.zeros(n))
-    far = QuadraticProgram(units[:, None] * P * units, units * c, G * units, h)
-    second = QPSolution(far, x / units, y, [], np.zeros(n), np.zeros(n))
-    for name in NAMES:
-        one, other = getattr(first, name), getattr(second, name)
-        assert 2.0**-8 * one <= other <= 2.0**8 * one
 
 
 @pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit of program 12")

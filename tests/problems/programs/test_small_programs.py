@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planted import planted_program
 
 from lcp_plugin import QuadraticProgramBatch, Status, solve, solve_batch
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
@@ -17,26 +18,6 @@ from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.problems.programs.solving import solve_program
 
 INF = np.inf
-
-
-def planted(
-    n: int, rows: int, equations: int, rank: int, seed: int
-) -> tuple[QuadraticProgram, np.ndarray, float]:
-    """Return a program of the answer x and of the value that it has: chosen first, then c, h, b and the bounds."""
-    rng = np.random.default_rng(seed)
-    factor = rng.standard_normal((n, rank))
-    P, G, A = factor @ factor.T, rng.standard_normal((rows, n)), rng.standard_normal((equations, n))
-    x = np.round(rng.standard_normal(n), 3)
-    multipliers = np.where(rng.random(rows) < 0.5, rng.random(rows) + 0.1, 0.0)
-    lower, upper = (
-        np.where(rng.random(n) < 0.3, x, -INF),
-        np.where(rng.random(n) < 0.5, x + 1.0, INF),
-    )
-    at_lower = np.where(lower == x, rng.random(n), 0.0)
-    h = G @ x + np.where(multipliers > 0.0, 0.0, rng.random(rows) + 0.1)
-    c = -(P @ x + G.T @ multipliers + A.T @ rng.standard_normal(equations)) + at_lower
-    program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
-    return program, x, program.objective(x)
 
 
 @given(
@@ -51,7 +32,7 @@ def test_answers_chosen_first_are_found(
 ) -> None:
     """The value is the planted one, and so is x where P is positive definite; each measure bounds the program's own."""
     equations = min(equations, n - 1)
-    program, x, value = planted(n, rows, equations, max(n - lacks, 0), seed)
+    program, x, value = planted_program(n, rows, equations, max(n - lacks, 0), seed)
     result = solve_program(program)
     solution = result.solution
     assert solution.is_optimal()
@@ -83,7 +64,7 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
     """Where equations fix x, where rows repeat or sum up to others, SOLVED is said where the program is optimal."""
     rng = np.random.default_rng(5)
     for k in range(60):
-        program, _, value = planted(8, 6, 2, 8 - k % 4, k)
+        program, _, value = planted_program(8, 6, 2, 8 - k % 4, k)
         A = np.vstack([program.A, program.A.sum(axis=0), rng.standard_normal((8 * (k % 2), 8))])
         x = solve_program(program).solution.x
         redundant = QuadraticProgram(
@@ -130,7 +111,7 @@ def test_a_small_cost_and_a_far_bound_hide_nothing(algorithm: str, cost: float, 
 
 def test_a_result_can_be_replaced_pickled_and_given_a_start() -> None:
     """As any other result; z0 is a start, of which the compiled call knows nothing."""
-    program, _, value = planted(5, 3, 1, 5, 2)
+    program, _, value = planted_program(5, 3, 1, 5, 2)
     result = solve_program(program)
     solution = result.solution
     other = dataclasses.replace(result, algorithm="mine")
@@ -145,7 +126,7 @@ def test_a_result_can_be_replaced_pickled_and_given_a_start() -> None:
 
 def test_whoever_watches_or_limits_gets_the_same_bits() -> None:
     """A limit, a log, a record, a callback and a start change no bit of x and no status."""
-    for program, *_ in (planted(6, 4, 1, 6, 3), planted(30, 20, 3, 20, 4)):
+    for program, *_ in (planted_program(6, 4, 1, 6, 3), planted_program(30, 20, 3, 20, 4)):
         plain = solve_program(program)
         seen: list[Any] = []
         for wish in (

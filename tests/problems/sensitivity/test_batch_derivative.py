@@ -209,24 +209,6 @@ def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
         assert one.is_unique is False or not one.advice
 
 
-@pytest.mark.few(2)
-def test_velocities_of_contacts_have_the_gradient_of_differences() -> None:
-    """A function of W Aᵀx, which all solutions share, changes as the gradient of least change says."""
-    M, q, A = contacts(60, 7)
-    rng, base = np.random.default_rng(8), solve_batch(M, q, tolerance=1e-12)
-    g, dq = np.zeros(q.shape), np.zeros(q.shape)
-    g[:, :20] = np.einsum("bi,bij->bj", rng.normal(size=(60, 20)), M[:, :20, :20])
-    dq[:, :20] = rng.normal(size=(60, 12)) @ A.T
-    gradient = derivative(base).vjp(g)
-    step = 1e-6
-    ahead, behind = (solve_batch(M, q + side * step * dq, tolerance=1e-13) for side in (1.0, -1.0))
-    forward, backward = (((side.z - base.z) * g).sum(1) / step for side in (ahead, behind))
-    is_smooth = np.abs(forward + backward) <= 1e-4 * (1.0 + np.abs(forward))
-    assert is_smooth.sum() > 50
-    told = (gradient.q * dq).sum(1)
-    assert np.abs(told - forward)[is_smooth].max() <= 1e-4 * (1.0 + np.abs(forward).max())
-
-
 def test_a_bad_problem_costs_itself_alone() -> None:
     """NaN where a problem is none, has no solution or can not follow; `errors` says why; the rest is untouched."""
     M, q, lower, upper = planted(8, 4, 9)

@@ -19,7 +19,6 @@ from lcp_plugin import LCP, Status, derivative, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from lcp_plugin.problems.sensitivity import Derivative
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
-from lcp_plugin.systems import free_systems
 
 STRICT = strict(solved_lcps(bounds=True))
 ACCURACY = 1e-12
@@ -105,32 +104,6 @@ def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
     found = [one for k in cases for one in campaign.judge((7, k, 6, False))]
     assert {one[0] for one in found} == {family}
     assert not [what for _, what, where in found if where]
-
-
-@settings.get_profile("few")
-@given(STRICT, st.data())
-def test_differences_within_an_active_set_are_derivatives(drawn, data) -> None:
-    """The solution is affine in q and the bounds: (z(t) − z)/t in fractions, t so small that no row changes."""
-    problem, z = drawn
-    n, t = problem.n, 2.0**-20
-    dq, db = (
-        np.array(data.draw(st.lists(st.integers(-3, 3), min_size=n, max_size=n)), float)
-        for _ in range(2)
-    )
-    moved = LCP(
-        problem.M, problem.q + t * dq, lower=problem.lower + t * db, upper=problem.upper + t * db
-    )
-    after = exact_solution(moved).z
-    exact = [(a - b) / Fraction(t) for a, b in zip(after, z, strict=True)]
-    found = found_of(problem)
-    dz = found.jvp(dq=dq, dlower=db, dupper=db)
-    far = max(map(abs, exact), default=0)
-    if (
-        far * Fraction(t) * 100 < 1
-    ):  # entries are integers: nothing changes its state on so short a way
-        F = piece_of(found, z).free
-        M = problem.csr.toarray()[np.ix_(F, F)]
-        assert distance(dz, exact) <= ACCURACY * (np.linalg.cond(M, np.inf) if F else 1.0)
 
 
 @settings.get_profile("few")
@@ -340,35 +313,6 @@ def convection(n: int, drift: float) -> sp.csr_array:
     one = sp.diags_array([-1.0 - drift, 2.0 + drift, -1.0], offsets=[-1, 0, 1], shape=(n, n))
     eye = sp.eye_array(n)
     return sp.csr_array(sp.kron(one, eye) + sp.kron(eye, one) + 1e-3 * sp.eye_array(n * n))
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("drift", [0.0, 0.7])
-def test_krylov_steps_solve_as_a_factor_does(drift: float, monkeypatch) -> None:
-    """Cycles, transposed ones on a nonsymmetric matrix too, give jvp and vjp of the factor to 1e-11."""
-    n = 60
-    x = np.linspace(-1.0, 1.0, n)
-    load = (np.cos(3.0 * x)[:, None] * np.cos(2.0 * x)).ravel()
-    problem = LCP(convection(n, drift), -0.01 * load)
-    result = solve(problem, tolerance=1e-10)
-    rng = np.random.default_rng(0)
-    dq, g = rng.normal(size=(2, n * n))
-    found = derivative(result)
-    assert found.is_unique is True
-    assert 0.05 < (~found.free).mean() < 0.95
-    direct = found.jvp(dq=dq), found.vjp(g)
-    monkeypatch.setattr(free_systems, "DIRECT_UP_TO", 0)
-    monkeypatch.setattr(free_systems, "factor_fits", lambda _: False)
-    found = derivative(solve(LCP(problem.csr, problem.q), tolerance=1e-10))
-    iterated = found.jvp(dq=dq), found.vjp(g)
-    assert "_factor" not in found._system.__dict__
-    assert np.abs(iterated[0] - direct[0]).max() <= 1e-11 * np.abs(direct[0]).max()
-    for one, other in ((iterated[1].q, direct[1].q), (iterated[1].lower, direct[1].lower)):
-        assert np.abs(one - other).max() <= 1e-11 * np.abs(other).max()
-    assert (
-        np.abs(iterated[1].M.data - direct[1].M.data).max()
-        <= 1e-11 * np.abs(direct[1].M.data).max()
-    )
 
 
 def test_degenerate_rows_of_a_large_problem() -> None:

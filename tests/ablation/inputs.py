@@ -7,7 +7,6 @@ references, exact arithmetic and other people's solvers, never a status.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Container, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from published_problems import FOLDER
 
 from lcp_plugin import (
     LCP,
@@ -35,9 +35,7 @@ from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TESTS = Path(__file__).parents[1]
-DATA = Path(
-    os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "data")
-)  # published problems, if there
+DATA = FOLDER  # published problems
 SOLVED, PROVED, OPEN, FALSE = "solved", "proved", "open", "false"
 ALIKE, LOOSE = (
     1e-6,

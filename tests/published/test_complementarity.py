@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, needs_files, read
+from published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, read
 
 from lcp_plugin import (
     LCP,
@@ -70,7 +70,6 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
     return z.value
 
 
-@needs_files
 @pytest.mark.parametrize("way", [sparse, dense, as_a_file, in_a_batch, in_a_list, in_cvxpy])
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
 def test_answers_are_those_published(
@@ -86,7 +85,6 @@ def test_answers_are_those_published(
     assert abs(M @ (z - reference)).max() <= TOLERANCE * abs(of["q"]).max()
 
 
-@needs_files
 @pytest.mark.parametrize("algorithm", REGISTRY)
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
 def test_whatever_is_called_solved_is_right(name: str, algorithm: str) -> None:

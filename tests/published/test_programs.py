@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import qpsolvers
 import scipy.sparse as sp
-from published_problems import FOLDER, PROGRAMS, PublishedProgram, needs_files
+from published_problems import FOLDER, PROGRAMS, PublishedProgram
 
 from lcp_plugin import (
     QPSolver,
@@ -24,7 +24,6 @@ from lcp_plugin.interfaces.program_files import load_program
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 
 register_with_qpsolvers()
-pytestmark = needs_files
 TOLERANCE, LARGEST_IN_A_BATCH = 1e-6, 3000
 BY_SIZE = sorted(PROGRAMS, key=PROGRAMS.__getitem__)
 SMALL = [name for name in BY_SIZE if PROGRAMS[name] <= LARGEST_IN_A_BATCH]

@@ -9,11 +9,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from published_problems import CONTACTS, errors_of_contact, needs_files, read
+from published_problems import CONTACTS, errors_of_contact, read
 
 from lcp_plugin import FrictionalContact, complements, friction_cone, solve, solve_batch
 
-pytestmark = needs_files
 TOLERANCE = 1e-6
 Published = dict[str, Any]
 

@@ -35,7 +35,7 @@ TIME_LIMITS = {
 
 
 @dataclass(frozen=True, eq=False)
-class ConvexProgram:
+class ReferenceProgram:
     """The convex program of an LCP in equilibrated unknowns y = weight · z / unit.
 
     Attributes
@@ -59,7 +59,7 @@ class ConvexProgram:
     matrix: Any = field(repr=False)
 
     @classmethod
-    def of(cls, problem: LCP) -> ConvexProgram:
+    def of(cls, problem: LCP) -> ReferenceProgram:
         """Return the program that symmetry and a factorization of the symmetric part allow."""
         weight = np.sqrt(np.where(problem.diagonal > 0.0, problem.diagonal, problem.residual_scale))
         if sp.issparse(problem.M):
@@ -145,7 +145,7 @@ def solver_name(reference: Any) -> str:
     return name
 
 
-def solve_by(name: str, convex: ConvexProgram, max_seconds: float, options: Any = ()) -> Reply:
+def solve_by(name: str, convex: ReferenceProgram, max_seconds: float, options: Any = ()) -> Reply:
     """Solve the program by a convex solver; an exception becomes the status."""
     import cvxpy as cp
 

@@ -27,7 +27,7 @@ from ..core.problem_classes import refusal
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
 from ..systems.factors import factorise
-from .convex_program import PLAIN, ConvexProgram, solve_by, solver_name
+from .convex_program import PLAIN, ReferenceProgram, solve_by, solver_name
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
@@ -163,7 +163,7 @@ def cross_validate(
     ours, seconds = Certificate.of(problem, result.z), result.seconds
     if problem.n == 0:
         return CrossCheck("agree", "the problem has no unknowns", name, "", ours)
-    convex = ConvexProgram.of(problem)
+    convex = ReferenceProgram.of(problem)
     if not convex.kind:
         is_false = _claims(result) and not _keeps_claim(result, ours)
         reason = f"no convex program to compare with; our status {result.status.name} is " + (
@@ -200,7 +200,7 @@ def _is_computed_by(result: Result, name: str) -> bool:
     return bool(remarks) and (name == "PIQP" or any(name.lower() in one for one in remarks))
 
 
-def _compare(convex: ConvexProgram, ours: Certificate, theirs: Certificate) -> dict[str, Any]:
+def _compare(convex: ReferenceProgram, ours: Certificate, theirs: Certificate) -> dict[str, Any]:
     """Return the differences, in the unit-free variables D^½ z / unit and D^−½ w / unit where they have no unit."""
     step, rise = ours.z - theirs.z, ours.w - theirs.w
     weight, unit = convex.weight / convex.unit, convex.weight * convex.unit
@@ -221,7 +221,7 @@ def _compare(convex: ConvexProgram, ours: Certificate, theirs: Certificate) -> d
     }
 
 
-def _weighted_residual(convex: ConvexProgram, side: Certificate) -> float:
+def _weighted_residual(convex: ReferenceProgram, side: Certificate) -> float:
     """Return ‖D^½ r‖ / unit, rounding included."""
     problem, scale = side.problem, np.square(convex.weight)
     floor = rounding_floor(problem, magnitude(problem, side.z), scale)

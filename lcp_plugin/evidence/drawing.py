@@ -100,7 +100,7 @@ def styled(more: Mapping[str, Any] | None = None) -> Any:
     return rc_context(STYLE | dict(more or {}))
 
 
-class Line(NamedTuple):
+class PanelLine(NamedTuple):
     """One line of a panel: label, family, points, whether the run converged, quartiles of x."""
 
     label: str
@@ -118,7 +118,7 @@ class Panel(NamedTuple):
     """
 
     title: str
-    lines: Sequence[Line]
+    lines: Sequence[PanelLine]
     x_label: str
     y_label: str
     kind: str = "errors"
@@ -213,7 +213,7 @@ def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) ->
                   rotation=90, va="bottom", color="#777777", fontsize=LABEL_SIZE - 1)  # fmt: skip
 
 
-def _range(lines: Sequence[Line]) -> tuple[float, float]:
+def _range(lines: Sequence[PanelLine]) -> tuple[float, float]:
     """Return the errors that are shown: from the least of a result to three times the largest start."""
     positive = [value for line in lines for value in line.y if 0.0 < value < math.inf]
     if not positive:
@@ -226,7 +226,7 @@ def _range(lines: Sequence[Line]) -> tuple[float, float]:
 
 
 def _draw(
-    axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float], *, is_share: bool
+    axes: Any, line: PanelLine, look: dict[str, Any], shown: tuple[float, float], *, is_share: bool
 ) -> None:
     """Draw one line with its quartiles and some markers; a run that fails ends in a cross."""
     x = np.maximum(line.x, 1e-9)

@@ -26,7 +26,7 @@ from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import Scene, builder_of
 from ..interfaces.files.files import checked_path, write_whole
-from .drawing import FORMATS, Line, Panel, draw_panels, save
+from .drawing import FORMATS, Panel, PanelLine, draw_panels, save
 from .measurement import (
     BOUND,
     POINT,
@@ -177,7 +177,7 @@ class Study:
             for method in dict.fromkeys(row.method for row in solved):
                 own = [row for row in solved if row.method == method]
                 n, y = ([row.n for row in own], [_value(row, view) for row in own])
-                lines.append(Line(method, own[0].family, np.array(n), np.array(y)))
+                lines.append(PanelLine(method, own[0].family, np.array(n), np.array(y)))
             panels.append(Panel(problem, lines, "unknowns n", VALUES[view], "sizes"))
         return draw_panels(panels, width)
 
@@ -187,7 +187,7 @@ class Study:
             finite = ratios[np.isfinite(ratios)]
             shares = np.arange(1, finite.size + 1) / max(ratios.size, 1)
             solves_all = finite.size == ratios.size
-            lines.append(Line(label, self.methods[label], finite, shares, solves_all))
+            lines.append(PanelLine(label, self.methods[label], finite, shares, solves_all))
         title = f"performance profile by {by}"
         return Panel(title, lines, f"{by} ÷ the least", "share of the problems solved", "shares")
 
@@ -264,7 +264,7 @@ def _curves(rows: Sequence[Measurement], against: str) -> Panel:
         if against == "seconds":
             band = (row.column("seconds_low"), row.column("seconds_high"))
         x = x if band else np.maximum(x, 1.0)
-        lines.append(Line(row.method, row.family, x, row.column("error"), row.is_solved, band))
+        lines.append(PanelLine(row.method, row.family, x, row.column("error"), row.is_solved, band))
     kind = rows[0].error_kind
     title = re.sub(r"([:,])", r"\1 ", rows[0].problem)
     if rows[0].size is not None:
@@ -463,12 +463,12 @@ class _Bench:
     def _references(
         self, scene: Scene, names: Sequence[str], kind: str, measure: Measure
     ) -> Iterator[Measurement]:
-        from .convex_program import PLAIN, ConvexProgram, solve_by
+        from .convex_program import PLAIN, ReferenceProgram, solve_by
 
         reason = "M is not symmetric"
         convex = None
         if not scene.is_declared or scene.is_symmetric:
-            convex = ConvexProgram.of(scene.problem)
+            convex = ReferenceProgram.of(scene.problem)
             reason = convex.evidence
         if convex is None or convex.kind != PLAIN:
             self.notes.append(f"{self.label}: no convex solver, {reason}")

@@ -83,7 +83,7 @@ class InteriorPoint(Algorithm):
                 SPARSE_OPERATIONS,
             )
         require_seconds(FACTORS * operations / speed)
-        z, steps = ConvexProgram.of(problem).answer(PIQP(max_iter=STEPS))
+        z, steps = MonotoneProgram.of(problem).answer(PIQP(max_iter=STEPS))
         if np.isfinite(z).all():
             cases = _cases(problem, z, CASES)
             sharp = next(cases, Step(z))
@@ -108,7 +108,7 @@ def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:
 
 
 @dataclass(frozen=True, eq=False)
-class ConvexProgram:
+class MonotoneProgram:
     """A program whose unknowns are some z, x, and the parts v ≥ 0 of slacks that are negative at an upper bound.
 
     Attributes
@@ -133,7 +133,7 @@ class ConvexProgram:
     anchor: FloatVector
 
     @classmethod
-    def of(cls, problem: LCP) -> ConvexProgram:
+    def of(cls, problem: LCP) -> MonotoneProgram:
         """Return the program of the rows that are not fixed: by signs if M has them, else the gap program."""
         signs = signs_of(problem.matrix)
         M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper

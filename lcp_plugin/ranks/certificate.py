@@ -22,7 +22,7 @@ GAINS = (1e-2, 1e-6)  # relative residuals of ⟨M⟩v = diag(M) after which v i
 MOST_STEPS = 30  # v grows indefinitely if M is not an H₊-matrix
 
 
-class Components:
+class ComponentsOnRanks:
     """The connected components of M's graph over all ranks."""
 
     def __init__(self, problem: RowsOnRanks) -> None:
@@ -91,7 +91,9 @@ class CertificateOnRanks:
 
 
 @np.errstate(all="ignore")
-def measured(problem: RowsOnRanks, components: Components, z: FloatVector) -> CertificateOnRanks:
+def measured(
+    problem: RowsOnRanks, components: ComponentsOnRanks, z: FloatVector
+) -> CertificateOnRanks:
     """Return the certificate of a point; one rule with a single process, `MATHS` of the manual's page on SOLVED."""
     halo, d, lower, upper = problem.halo, problem.residual_scale, problem.lower, problem.upper
     size, terms = abs(problem.rows), np.diff(problem.rows.indptr) + 3
@@ -178,7 +180,7 @@ def _square(problem: RowsOnRanks) -> Any:
 
 def _weights(problem: RowsOnRanks) -> Any:
     """Yield vectors v that may have ⟨M⟩v > 0: ones, then approximate solutions of ⟨M⟩v = diag(M)."""
-    from .hierarchy import Truncation, build_hierarchy
+    from .hierarchy import TruncationOnRanks, build_hierarchy
     from .krylov import Krylov
 
     ones = np.ones(problem.own)
@@ -192,7 +194,7 @@ def _weights(problem: RowsOnRanks) -> Any:
     comparison.data[is_diagonal] *= -1.0
     hierarchy = build_hierarchy(comparison, problem.halo, scales_rows=not problem.is_symmetric)
     residual = problem.diagonal - comparison @ np.ones(comparison.shape[1])
-    solution = Krylov(Truncation(hierarchy), residual, problem.is_symmetric)
+    solution = Krylov(TruncationOnRanks(hierarchy), residual, problem.is_symmetric)
     begun, steps = solution.largest(), 0
     for gain in GAINS:
         while solution.largest() > gain * begun and steps < MOST_STEPS and solution.step():

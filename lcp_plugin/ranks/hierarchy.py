@@ -41,7 +41,7 @@ LARGEST_GRID_SHARE, LARGEST_GROWTH, LARGEST_COMPLEXITY = 0.85, 2.0, 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class GridOnRanks:
     """The own rows of one grid, those of the foreign unknowns next to them behind, and the pivots of a sweep."""
 
     matrix: Operator
@@ -74,14 +74,14 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Hierarchy:
+class HierarchyOnRanks:
     """The grids from the finest to the coarsest, with transfers; one grid if coarser ones cost too much."""
 
-    grids: tuple[Grid, ...]
+    grids: tuple[GridOnRanks, ...]
     transfers: tuple[Transfer, ...]
 
 
-class Interpolation(NamedTuple):
+class InterpolationOnRanks(NamedTuple):
     """The rows of P, of the own unknowns and of the foreign ones whose rows are here; columns of all ranks."""
 
     rows: Arrays
@@ -90,7 +90,7 @@ class Interpolation(NamedTuple):
     extends: bool
 
 
-def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> Hierarchy:
+def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyOnRanks:
     """Return the hierarchy of the own rows, shape (own, own + foreign), with a positive diagonal.
 
     With `scales_rows` the restriction is Pᵀ D⁻¹ in place of Pᵀ, for matrices that are not symmetric.
@@ -119,11 +119,11 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> Hierarchy:
         is_large = halo.total(below.n) > LARGEST_GRID_SHARE * size
         stored += now
         if is_large or now > LARGEST_GROWTH * entries or stored > LARGEST_COMPLEXITY * entries:
-            return Hierarchy((grids[0],), ())
+            return HierarchyOnRanks((grids[0],), ())
         grid, size = below, halo.total(below.n)
         grids.append(grid)
         transfers.append(transfer)
-    return Hierarchy(tuple(grids), tuple(transfers))
+    return HierarchyOnRanks(tuple(grids), tuple(transfers))
 
 
 @np.errstate(all="ignore")
@@ -145,7 +145,7 @@ def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> FloatVector:
     return np.where(np.isfinite(weight), weight, 0.0)
 
 
-def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> Grid:
+def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRanks:
     indptr, indices, data = matrix.arrays
     first = Operator(indptr[: own + 1], indices[: indptr[own]], data[: indptr[own]])
     split, inverse = pivots(first, galerkin.SMALLEST_PIVOT)
@@ -156,10 +156,12 @@ def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> Grid:
         with np.errstate(divide="ignore"):
             inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
     blocks = blocks_of(first.arrays, own, may_cut=halo.is_empty and not scales_rows)
-    return Grid(matrix, split, blocks, read_only(inverse), halo, weight)
+    return GridOnRanks(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
-def _interpolation(grid: Grid, strength: float, extends: bool | None) -> Interpolation | None:
+def _interpolation(
+    grid: GridOnRanks, strength: float, extends: bool | None
+) -> InterpolationOnRanks | None:
     """Return the interpolation from coarse unknowns of any rank; None if no unknowns are coupled."""
     indptr, indices, data = grid.own
     n, halo = grid.n, grid.halo
@@ -194,10 +196,10 @@ def _interpolation(grid: Grid, strength: float, extends: bool | None) -> Interpo
     if extends:
         extended, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
         rows, _ = rows_from_kernel(extended, operands, more, n)
-    return Interpolation(halo.with_foreign_rows(rows), is_coarse, below, bool(extends))
+    return InterpolationOnRanks(halo.with_foreign_rows(rows), is_coarse, below, bool(extends))
 
 
-def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _kinds_of_all(grid: GridOnRanks, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]:
     flags = np.zeros(grid.width, np.bool_)
     flags[: grid.n] = is_coarse
     grid.halo.fetch_flags(flags)
@@ -205,8 +207,8 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
 
 
 def _coarser(
-    grid: Grid, interpolation: Interpolation, scales_rows: bool
-) -> tuple[Transfer, Grid] | None:
+    grid: GridOnRanks, interpolation: InterpolationOnRanks, scales_rows: bool
+) -> tuple[Transfer, GridOnRanks] | None:
     """Return the way to the coarser grid and that grid; None if its numbers are not finite."""
     halo, below = grid.halo, interpolation.below
     p_indptr, columns, p_data = interpolation.rows
@@ -233,7 +235,7 @@ def _coarser(
     return transfer, _grid(Operator(*rows), below, count, scales_rows)
 
 
-def _restriction(grid: Grid, count: int, prolongation: Arrays) -> Arrays:
+def _restriction(grid: GridOnRanks, count: int, prolongation: Arrays) -> Arrays:
     """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
     p_indptr, p_indices, p_data = prolongation
     if grid.halo.foreign:
@@ -290,10 +292,10 @@ def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: 
                 break
 
 
-class TruncatedGrid:
+class TruncatedGridOnRanks:
     """The values of one grid while some unknowns are fixed, and its vectors."""
 
-    def __init__(self, grid: Grid, *, is_finest: bool) -> None:
+    def __init__(self, grid: GridOnRanks, *, is_finest: bool) -> None:
         self.grid, n, width = grid, grid.n, grid.width
         self.new_values = None if is_finest else grid.matrix.data.copy()
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
@@ -314,13 +316,13 @@ class TruncatedGrid:
         return matrix.indptr, self.grid.split, matrix.indices, self.values
 
 
-class Truncation:
+class TruncationOnRanks:
     """A hierarchy with the fixed unknowns of its finest grid taken out of all grids."""
 
-    def __init__(self, hierarchy: Hierarchy) -> None:
+    def __init__(self, hierarchy: HierarchyOnRanks) -> None:
         self.transfers = hierarchy.transfers
         self.grids = [
-            TruncatedGrid(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)
+            TruncatedGridOnRanks(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)
         ]
         self.work = 0.0
         self._factor: Factor | None = None
@@ -356,7 +358,7 @@ class Truncation:
             if level.grid.halo.total(changed) == 0:
                 break
 
-    def _mark(self, level: TruncatedGrid, transfer: Transfer) -> None:
+    def _mark(self, level: TruncatedGridOnRanks, transfer: Transfer) -> None:
         """Find the unknowns of a grid that follow no coarse one, and the rows that contribute otherwise than before."""
         halo, matrix = level.grid.halo, level.grid.matrix
         halo.fetch_flags(level.is_free)
@@ -417,7 +419,7 @@ class Truncation:
         vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
-    def _solve_coarsest(self, level: TruncatedGrid) -> None:
+    def _solve_coarsest(self, level: TruncatedGridOnRanks) -> None:
         n, halo = level.grid.n, level.grid.halo
         if halo.is_empty and halo.size == 1 and n <= FACTORISED_UP_TO:
             if self._factor is None:

@@ -8,7 +8,7 @@ from ..core.checks import FloatVector
 from ..systems.equilibration import power_of_two
 from ..systems.hierarchy import sweeps
 from ..systems.hierarchy.vectors import dot, largest_product, span
-from .hierarchy import Truncation
+from .hierarchy import TruncationOnRanks
 
 
 class Krylov:
@@ -25,7 +25,9 @@ class Krylov:
         divided by their diagonal entries.
     """
 
-    def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
+    def __init__(
+        self, truncation: TruncationOnRanks, residual: FloatVector, is_symmetric: bool
+    ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         self.halo = truncation.grids[0].grid.halo
         # Squares of very large or small numbers leave the range of a double.

@@ -18,7 +18,7 @@ from ..core.kernels.splitting_sweeps import packed, relaxation_sweep, row_splits
 from ..core.rounding import read_only_views
 from ..systems.hierarchy import sweeps
 from ..systems.hierarchy.vectors import prolong, restrict
-from .hierarchy import Hierarchy, Truncation, build_hierarchy, pivot_weight
+from .hierarchy import HierarchyOnRanks, TruncationOnRanks, build_hierarchy, pivot_weight
 from .krylov import Krylov
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
     _positive_diagonal(problem)
     symmetric = problem.is_symmetric
     hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=not symmetric)
-    run = GridProblem(hierarchy, problem.q, problem.lower, problem.upper, symmetric)
+    run = GridProblemOnRanks(hierarchy, problem.q, problem.lower, problem.upper, symmetric)
     whole = run.halo.whole(z)  # the hierarchy counts foreign unknowns in an order of its own
     own = slice(problem.own)
     yield whole[own], 0.0
@@ -115,12 +115,12 @@ def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
         run.sweep(whole, backward=True)
 
 
-class GridProblem:
+class GridProblemOnRanks:
     """The LCP of a grid, with the coarser ones below: projected sweeps, and corrections of its free unknowns."""
 
     def __init__(
         self,
-        hierarchy: Hierarchy,
+        hierarchy: HierarchyOnRanks,
         q: FloatVector,
         lower: FloatVector,
         upper: FloatVector,
@@ -128,7 +128,7 @@ class GridProblem:
     ) -> None:
         self.hierarchy, self.truncation, self.symmetric = (
             hierarchy,
-            Truncation(hierarchy),
+            TruncationOnRanks(hierarchy),
             symmetric,
         )
         self.grid = grid = hierarchy.grids[0]
@@ -147,11 +147,11 @@ class GridProblem:
         """Add the solution of the coarser grid's LCP to z, within the bounds."""
         transfer = self.hierarchy.transfers[0]
         _, q, lower, upper = self.vectors
-        coarse = Hierarchy(self.hierarchy.grids[1:], self.hierarchy.transfers[1:])
+        coarse = HierarchyOnRanks(self.hierarchy.grids[1:], self.hierarchy.transfers[1:])
         restricted = np.empty(coarse.grids[0].n)
         restrict(transfer, self.halo.whole(q), restricted)
         bounds = [side[transfer.is_coarse] for side in (lower, upper)]
-        below = GridProblem(coarse, restricted, bounds[0], bounds[1], self.symmetric)
+        below = GridProblemOnRanks(coarse, restricted, bounds[0], bounds[1], self.symmetric)
         answer = below.answer()
         below.halo.fetch(answer)
         everywhere = np.ones(z.size, np.bool_)

@@ -15,7 +15,7 @@ from ..core.errors import InvalidOption, NotConverged
 from ..core.kernels.threads import threads_for
 from ..core.settings import Settings, Status, checked_callback
 from ..core.solving.result import Sample
-from .certificate import CertificateOnRanks, Components, error_bound, measured
+from .certificate import CertificateOnRanks, ComponentsOnRanks, error_bound, measured
 from .collective import Interruptions
 from .methods import chain
 
@@ -135,7 +135,7 @@ class _Run:
     ) -> None:
         self.problem, self.settings, self.callback = problem, settings, callback
         self.is_interrupted, self.began = is_interrupted, time.perf_counter()
-        self.components = Components(problem)
+        self.components = ComponentsOnRanks(problem)
         has_callback = problem.halo.anywhere(callback is not None)
         self.has_callback, self.is_watched = has_callback, has_callback or settings.verbose
         self.best: CertificateOnRanks | None = None

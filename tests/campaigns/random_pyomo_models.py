@@ -36,7 +36,7 @@ from lcp_plugin.expressions.program import Program
 from lcp_plugin.interfaces.nl import read_nl
 from lcp_plugin.interfaces.nl.content import NLContent
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
-from lcp_plugin.interfaces.pyomo.model import Statement, stated
+from lcp_plugin.interfaces.pyomo.model import PyomoStatement, stated
 from lcp_plugin.interfaces.pyomo.pairs import Pair
 
 SAME = 1e-12  # of the terms of a row
@@ -207,7 +207,7 @@ def rows_of(content: NLContent) -> Program:
     return Program.of(found.compiler, [rows], {UNKNOWNS: 0}, content.lower.size)
 
 
-def differences(statement: Statement, rng: np.random.Generator) -> float:
+def differences(statement: PyomoStatement, rng: np.random.Generator) -> float:
     """How far F and its Jacobian are from Pyomo's own at a random point, beside the terms of the rows."""
     content, variables = statement.content, statement.variables
     point = np.round(rng.normal(size=len(variables)), 3)

@@ -21,7 +21,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.evidence import cross_check
-from lcp_plugin.evidence.convex_program import GAP, PLAIN, ConvexProgram
+from lcp_plugin.evidence.convex_program import GAP, PLAIN, ReferenceProgram
 from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate
 
 COUNT = 500 if os.environ.get("LCP_PLUGIN_LONG") == "1" else 60
@@ -248,7 +248,7 @@ def test_disagreement_of_any_two_points_is_explained(monotone_only: bool) -> Non
         lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
         problem = LCP(M, generator.normal(size=n), lower=lower, upper=upper)
         first, second = (Certificate.of(problem, generator.normal(size=n)) for _ in range(2))
-        facts = cross_check._compare(ConvexProgram.of(problem), first, second)
+        facts = cross_check._compare(ReferenceProgram.of(problem), first, second)
         assert facts["disagreement"] <= facts["allowance"]
 
 

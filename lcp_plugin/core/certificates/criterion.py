@@ -47,7 +47,7 @@ ASKED_POWER = 0.25  # of the tolerance, next to what a row asks for
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
 
 
-class Rows(NamedTuple):
+class RowsAtPoint(NamedTuple):
     """Rows at a point z: one pass over M.
 
     Attributes
@@ -102,14 +102,14 @@ class RowData:
         """Number of entries of each row, at most."""
         return self.q.shape[-1] if isinstance(self.M, np.ndarray) else np.diff(self.M.indptr)
 
-    def rows(self, z: FloatVector) -> Rows:
+    def rows(self, z: FloatVector) -> RowsAtPoint:
         """Return the rows at z."""
         products = times(self.absolute, np.abs(z))
         terms = products + np.abs(self.q)
         slip = np.where(
             products > 0.0, (self._counts + 6) * (EPSILON * terms + TINY), 0.0
         )  # NaN stays
-        return Rows(times(self.M, z) + self.q, terms, slip)
+        return RowsAtPoint(times(self.M, z) + self.q, terms, slip)
 
     def largest(self, values: FloatVector) -> Any:
         """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one."""
@@ -151,7 +151,7 @@ class RowData:
         """Return the rows that are off their bounds or violated, bool."""
         return (wrong > 0.0) | ((z > self.lower) & (z < self.upper))
 
-    def acting_reference(self, z: FloatVector, at: Rows) -> Any:
+    def acting_reference(self, z: FloatVector, at: RowsAtPoint) -> Any:
         """Return the largest T_k/d_k of rows of each row's component that act, or may, rounding included."""
         wrong = self.violations(z, at.w)
         may_act = self.acts(z, wrong) | ((np.abs(at.w) <= at.slip) & (self.lower < self.upper))
@@ -171,7 +171,7 @@ class RowData:
         sizes = self.absolute.data * shares[self.absolute.indices]
         return np.maximum(w, largest_in_rows(self.absolute, sizes))
 
-    def term_residuals(self, z: FloatVector, at: Rows, power: float = POWER) -> FloatVector:
+    def term_residuals(self, z: FloatVector, at: RowsAtPoint, power: float = POWER) -> FloatVector:
         """Return the least tolerance at which each row passes the componentwise test; ∞ and NaN pass at none.
 
         Parameters

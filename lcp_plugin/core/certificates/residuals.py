@@ -17,7 +17,7 @@ from ..problem_classes import refusal
 from ..rounding import gamma
 from .criterion import (
     POWER,
-    Rows,
+    RowsAtPoint,
     VectorEnds,
     for_each_row,
     largest_of_components,
@@ -109,7 +109,7 @@ class Certificate:
         return cls(problem, z)
 
     @cached_property
-    def _rows(self) -> Rows:
+    def _rows(self) -> RowsAtPoint:
         with np.errstate(all="ignore"):
             return row_data(self.problem).rows(self.z)
 

@@ -70,7 +70,7 @@ class Sum:
         return large
 
 
-class _Reader:
+class _ExpressionReader:
     """The rows, objectives and defined variables of a file as sums over variables and functions.
 
     Columns are the variables, the defined variables and the functions.
@@ -269,7 +269,7 @@ class Expressions:
         values = [
             value if one else None for value, one in zip(known.tolist(), is_known, strict=True)
         ]
-        found = _Reader(content, values)
+        found = _ExpressionReader(content, values)
         n, d, count = content.lower.size, content.defined_trees.size, len(found.functions)
         keys = list(zip(found.levels, (one.name for one in found.functions), strict=True))
         order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)

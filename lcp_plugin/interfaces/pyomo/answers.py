@@ -23,7 +23,7 @@ from ..nl.checks import jacobian
 from ..nl.content import NLContent
 from ..nl.model import model_of
 from ..nl.writing import write_nl
-from .model import SOME, Statement, stated
+from .model import SOME, PyomoStatement, stated
 from .pairs import Pair
 
 NO_POINT = (Status.INFEASIBLE, Status.NO_SOLUTION)
@@ -42,7 +42,7 @@ class PyomoAnswer:
         Of variables, of constraints and pairs.
     """
 
-    statement: Statement
+    statement: PyomoStatement
     found: NLAnswer
     problem: NLModel
     values: ComponentMap
@@ -151,7 +151,7 @@ def _nearest_to_zero(variable: Any) -> float:
     )
 
 
-def _problem(statement: Statement) -> NLModel:
+def _problem(statement: PyomoStatement) -> NLModel:
     try:
         return model_of(statement.content)
     except UnsupportedModel as error:

@@ -76,7 +76,7 @@ TINY = (
 
 
 @dataclass(frozen=True, eq=False)
-class Statement:
+class PyomoStatement:
     """A Pyomo model as arrays, and what leads back to it.
 
     Attributes
@@ -109,7 +109,7 @@ class Statement:
         return replace(content, partner_bounds=bound_bits)
 
 
-def stated(model: Any, path: Path) -> Statement:
+def stated(model: Any, path: Path) -> PyomoStatement:
     """Return what a Pyomo model, or a block of one, states; nothing in it is changed.
 
     Parameters
@@ -267,7 +267,7 @@ class _Draft:
         body = body if is_potentially_variable(body) else difference(body, self.model.zero)
         self.states[id(self.model.rows.add((lower, body, upper)))] = what
 
-    def written(self, objectives: Sequence[Any], has_pairs: bool, path: Path) -> Statement:
+    def written(self, objectives: Sequence[Any], has_pairs: bool, path: Path) -> PyomoStatement:
         """Return the statement, through a file written by Pyomo."""
         if self.given:
             self.model.given = Reference(self.given, ctype=Constraint)
@@ -282,7 +282,7 @@ class _Draft:
             content = self._paired(content, variables, rows)
         added = {id(variable) for variable in self.model.added.values()}
         numbers = frozenset(j for j, variable in enumerate(variables) if id(variable) in added)
-        return Statement(content, variables, rows, numbers)
+        return PyomoStatement(content, variables, rows, numbers)
 
     def _through(self, path: Path) -> tuple[NLContent, list[Any], list[Any]]:
         """Write and read the rows; return their content, the variables, and what each row states."""

@@ -121,7 +121,7 @@ class Lemke(Algorithm):
 
     def _paths(self, component: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float]]:
         """Yield (z, entries touched) along one path after the other until one ends in a solution."""
-        from .pivoting_path import Path, starts
+        from .pivoting_path import LemkePath, starts
 
         if not np.array_equal(
             guess, component.nearest_to_zero
@@ -139,7 +139,7 @@ class Lemke(Algorithm):
             not box.is_finite
         ):  # a solution, if there is one, is out of the reach of a tableau of doubles
             return
-        path = Path(box.M, box.q, box.upper)
+        path = LemkePath(box.M, box.q, box.upper)
         path.entries += box.work
         if not np.any(box.q < 0.0):
             yield from self._solution(component, box, path)

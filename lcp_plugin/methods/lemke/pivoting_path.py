@@ -39,7 +39,7 @@ FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
 
 
-class Path:
+class LemkePath:
     """The path of w = M z + q + t r, 0 ≤ z ≤ u complementary, from one start towards t = 0.
 
     Parameters
@@ -266,10 +266,10 @@ def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> Fl
 
 # --- where paths start -----------------------------------------------------------------------------------
 
-Start = Callable[[Path], bool]
+Start = Callable[[LemkePath], bool]
 
 
-def starts(path: Path, restarts: int) -> Iterator[Start]:
+def starts(path: LemkePath, restarts: int) -> Iterator[Start]:
     """Yield ways to start the path, the most promising first; each returns whether it could.
 
     Parameters
@@ -284,16 +284,16 @@ def starts(path: Path, restarts: int) -> Iterator[Start]:
     if players is not None and np.all(path.upper == np.inf):
         for k in range(n):
             yield partial(_lemke_howson, players=players, k=k)
-    yield partial(Path.start_along, covering=np.ones(n))
+    yield partial(LemkePath.start_along, covering=np.ones(n))
     size = np.maximum(np.abs(q), 2.0**-10)
     if np.ptp(size) > 0.0:
-        yield partial(Path.start_along, covering=size)
+        yield partial(LemkePath.start_along, covering=size)
     generator = np.random.default_rng(0)
     for _ in range(restarts):
-        yield partial(Path.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
+        yield partial(LemkePath.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
 
 
-def _lemke_howson(path: Path, players: NDArray[np.bool_], k: int) -> bool:
+def _lemke_howson(path: LemkePath, players: NDArray[np.bool_], k: int) -> bool:
     """Start Lemke and Howson's path that drops label k: z_k rises from ∞, w_k is what r = −e_k covers."""
     n = path.n
     mine, others = players == players[k], players != players[k]
@@ -314,7 +314,7 @@ def _lemke_howson(path: Path, players: NDArray[np.bool_], k: int) -> bool:
     return path.start_at_vertex(covering, basis, side, blocking, 1.0)
 
 
-def _last_to_become_feasible(path: Path, column: int, rows: NDArray[np.bool_]) -> int | None:
+def _last_to_become_feasible(path: LemkePath, column: int, rows: NDArray[np.bool_]) -> int | None:
     """Return the row whose w becomes ≥ 0 last as z_column rises from 0; None if one never does."""
     slope = path.M[:, column]
     if not np.all(slope[rows] > 0.0):

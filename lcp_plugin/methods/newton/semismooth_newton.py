@@ -143,7 +143,7 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
 # --- the safeguard: a line search on the Fischer–Burmeister function ---
 
 
-class Linearised(NamedTuple):
+class LinearizedPhi(NamedTuple):
     """Φ(z) and the diagonals of its Jacobian diag(by_z) + diag(by_w/d) M, shape (n,) each."""
 
     value: FloatVector
@@ -159,7 +159,7 @@ class Linearised(NamedTuple):
 @np.errstate(all="ignore")  # of bounds that are infinite
 def fischer_burmeister(
     problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-) -> Linearised:
+) -> LinearizedPhi:
     """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
 
     d is the scale of the residual unless another one is given, shape (n,), > 0. If a bound is infinite, its φ is
@@ -179,7 +179,7 @@ def fischer_burmeister(
     by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
     by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
     is_fixed = problem.lower == problem.upper
-    return Linearised(
+    return LinearizedPhi(
         np.where(is_fixed, z - problem.lower, value),
         np.where(is_fixed, 1.0, by_z),
         np.where(is_fixed, 0.0, by_s),
@@ -226,7 +226,7 @@ def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
     return False
 
 
-def _full_step(state: NewtonState, phi: Linearised) -> tuple[Linearised, bool] | None:
+def _full_step(state: NewtonState, phi: LinearizedPhi) -> tuple[LinearizedPhi, bool] | None:
     """Move to the solution of the active set of z if it is a new one and halves ‖Φ‖; return whether that settled it."""
     at_lower, at_upper = classify(state.problem, state.z, state.w)
     if state.is_known(at_lower, at_upper):
@@ -244,7 +244,7 @@ def _full_step(state: NewtonState, phi: Linearised) -> tuple[Linearised, bool] |
     return found, is_same and not solution.is_singular
 
 
-def _searched(state: NewtonState, phi: Linearised, reference: float) -> Linearised | None:
+def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> LinearizedPhi | None:
     """Move along the Newton direction of Φ, or its steepest descent, until ½‖Φ‖² falls enough."""
     jacobian = phi_jacobian(state.problem, phi, 0.0)
     gradient = jacobian.T @ phi.value
@@ -265,7 +265,7 @@ def _searched(state: NewtonState, phi: Linearised, reference: float) -> Linearis
     return None
 
 
-def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None:
+def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> FloatVector | None:
     largest = float(np.max(np.abs(phi.value), initial=0.0))
     shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
     jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))
@@ -278,7 +278,7 @@ def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None
 
 
 def phi_jacobian(
-    problem: LCP, phi: Linearised, shift: float, scale: FloatVector | None = None
+    problem: LCP, phi: LinearizedPhi, shift: float, scale: FloatVector | None = None
 ) -> Any:
     """Return the Jacobian of Φ in that scale plus shift times the identity, dense or CSR as M is."""
     M = problem.M

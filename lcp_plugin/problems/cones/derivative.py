@@ -1,6 +1,6 @@
 """The derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
 
-It is that of :mod:`lcp_plugin.systems.linearised` with the generalised derivatives of Newton's steps, and R_μ dμ. If
+It is that of :mod:`lcp_plugin.systems.linearized` with the generalised derivatives of Newton's steps, and R_μ dμ. If
 several impulses give the same motion, dz is the one of least norm; dw is the same for all. Where a block is on the edge
 of two cases, dz is one-sided: the elements are those of the piece into which dz and dw lead.
 """
@@ -20,7 +20,7 @@ from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
 from ...systems.free_systems import FreeSystem
-from ...systems.linearised import Linearised
+from ...systems.linearized import LinearizedSystem
 from .data import Blocks
 from .newton import factorized, system_of_free_rows
 from .stack import ON, WITHIN, Array, ConeStack, length
@@ -43,7 +43,7 @@ class ConeGradient(NamedTuple):
     upper: FloatVector
 
 
-class StackDerivative(Linearised):
+class StackDerivative(LinearizedSystem):
     """The derivatives of the solutions of a stack by its data; vectors have shape (B, n). Its system is that of B = 1.
 
     Parameters

@@ -83,7 +83,7 @@ class ConeAlgorithm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NPGS(ConeAlgorithm):
+class ConeNPGS(ConeAlgorithm):
     """Nonsmooth block projected Gauss–Seidel: each block in turn is solved with the others as they are.
 
     A contact in space is solved exactly (open, stick, or the angle of sliding), any other cone by projections.
@@ -120,7 +120,7 @@ class NPGS(ConeAlgorithm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Newton(ConeAlgorithm):
+class ConeNewton(ConeAlgorithm):
     """Semismooth Newton on the natural map R(z) = z − P(z − ŵ/d), with a nonmonotone line search on ‖R‖₂.
 
     Requires a factor that fits. Solves locally, where the generalised derivatives are regular. Cost: one factor of
@@ -154,7 +154,7 @@ class Newton(ConeAlgorithm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InteriorPoint(ConeAlgorithm):
+class ConeInteriorPoint(ConeAlgorithm):
     """Primal–dual interior point on De Saxcé's cones, scaled after Nesterov and Todd; Newton's steps end it.
 
     Requires contacts with friction, and a factor that fits. Solves observed: also where many contacts make the same
@@ -207,5 +207,5 @@ class FixedPoint(ConeAlgorithm):
 
 
 METHODS: dict[str, type[ConeAlgorithm]] = {
-    one.name: one for one in (NPGS, Newton, InteriorPoint, FixedPoint)
+    one.name: one for one in (ConeNPGS, ConeNewton, ConeInteriorPoint, FixedPoint)
 }

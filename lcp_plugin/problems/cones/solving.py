@@ -132,7 +132,7 @@ def solve_cones(
     with np.errstate(all="ignore"):
         stack = ConeStack.of(problem)
         z = None if z0 is None else stack.held(stack.pattern.wide(_start(problem, z0)[None]))
-        run = Run(problem, stack, log, z)
+        run = ConeRun(problem, stack, log, z)
         with threads_for(settings.threads), time_limit(settings.max_seconds - log.clock.read()):
             run.solve(chosen)
     result = _result(problem, run, log, chosen)
@@ -256,7 +256,7 @@ class Log:
         print(line, flush=True)
 
 
-class Run:
+class ConeRun:
     """The run on one problem, or on one of its components: methods give points, the best one is kept and judged.
 
     Parameters
@@ -486,7 +486,7 @@ class Run:
             stack = ConeStack.of(part)
             start = stack.pattern.wide(pattern.flat(self.start)[:, rows]) if self.is_warm else None
             share = self.share * part.nonzeros / max(self.problem.nonzeros, 1)
-            run = Run(part, stack, self.log, start, embed, share)
+            run = ConeRun(part, stack, self.log, start, embed, share)
             run.solve("auto")
             assert run.measures is not None
             flat[rows] = stack.pattern.flat(run.measures.z)[0]
@@ -530,7 +530,7 @@ def _start(problem: Blocks, z0: ArrayLike) -> FloatVector:
         raise InvalidOption(str(error)) from error
 
 
-def _result(problem: Blocks, run: Run, log: Log, chosen: str | ConeAlgorithm) -> ConeResult:
+def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm) -> ConeResult:
     """Return the result of a run."""
     settings, measures = log.settings, run.measures
     assert measures is not None

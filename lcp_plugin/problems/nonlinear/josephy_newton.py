@@ -25,7 +25,7 @@ from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
-from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister
+from ...methods.newton.semismooth_newton import LinearizedPhi, fischer_burmeister
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations
 
@@ -193,7 +193,7 @@ class _NewtonRun:
         return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
 
     @staticmethod
-    def _phi(lcp: LCP, point: Linearisation) -> Linearised:
+    def _phi(lcp: LCP, point: Linearisation) -> LinearizedPhi:
         return fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
 
     def _is_at_floor(self) -> bool:

@@ -38,7 +38,7 @@ CORRECTIONS = 20  # of the steps of a start
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class Segment:
     """One piece of the path, z = z[0] + (t − begin) z[1] for begin ≤ t ≤ end."""
 
     begin: float
@@ -131,7 +131,7 @@ class Follower:
             z = motion.z[0]
         return None
 
-    def lines(self, stop: float) -> Iterator[Line]:
+    def lines(self, stop: float) -> Iterator[Segment]:
         """Yield the lines up to stop, or to where the path is lost."""
         begin, stuck, changed = self.begin, 0, None
         for _ in range(MOST_CHANGES * self.n + 10_000):
@@ -148,7 +148,7 @@ class Follower:
             end = stop if is_last else self.t + length
             if end - begin > SHORT * stop or is_last:
                 rate = motion.z[1]
-                yield Line(
+                yield Segment(
                     begin,
                     end,
                     np.array([motion.z[0] + (begin - self.t) * rate, rate]),

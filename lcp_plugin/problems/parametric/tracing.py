@@ -10,7 +10,7 @@ from ...core.checks import FloatVector, is_number
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption
 from .families import Family, Piece, family_of
-from .following import Follower, Line
+from .following import Follower, Segment
 from .path import Path
 from .staircases import Staircases
 
@@ -190,7 +190,7 @@ class _Trace:
             follower.begin = begin
         else:
             z, rate = follower.motion.z
-            line = Line(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
+            line = Segment(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
             self._add(self._piece(line))
             self.reached = t
 
@@ -202,7 +202,7 @@ class _Trace:
             (path.segments if self.family.is_monotone else path.jumps).append(piece.begin)
         path.pieces.append(piece)
 
-    def _piece(self, line: Line) -> Piece:
+    def _piece(self, line: Segment) -> Piece:
         """Return the piece of a line, from the θ that its begin is rounded to."""
         begin, rate = self.theta(line.begin), self.units * line.z[1]
         z = self.units * line.z[0]

@@ -409,7 +409,7 @@ def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
     return EXCUSED * point.reached
 
 
-class Components(NamedTuple):
+class ProgramComponents(NamedTuple):
     """The parts of a program that no entry connects: the number of each unknown's and row's, and how many there are."""
 
     of_unknown: Indices

@@ -23,7 +23,7 @@ from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from .convexity import is_nearly_semidefinite
-from .criterion import Components, largest
+from .criterion import ProgramComponents, largest
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = (
@@ -152,18 +152,18 @@ class ProgramMatrices:
         return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
-    def components(self) -> Components:
+    def components(self) -> ProgramComponents:
         """The parts that P, G and A do not connect."""
         m, n = sum(self.sizes[:2]), self.P.shape[0]
         full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
         if not n or self._is_full or any((one != 0.0).all(axis=1).any() for one in full):
-            return Components(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
+            return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
         from scipy.sparse.csgraph import connected_components
 
         rows = vertically(self.sparse_P, self.rows)
         both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
         count, part = connected_components(both, directed=False)
-        return Components(part[:n], part[n:], count)
+        return ProgramComponents(part[:n], part[n:], count)
 
     @cached_property
     def measured(self) -> tuple[Any, Any, Any, Any, Any]:

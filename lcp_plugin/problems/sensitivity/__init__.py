@@ -1,4 +1,4 @@
-"""The derivative of a solution by the data of its problem, as :mod:`lcp_plugin.systems.linearised` states it.
+"""The derivative of a solution by the data of its problem, as :mod:`lcp_plugin.systems.linearized` states it.
 
 Within one active set z is smooth in M, q and the bounds: the free rows are those strictly between their bounds, others
 at one with w ≠ 0. If a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives, each the
@@ -27,7 +27,7 @@ from ...core.solving.result import Result
 from ...proofs.bounds.active_rows import ActiveRows, settled_rows
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
-from ...systems.linearised import Linearised
+from ...systems.linearized import LinearizedSystem
 from ..batches.batch_run import BatchAnswers
 from ..batches.stated import Listed, Stacked
 from ..batches.worlds import Worlds
@@ -141,7 +141,7 @@ def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchD
     return BatchDerivative(batch, derivative)
 
 
-class Derivative(Linearised):
+class Derivative(LinearizedSystem):
     """The derivative of a solution z with respect to the data of its problem.
 
     Parameters

@@ -15,7 +15,7 @@ from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import residual_scales
 from ...core.settings import Status
 from ...systems.least_norm import FreeBlocks, products
-from ...systems.linearised import Linearised
+from ...systems.linearized import LinearizedSystem
 from ..batches.batch_run import BatchAnswers
 from ..batches.stated import Group
 
@@ -25,7 +25,7 @@ HALF = 2.0**-26  # of the digits of a double
 NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
 
 
-class BatchPart(Linearised):
+class BatchPart(LinearizedSystem):
     """Small problems of a batch in arrays, with one stacked system.
 
     Each solution is computed again on its free rows until that changes it by rounding alone, and its rows are told

@@ -18,7 +18,7 @@ from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.methods.lemke.games import bimatrix_players
-from lcp_plugin.methods.lemke.pivoting_path import Path, starts
+from lcp_plugin.methods.lemke.pivoting_path import LemkePath, starts
 from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps
@@ -151,7 +151,7 @@ def test_games_have_no_path_from_a_positive_covering_vector() -> None:
     """On a game every covering vector r > 0 ends on its first ray, and every label of Lemke–Howson in a solution."""
     problem = lcp_from_bimatrix_game(*GAMES["battle of the sexes"])
     box = canonical_box(problem)
-    path = Path(box.M, box.q, box.upper)
+    path = LemkePath(box.M, box.q, box.upper)
     assert path.start_along(np.ones(4))
     assert path.advance(100) == RAY
     assert bimatrix_players(box.M, box.q).tolist() == [True, True, False, False]
@@ -195,7 +195,7 @@ def test_degenerate_integers_end(seed: int) -> None:
     n = 12
     M = generator.integers(-1, 2, size=(n, n)).astype(float)
     q = generator.integers(-1, 1, size=n).astype(float)
-    path = Path(M, q, np.full(n, INF))
+    path = LemkePath(M, q, np.full(n, INF))
     for start in starts(path, 12):
         if start(path):
             outcome = GOING_ON
@@ -308,7 +308,7 @@ def test_warm_start_shortens_the_path() -> None:
 def test_pivots_are_bounded() -> None:
     """No path makes more pivots than it may."""
     problem = LCP(murty(30), -np.ones(30))
-    path = Path(murty(30), -np.ones(30), np.full(30, INF))  # 2^30 − 1 pivots
+    path = LemkePath(murty(30), -np.ones(30), np.full(30, INF))  # 2^30 − 1 pivots
     assert path.start_along(np.ones(30))
     assert path.advance(100) == GOING_ON
     assert path.pivots == 100

@@ -38,7 +38,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
-from lcp_plugin.problems.cones.methods import METHODS, Newton
+from lcp_plugin.problems.cones.methods import METHODS, ConeNewton
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 FC, CP = FrictionalContact, ConeProblem
@@ -192,7 +192,7 @@ def test_names_of_methods_are_checked() -> None:
     with pytest.raises(UnknownAlgorithm, match="newton"):
         solve(problem, "newtn")
     with pytest.raises(LCPError, match="proximal"):
-        Newton(proximal=-1.0)
+        ConeNewton(proximal=-1.0)
     with pytest.raises(InvalidOption, match="z0"):
         solve(problem, z0=[1.0])
     with pytest.raises(InvalidOption, match="tolerance_on"):

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 
-class Linearised:
+class LinearizedSystem:
     """The system at a solution, or at as many as there are rows: vectors have shape (n,) or (k, n) throughout."""
 
     def _product(self, x: Any, *, transposed: bool = False) -> Any:

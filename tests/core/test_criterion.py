@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
+import json
+import warnings
 from fractions import Fraction
 from itertools import product
 from operator import mul
 from typing import Any
 
+import badly_scaled
+import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from campaigns import components as campaign
+from campaigns import tiny_diagonals
+from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
+from collection.truth import ExactData
 from exact import exact_rows, solve_fractions
+from hypothesis import given
+from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, Status, gallery, solve, solve_batch
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    FrictionalContact,
+    NonlinearProblem,
+    Status,
+    complements,
+    derivative,
+    error_bound,
+    gallery,
+    march,
+    solve,
+    solve_batch,
+)
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.certificates.criterion import snapped
 from lcp_plugin.core.errors import UnsuitableMatrix
+from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.core.matrix.symmetry import is_nearly_symmetric
 from lcp_plugin.core.settings import Settings
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
 TINY = 2.0**-17
@@ -219,3 +248,590 @@ def test_a_stack_is_judged_as_its_problems() -> None:
     batch = solve_batch(M, q)
     for k in range(40):
         assert solve(LCP(M[k], q[k])).status is batch.status[k]
+
+
+# --- Rows beside their own terms ---
+
+
+def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
+    """Where m_ii is small beside its row, w_i measures it: 1e-16 is no distance of 1e-4."""
+    for tiny in 10.0 ** -np.arange(6.0, 14.0):
+        problem = LCP([[1.0, -2.0], [3.0, tiny]], [-3.0, -8.0])
+        right = np.array([(3.0 * tiny + 16.0), 8.0 - 9.0]) / (tiny + 6.0)
+        assert right[1] < 0.0  # so that z = (3, 0) is the solution
+        assert Certificate.of(problem, [np.nextafter(3.0, 4.0), 0.0]).meets(Settings())
+        beside = LCP([[1.0, -2.0], [3.0, tiny]], [-1.0, -5.0])
+        z_2 = 2.0 / (tiny + 6.0)
+        assert Certificate.of(beside, [1.0 + 2.0 * z_2, np.nextafter(z_2, 1.0)]).meets(Settings())
+
+
+def test_rows_where_no_double_is_nearer_are_right() -> None:
+    """A step of diffusion into a far field that underflows is solved; a wrong row of 1e-309 there is not excused."""
+    n = 2400
+    M = sp.diags_array([-8.0, 17.0, -8.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
+    problem = LCP(M, -np.fmax(5e-324, 0.1 ** np.arange(n)))
+    result = solve(problem)
+    assert result.is_solved
+    assert 0.0 < result.z[-1] < 1e-320
+    false = result.z.copy()
+    false[n - 200] += 1e-309
+    assert not Certificate.of(problem, false).meets(Settings())
+
+
+@pytest.mark.full
+def test_integers_with_tiny_diagonals_by_all_cases() -> None:
+    """No SOLVED of 300 drawn problems is false, and none of ten planted ones."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        case = tiny_diagonals.drawn(rng, int(rng.integers(1, 6)))
+        assert not tiny_diagonals.judged(case)[0].endswith("falsely"), case
+    for _ in range(10):
+        M, q, right = tiny_diagonals.planted(rng)
+        result = solve(LCP(M, q))
+        assert not result.is_solved or abs(result.z - right).max() <= 1e-3 * abs(right).max()
+
+
+def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
+    """z* = w* = 0: what is left of z in such a row is as large as its terms, and no wrong row."""
+    M = 4.0 * np.eye(60) - np.eye(60, k=1) - np.eye(60, k=-1)
+    z = np.where(np.arange(60) < 20, 1.0, 0.0)
+    result = solve(LCP(M, np.where(np.arange(60) == 20, 1.0, 0.0) - M @ z), "npgs")
+    assert result.is_solved
+    assert result.z == pytest.approx(z, abs=1e-7)
+    assert result.iterations <= 80
+
+
+@pytest.mark.parametrize("none", [1e20, 1e30, np.inf])
+def test_a_bound_of_1e20_is_none(none: float) -> None:
+    """As in files and other solvers: in arrays, with another q, in a batch; 1e19 is a bound."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
+    problem = LCP(M, q, lower=-none, upper=[none, 1e19])
+    assert problem.lower.tolist() == [-np.inf, -np.inf]
+    assert problem.upper.tolist() == [np.inf, 1e19]
+    right = np.linalg.solve(M, -q)
+    other = problem.with_q(2.0 * q, lower=[-1e25, -none])
+    batch = solve_batch(M, np.array([q, 2.0 * q]), lower=-none, upper=np.full((2, 2), none))
+    answers = [solve(problem), solve(other), *batch]
+    for result, expected in zip(answers, (right, 2.0 * right, right, 2.0 * right), strict=True):
+        assert result.is_solved
+        assert result.z == pytest.approx(expected)
+
+
+# --- SOLVED holds in every component of a problem ---
+
+TOLERANCE = 1e-8
+FAR_APART = LCP(np.eye(2), [-1e10, -0.5])
+WRONG_IN_ONE = np.array([1e10, 0.6])  # relative to the larger component by 1e-11
+
+
+def is_lie(problem: LCP, z: np.ndarray) -> bool:
+    return ExactData(problem).is_lie(z.tolist(), TOLERANCE)
+
+
+def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.ndarray]:
+    """Five-point grids without coupling, an answer planted in each; q in these units."""
+    rng, n = np.random.default_rng(seed), side * side
+    T = sp.diags_array(
+        [-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1]
+    )
+    M = sp.csr_array(sp.kron(T, sp.eye_array(side)) + sp.kron(sp.eye_array(side), T))
+    z = rng.integers(1, 5, (len(units), n)) * (rng.random((len(units), n)) < 0.3)
+    q = (z == 0) * 1.0 - (M @ z.T).T
+    size = np.repeat(units, n)
+    return LCP(
+        sp.block_diag([sp.csr_array(M)] * len(units), format="csr"), size * q.ravel()
+    ), size * z.ravel()
+
+
+# --- One component wrong, and small beside another -------------------------------------------------------------------
+
+
+def test_a_small_component_that_is_wrong_is_not_called_solved() -> None:
+    """diag(1, 1), q = (−1e10, −.5): z = (1e10, .6) is 1e-11 of the larger component off, and 0.2 of its own."""
+    assert Certificate.of(FAR_APART, WRONG_IN_ONE).relative_residual == pytest.approx(0.2)
+    result = solve(FAR_APART, z0=WRONG_IN_ONE)
+    assert result.is_solved
+    assert result.z[1] == 0.5
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_no_method_stops_at_a_component_that_is_wrong(name: str) -> None:
+    """Every method goes on from there until the small component is within the tolerance, too."""
+    result = solve(FAR_APART, name, z0=WRONG_IN_ONE)
+    assert result.is_solved
+    assert abs(result.z[1] - 0.5) <= TOLERANCE * 0.5
+
+
+def test_the_certificate_names_the_worst_component() -> None:
+    """The worst row is that of the component that is wrong beside its own reference, not of the largest residual."""
+    certificate = Certificate.of(FAR_APART, [1e10 - 1.0, 0.6])
+    assert certificate.worst_index == 1
+
+
+def test_the_worst_component_is_named_by_what_is_proved() -> None:
+    """Measured, the second row has no residual: 3 · 0.1 is rounded; exactly it is as wrong as z° is."""
+    problem = LCP(np.diag([1.0, 0.1]), [-1.0, -(3.0 * 0.1)], lower=[0.0, 3.0])
+    assert problem.slack([1.0, 3.0])[1] == 0.0
+    certificate = Certificate.of(problem, [1.0 + 1e-12, 3.0])
+    assert certificate.relative_residual >= 1.0
+    assert certificate.worst_index == 1
+
+
+def test_a_change_in_the_small_component_is_seen_by_a_warm_start() -> None:
+    """Two grids in units 1e10 apart, solved; q of the small one changes: the old answer is no answer any more."""
+    problem, z = two_grids(1e10, 1.0)
+    first = solve(problem)
+    assert first.is_solved
+    other, wanted = two_grids(1e10, 1.0, seed=1)
+    n = problem.n // 2
+    changed = problem.with_q(np.r_[problem.q[:n], other.q[n:]])
+    assert Certificate.of(changed, first.z).relative_residual > 0.1
+    again = solve(changed, z0=first.z)
+    assert again.is_solved
+    assert not is_lie(changed, again.z)
+    assert np.abs(again.z[n:] - wanted[n:]).max() <= 1e-5
+    assert np.abs(again.z[:n] - z[:n]).max() <= 1e-5 * 1e10
+
+
+@pytest.mark.parametrize("unit", [1e12, 1e-12])
+def test_the_interior_point_method_solves_components_far_apart(unit: float) -> None:
+    """Whose path is one for all components, in units 10^±12."""
+    problem, z = two_grids(unit, 1.0, side=10)
+    result = solve(problem, "interior_point")
+    assert result.is_solved
+    assert (np.abs(result.z - z) <= 1e-6 * np.repeat([unit, 1.0], 100)).all()
+
+
+# --- Components that z° solves ---------------------------------------------------------------------------------------
+
+
+def test_what_z0_solves_exactly_is_left_there() -> None:
+    """A component that z° solves has no other answer by its own data: a start elsewhere does not stay there."""
+    result = solve(LCP(np.eye(2), [-1.0, 2.0]), z0=[0.0, 1e-300])
+    assert result.is_solved
+    assert result.z.tolist() == [1.0, 0.0]
+
+
+def test_a_narrow_box_is_no_rounding() -> None:
+    """z₂ ≤ 1e-17 makes the residual of z° small; w₂ = −1 says that z° is wrong, and z₂ = 1e-17 is the answer."""
+    problem = LCP(np.eye(2), [-3.0, -1.0], lower=[1.0, 0.0], upper=[np.inf, 1e-17])
+    result = solve(problem)
+    assert result.is_solved
+    assert result.z.tolist() == [3.0, 1e-17]
+
+
+def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
+    """z₂ = 3 misses by the rounding of 0.3 alone; the first is solved all the same, and PRECISION_LIMIT said."""
+    M = np.zeros((6, 6))
+    M[:5, :5] = (
+        np.tril(np.full((5, 5), -1.0), -1) + np.triu(np.full((5, 5), 2.0), 1) + 3.0 * np.eye(5)
+    )
+    M[5, 5] = 0.3
+    problem = LCP(M, [-1.0, -2.0, -3.0, 1.0, -5.0, -0.9], lower=[0.0] * 5 + [3.0])
+    for name in ("auto", "newton", "npsor", "interior_point", "lemke"):
+        result = solve(problem, name)
+        assert result.status is Status.PRECISION_LIMIT, name
+        alone = problem.with_q(np.r_[problem.q[:5], 1.0])  # the last component is solved by z° here
+        assert not is_lie(alone, result.z), name
+
+
+def test_a_residual_beyond_the_range_of_doubles_is_not_rounding() -> None:
+    """w₁ = −1e200 measured in 1e-200, and w₂ = −1 contradicts: the misfit of 1e400 is no rounding of 1e400."""
+    result = solve(LCP([[-1e-200, 0.0], [0.0, 0.0]], [-1e200, -1.0]))
+    assert result.status not in (Status.PRECISION_LIMIT, Status.SOLVED)
+
+
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) -> None:
+    """1e200 where the answer is 1e-200: the relative residual overflows, and a damped sweep cannot see that z falls."""
+    problem = LCP(np.eye(2), [-1e-200, -1.0])
+    result = solve(problem, name, z0=[1e200, 0.0])
+    assert result.is_solved is (name not in ("npgs", "npj", "npsplitting"))
+    assert not result.is_solved or not is_lie(problem, result.z)
+
+
+def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
+    """A component without solution leaves the whole without one, with a proof in the caller's units."""
+    problem = LCP(np.diag([1.0, -1.0, 2.0]), [-1e6, -1e3, -1.0])
+    result = solve(problem)
+    assert result.status is Status.INFEASIBLE
+    assert result.infeasibility is not None
+    assert result.infeasibility.problem is problem
+    assert result.infeasibility.verify()
+
+
+# --- However it is asked ---------------------------------------------------------------------------------------------
+
+
+def batch_of_components() -> tuple[Any, ...]:
+    rng = np.random.default_rng(0)
+    M, q = (
+        np.zeros((40, 6, 6)),
+        rng.normal(size=(40, 6)) * 10.0 ** rng.integers(-12, 13, (40, 2)).repeat(3, axis=1),
+    )
+    for k in range(40):
+        for block in (slice(3), slice(3, 6)):
+            B = rng.normal(size=(3, 3))
+            M[k, block, block] = B @ B.T + np.eye(3)
+    M[::7] += 0.1  # one component
+    return M, q
+
+
+def test_batches_have_the_answers_of_single_solves() -> None:
+    """Stacked and listed: answer and status; and none is a lie."""
+    M, q = batch_of_components()
+    problems = [LCP(*one) for one in zip(M, q, strict=True)]
+    alone = [solve(problem) for problem in problems]
+    for batch in (solve_batch(M, q), solve_batch(problems)):
+        assert batch.all_solved
+        for k, one in enumerate(alone):
+            assert batch.status[k] is one.status
+            np.testing.assert_allclose(batch.z[k], one.z, rtol=1e-9, atol=1e-300)
+            assert not is_lie(problems[k], batch.z[k])
+
+
+def test_marches_take_each_step_in_units_of_its_own() -> None:
+    """Two rods in units 1e9 apart, on narrow bands: every step is right in both."""
+    T = 3.0 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
+    rods = LCP(sp.block_diag([sp.csr_array(T)] * 2, format="csr"), np.zeros(40))
+    forcing = np.broadcast_to(np.repeat([-1e9, -1.0], 20), (5, 40))
+    steps = march(rods, forcing)
+    assert steps.all_solved
+    before = np.zeros(40)
+    for step in steps:
+        assert not is_lie(rods.with_q(forcing[0] - before), step.z)
+        before = step.z
+
+
+def test_error_bounds_hold_in_every_component() -> None:
+    """In each component, in the caller's units; the tolerance on the error is relative to ‖z‖∞."""
+    problem, z = two_grids(2.0**-33, 2.0**33, side=6)  # nothing is rounded
+    for result in (solve(problem, error_bound=True),):
+        assert result.is_solved
+        assert result.error_bound is not None
+        assert (np.abs(result.z - z) <= result.error_bound.componentwise).all()
+    assert (np.abs(1.5 * z - z) <= error_bound(problem, 1.5 * z).componentwise).all()
+
+
+def test_derivatives_stay_in_their_component() -> None:
+    """A change of q in the small component moves nothing in the other."""
+    problem, z = two_grids(1e10, 1.0, side=6)
+    dq = np.r_[np.zeros(36), np.ones(36)]
+    dz = derivative(solve(problem)).jvp(dq=dq)
+    assert not dz[:36].any()
+    free = np.flatnonzero(z[36:] > 0.0) + 36
+    expected = np.linalg.solve(problem.csr.toarray()[np.ix_(free, free)], -dq[free])
+    assert dz[free] == pytest.approx(expected, rel=1e-9)
+
+
+# --- The campaign ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("first", range(len(campaign.ASKED)))
+def test_the_campaign_finds_nothing(first: int) -> None:
+    """Some of its problems, asked in every way; see campaigns/components.py."""
+    for number in (first * len(REGISTRY) + k for k in range(1, 3)):
+        with warnings.catch_warnings(action="ignore"):  # of methods not covered
+            bad, kind, status = campaign.judge(5, number)
+        assert not bad, number
+        assert kind != campaign.SOLVABLE or status == "SOLVED", number
+
+
+def test_the_campaign_sees_one_norm_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A certificate that compares all components with the largest reference is found out."""
+
+    def by_the_largest(self: Certificate) -> float:
+        largest, least = self.residuals_of_components
+        return float(largest.max(initial=0.0) / max(least.max(initial=0.0), 1e-300))
+
+    monkeypatch.setattr(Certificate, "relative_residual", property(by_the_largest))
+    with warnings.catch_warnings(action="ignore"):
+        found = [text for number in range(1, 8) for text in campaign.judge(5, number)[0]]
+    assert any("exactly" in text or "SOLVED with" in text for text in found)
+
+
+# --- The componentwise test of the criterion ---
+
+FAR = 2.0**20  # the units of unknowns are powers of two between its inverse and it
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
+    """Right to a hundredth of the tolerance, in any units: every row is right in its own terms."""
+    for seed in range(30):
+        M, q, z = answered(kind, seed)
+        rows, of_z = random_scaling(seed, z.size)
+        right = z * (
+            1.0 + 0.01 * tolerance * np.random.default_rng(seed).uniform(-1.0, 1.0, z.size)
+        )
+        assert Certificate.of(measured(M, q, rows, of_z), right * of_z).term_residual <= tolerance
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (friction, game)])
+def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
+    """Off its bound by 1e-12 of its unit, where w is positive and large, z is rounded; the diagonal tells units."""
+    for seed in range(30):
+        M, q, z = answered(kind, seed)
+        rows, of_z = random_scaling(seed, z.size)[0], np.ones(z.size)
+        problem = measured(M, q, rows, of_z)
+        right = snapped(problem, np.where(z > 0.0, z, 1e-12) * of_z)
+        assert Certificate.of(problem, right).term_residual <= 1e-8, seed
+
+
+FLOWS = {"growth": (-6.0, 2.0, 4.0), "upwind": (-11.0, 12.0, -1.0), "steep": (-501.0, 502.0, -1.0)}
+
+
+def flow(kind: str, n: int) -> np.ndarray:
+    """A well conditioned matrix along which something flows: balancing |m_ij| against |m_ji| drifts by e^(Péclet)."""
+    left, middle, right = FLOWS[kind]
+    return (
+        middle * np.eye(n) + np.diag(np.full(n - 1, left), -1) + np.diag(np.full(n - 1, right), 1)
+    )
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "npsor", "newton", "interior_point", "lemke"])
+@pytest.mark.parametrize("kind", FLOWS)
+@pytest.mark.parametrize("units", ["own", "one", "each", "rows"])
+def test_a_flow_is_no_unit(kind: str, algorithm: str, units: str) -> None:
+    """Convection in other units: what is SOLVED is right to 1e-3, and auto solves it."""
+    for n in (60, 200):
+        rng = np.random.default_rng(n)
+        M, q = flow(kind, n), rng.choice([-1.0, 1.0], n) * rng.uniform(0.5, 1.0, n)
+        z = solve(LCP(M, q), "newton").z
+        rows, of_z = np.exp2(rng.integers(-20, 21, (2, n)))
+        if units in ("own", "one"):
+            rows[:], of_z[:] = 1.0, 1.0
+            of_z[n // 3] = 1.0 if units == "own" else 2.0**-10
+        elif units == "rows":
+            of_z[:] = 1.0
+        result = solve(measured(M, q, rows, of_z), algorithm, max_iterations=2000)
+        assert result.is_solved or algorithm != "auto"
+        assert not result.is_solved or np.abs(result.z / of_z - z).max() <= 1e-3 * np.abs(z).max()
+
+
+WRONG = np.array([1511.71259, 0.0, 0.0, 1e-4, 423442.392])
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point"])
+def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
+    """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
+    M, Q, bounds = badly_scaled.M, badly_scaled.Q, badly_scaled.BOUNDS
+    problem = LCP(M, Q, **bounds)
+    results = [
+        solve(problem, algorithm),
+        solve(problem, algorithm, callback=lambda sample, z: False),
+        solve_batch(M[None], Q[None], algorithm=algorithm, **bounds)[0],
+    ]
+    for result in results:
+        assert result.is_solved
+        assert result.z == pytest.approx(badly_scaled.ANSWER, rel=1e-6)
+
+
+def test_what_is_small_by_the_callers_word_is_right() -> None:
+    """A row whose residual is within absolute_tolerance, in the unit of its z, is right."""
+    problem = LCP([[1.0, 2.0**-40], [2.0**40, 2.0]], [-1e-9, -1e3], upper=[np.inf, 1e3])
+    z = [0.0, 500.0]
+    assert Certificate.of(problem, z).relative_residual > 1e-8
+    result = solve(problem, z0=z, absolute_tolerance=1e-3)
+    assert result.is_solved
+
+
+@pytest.mark.parametrize("algorithm", ["newton", "lemke", "interior_point"])
+def test_a_penalty_row_beside_a_wind_is_no_unit(algorithm: str) -> None:
+    """Upwind differences with one value held by 1e8: the wind grades no units, and nothing else is asked."""
+    n = 200
+    M = sp.diags_array(
+        [np.full(n - 1, -61.0), np.full(n, 62.01), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+    ).tolil()
+    M[0, 0], M[0, 1] = 1e8, 0.0
+    q = np.where(np.arange(n) < n - 2, 0.0, -1.0)
+    result = solve(LCP(sp.csr_array(M), q), algorithm)
+    assert result.is_solved
+    assert result.iterations <= 20
+
+
+def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
+    """Far from the load z is 1e-20 and any error there is of its size: it counts beside the load, as ever."""
+    n = 60
+    M = sp.diags_array(
+        [-np.ones(n - 1), np.full(n, 10.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
+    problem = LCP(M, -np.eye(n)[0])
+    result = solve(problem, "psor")
+    assert result.is_solved
+    assert (
+        Certificate.of(problem, np.where(np.arange(n) < 12, result.z, 0.0)).relative_residual
+        <= 1e-8
+    )
+
+
+# --- Symmetric up to rounding is symmetric, for every method and prediction ---
+
+
+def laplacian(side: int, noise: float = 0.0) -> sp.csr_array:
+    """The 5-point matrix, with rounding of another size where an assembly leaves entries that ought to cancel."""
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+    near, same = sp.diags_array([1.0, 1.0], offsets=[-1, 1], shape=(side, side)), sp.eye_array(side)
+    corners = sp.csr_array(sp.kron(near, near))
+    corners.data = noise * np.random.default_rng(0).uniform(-1.0, 1.0, corners.nnz)
+    return sp.csr_array(sp.kron(line, same) + sp.kron(same, line) + corners)
+
+
+def test_entries_that_ought_to_cancel_leave_a_matrix_symmetric():
+    """|m_ij − m_ji| is rounding beside rows, however large beside m_ij; a real flow is none."""
+    M = laplacian(20, noise=4e-16)
+    assert is_nearly_symmetric(Matrix(M))
+    assert not is_nearly_symmetric(Matrix(laplacian(20, noise=1e-9)))
+    assert not is_nearly_symmetric(Matrix(sp.csr_array([[1.0, 1e-6], [0.0, 1.0]])))
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "multigrid"])
+def test_an_assembled_matrix_is_solved_as_its_symmetric_part(algorithm):
+    """The same stages and steps, and within a tenth the same work, for K and (K + Kᵀ)/2."""
+    K = laplacian(60, noise=4e-16)
+    q = np.full(K.shape[0], -0.01)
+    q[: q.size // 2] = 0.01
+    one, other = (
+        solve(LCP(M, q, upper=30.0), algorithm) for M in (K, sp.csr_array((K + K.T) * 0.5))
+    )
+    assert one.status is other.status is Status.SOLVED
+    assert (one.algorithm, one.iterations) == (other.algorithm, other.iterations)
+    assert one.work == pytest.approx(other.work, rel=0.1)
+
+
+def test_rounding_in_w_is_not_told():
+    """`explain` of a contact problem names an asymmetry of W that is none of rounding, and no other."""
+    W = np.eye(3) + 0.1
+    W[0, 1] += 4e-17 * 4
+    assert W[0, 1] != W[1, 0]
+    rounded = solve(FrictionalContact(W, [-1.0, 0.3, 0.2], 0.5))
+    assert "not symmetric" not in rounded.explain()
+    W[0, 1] += 1e-6
+    assert "W is not symmetric" in solve(FrictionalContact(W, [-1.0, 0.3, 0.2], 0.5)).explain()
+
+
+# --- absolute_tolerance ---
+
+AT_REST = [[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0]  # no solution, by rounding
+
+
+def test_contact_at_rest_is_accepted_or_said_to_be_rounding() -> None:
+    """A contradiction of rounding size is PRECISION_LIMIT, and an absolute tolerance as large accepts it."""
+    problem = LCP(*AT_REST)
+    plain = solve(problem)
+    assert plain.status is Status.PRECISION_LIMIT
+    assert plain.infeasibility is not None
+    value = 1.1 * max(plain.certificate.scaled_residual, plain.infeasibility.absolute_margin)
+    for algorithm in ("auto", "lemke", "newton", "interior_point"):
+        accepted = solve(problem, algorithm, absolute_tolerance=value)
+        assert accepted.is_solved
+        assert accepted.certificate.scaled_residual <= value
+    assert "in the unit of z" in str(accepted)
+    assert json.loads(accepted.to_json())["absolute_tolerance"] == value
+
+
+def test_infeasible_beyond_the_tolerance_only() -> None:
+    """Z ≥ 0, w = −z − gap has no solution by gap/1: INFEASIBLE where that is more than both tolerances."""
+    problem = LCP([[-1.0]], [-1e-3])
+    assert solve(problem).status is Status.INFEASIBLE
+    assert solve(problem, absolute_tolerance=1e-5).status is Status.INFEASIBLE
+    assert solve(problem, absolute_tolerance=2e-3).is_solved
+
+
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 12),
+    st.floats(-9, 3),
+    st.sampled_from(["auto", "psor", "newton", "lemke"]),
+)
+def test_solved_means_one_tolerance_or_the_other_in_every_part(
+    seed: int, n: int, exponent: float, name: str
+) -> None:
+    """SOLVED ⇔ ‖r_P‖∞ ≤ max(tolerance · reference, absolute_tolerance) for each component, in units of their own."""
+    random = np.random.default_rng(seed)
+    cut = int(random.integers(0, n))
+    M = random.standard_normal((n, n)) * (random.random((n, n)) < 0.7)
+    M[:cut, cut:], M[cut:, :cut] = 0.0, 0.0
+    np.fill_diagonal(M, np.abs(M).sum(axis=1) + np.abs(M).sum(axis=0) + 1.0)
+    unit = np.where(np.arange(n) < cut, 10.0 ** random.uniform(-6, 6), 1.0)
+    problem, absolute = LCP(M, random.standard_normal(n) * unit), 10.0**exponent
+    result = solve(
+        problem,
+        name,
+        absolute_tolerance=absolute,
+        tolerance=float(random.choice([1e-8, 1e-4, 0.0])),
+    )
+    largest, least = result.certificate.residuals_of_components
+    assert result.is_solved == bool(
+        (largest <= np.maximum(result.tolerance * least, absolute)).all()
+    )
+    assert result.is_solved
+
+
+def test_a_start_that_is_good_enough_stays() -> None:
+    """From a z within the absolute tolerance nothing is done; without it there is work."""
+    problem = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, -1.0])
+    near = [1.0 + 1e-6, 1.0]
+    assert solve(problem, "psor", z0=near, absolute_tolerance=1e-5).iterations == 0
+    assert solve(problem, "psor", z0=near).iterations > 0
+
+
+def test_batches_marches_and_nonlinear_problems_take_it() -> None:
+    """The same sentence holds for each problem of a batch, each step of a march, and F."""
+    M, q = AT_REST
+    batch = solve_batch([M, [[2.0, 0.0], [0.0, 2.0]]], [q, [-1.0, 1.0]], absolute_tolerance=1e-15)
+    assert batch.all_solved
+    steps = march(LCP(M, q), [q, q], propagator=0.0, absolute_tolerance=1e-15)
+    assert len(steps) == 2
+    assert steps.all_solved
+
+    def F(x: Any) -> Any:
+        return np.array(M) @ x + q + np.array([-1e-9, 0.0]) * x**2
+
+    assert not solve_nonlinear(NonlinearProblem(F), [0.0, 0.0]).is_solved
+    assert solve_nonlinear(NonlinearProblem(F), [0.0, 0.0], absolute_tolerance=1e-15).is_solved
+
+
+def test_cvxpy_takes_it() -> None:
+    """A model with a contact at rest has a value once rounding is allowed."""
+    x = cp.Variable(2)
+    M, q = map(np.array, AT_REST)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + q >= 0)])
+    problem.solve(method="LCP", absolute_tolerance=1e-15)
+    assert problem.status == cp.OPTIMAL
+
+
+def test_a_part_at_rest_does_not_hide_another() -> None:
+    """A contact that is open by rounding beside a free body, or by more than that: both are answered."""
+    M = np.zeros((4, 4))
+    M[:2, :2], M[2:, 2:] = AT_REST[0], [[2.0, -1.0], [-1.0, 2.0]]
+    problem = LCP(M, [*AT_REST[1], -1.0, -1.0])
+    for absolute in (1e-16, 1e-9, 1e-3):
+        for algorithm in ("auto", "newton", "interior_point"):
+            result = solve(problem, algorithm, absolute_tolerance=absolute)
+            assert result.is_solved, (absolute, algorithm)
+            assert np.allclose(result.z, [0.0, 0.0, 1.0, 1.0], atol=2.0 * absolute)
+    assert solve(LCP([[-1.0, 0.0], [0.0, 2.0]], [-1e-3, -1.0]), absolute_tolerance=2e-3).is_solved
+
+
+@given(st.integers(0, 10**6))
+def test_the_advised_number_is_enough(seed: int) -> None:
+    """Where the advice names an absolute tolerance, the same call with it is SOLVED."""
+    random = np.random.default_rng(seed)
+    n = int(random.integers(1, 5))
+    M = random.integers(-3, 4, (n, n)).astype(float)
+    q = np.where(
+        random.random(n) < 0.5, 1e-17 * random.standard_normal(n), random.integers(-3, 4, n)
+    )
+    plain = solve(LCP(M, q))
+    if "absolute_tolerance=" in plain.advice:
+        value = float(plain.advice.split("absolute_tolerance=")[1].split()[0])
+        assert solve(LCP(M, q), absolute_tolerance=value).is_solved
+
+
+def test_a_huge_one_accepts_everything() -> None:
+    """Nothing overflows on the way."""
+    for M, q in (([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), (np.eye(2), [-1e-9, -1.0])):
+        assert solve(LCP(M, q), absolute_tolerance=1e300).is_solved
+        assert solve(LCP(M, q), absolute_tolerance=1e300, tolerance=0.0).is_solved

@@ -45,12 +45,12 @@ CERTIFICATES, BOUNDS, CLASSES = (
     "lcp_plugin/proofs/verdicts",
 )
 BOUND_TESTS = (
-    "tests/proofs/test_bound_stages.py",
+    "tests/proofs/test_error_bounds.py",
     "tests/proofs/test_error_bounds.py",
     CERTIFICATES,
 )
 CLASS_TESTS = (
-    "tests/proofs/test_matrix_proofs.py",
+    "tests/proofs/test_matrix_classes.py",
     "tests/proofs/test_matrix_classes.py",
     CLASSES,
     "tests/proofs/test_error_bounds.py",
@@ -58,7 +58,7 @@ CLASS_TESTS = (
 # The files, each with its tests, those first that fail soonest.
 TESTS = {
     f"{CERTIFICATES}/residuals.py": (
-        "tests/proofs/test_bound_stages.py",
+        "tests/proofs/test_error_bounds.py",
         "tests/core/test_certificate.py",
         CERTIFICATES,
     ),

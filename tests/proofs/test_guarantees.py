@@ -19,17 +19,19 @@ from drawn_scaling import scaled_matrices
 from families import UNPROVEN
 from hypothesis import given
 from hypothesis import strategies as st
+from planted import planted_lcp
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, gallery, solve
+from lcp_plugin import LCP, Status, analyze, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.core.matrix.row_sums import automatic_factors
 from lcp_plugin.methods.npsplitting import NPSplitting
 from lcp_plugin.proofs.guarantees import convergence_guarantee
+from lcp_plugin.proofs.guarantees.radius import bound_of_errors
 from lcp_plugin.proofs.guarantees.theorems import theorem_4_1
-from lcp_plugin.proofs.verdicts import analyze
+from lcp_plugin.proofs.verdicts.report import sign_remark
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems.comparison import nonnegative_radius
 
@@ -478,3 +480,136 @@ def test_the_command_prints_json() -> None:
     content = json.loads(told("half_active:n=4", "--json").stdout, parse_constant=pytest.fail)
     assert content["matrix"]["verdicts"]["is_h_plus"]["value"] is True
     assert {row["algorithm"] for row in content["convergence"]} >= {"auto", *REGISTRY}
+
+
+# --- A matrix with the wrong sign is told so at once, what may solve it is  ---
+
+
+def negated_laplacian(k: int) -> sp.csr_array:
+    """Return minus the five-point stencil on k × k nodes."""
+    line = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k))
+    return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
+
+
+def stages_of(result: Any) -> list[str]:
+    return [stage.name for stage in result.stages]
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("k", [4, 10])
+def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
+    """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
+    M, rng = negated_laplacian(k), np.random.default_rng(k)
+    infeasible = solve(LCP(M, rng.standard_normal(k * k)))
+    assert infeasible.status is Status.INFEASIBLE
+    assert infeasible.infeasibility.verify()
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("bounds", [{"lower": -1.0}, {"lower": np.r_[-np.inf, np.zeros(15)]}])
+def test_lower_bounds_may_be_any(bounds: dict[str, Any]) -> None:
+    """The same holds for lower bounds of any kind, free rows included, as far as a proof can be had."""
+    M, statuses = negated_laplacian(4), set()
+    for seed in range(20):
+        problem = LCP(M, 3.0 * np.random.default_rng(seed).standard_normal(16), **bounds)
+        result = solve(problem)
+        x = -np.linalg.solve(M.toarray(), problem.q)
+        assert result.is_solved == bool((x >= problem.lower - 1e-12).all())
+        statuses.add(result.status)
+    assert statuses <= {Status.SOLVED, Status.INFEASIBLE}
+
+
+@pytest.mark.parametrize(
+    ("M", "words"),
+    [
+        (
+            [[-2.0, 1.0], [1.0, -2.0]],
+            "(M[0, 0] = -2.0), and −M is a positive definite M-matrix: is its sign right?",
+        ),
+        ([[-2.0, 1.0], [0.5, -2.0]], "and −M is an M-matrix"),
+        ([[-2.0, -1.0], [1.0, -2.0]], "and −M is an H₊-matrix"),
+        ([[-1.0, -2.0], [2.0, -3.0]], "(M[0, 0] = -1.0): is its sign right?"),
+        ([[-1.0, 2.0], [2.0, 0.0]], ""),
+        (np.zeros((0, 0)), ""),
+    ],
+)
+def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
+    """Where every diagonal entry is negative, the remark shows one and says what −M is proved to be; else nothing."""
+    said = sign_remark(LCP(M, np.zeros(len(M))).matrix)
+    assert words in said
+    assert bool(said) == bool(words)
+    if "M-matrix" in words:
+        assert analyze(-np.array(M)).is_m_matrix
+
+
+# --- The spectral radius of the matrix that bounds an iteration's errors ---
+
+METHODS: list[tuple[str, dict[str, Any]]] = [
+    ("npj", {"scaling": None}),
+    ("npgs", {}),
+    ("npsor", {"relaxation": 0.8, "scaling": None}),
+    ("npaor", {"relaxation": 1.2, "acceleration": 0.7}),
+    ("pj", {}),
+    ("pgs", {"sweep": "backward"}),
+    ("psor", {"relaxation": 1.3}),
+    ("paor", {"relaxation": 0.9, "acceleration": 0.4}),
+    ("mj", {}),
+    ("mgs", {"omega": 1.5}),
+    ("msor", {"relaxation": 0.9}),
+    ("maor", {"relaxation": 0.8, "acceleration": 0.6}),
+]
+
+
+def planted(seed: int, n: int = 12) -> tuple[LCP, np.ndarray]:
+    """A strictly dominant M of both signs, and an answer chosen first."""
+    random = np.random.default_rng(seed)
+    M = random.uniform(-1, 1, (n, n))
+    np.fill_diagonal(M, 1.2 * np.abs(M).sum(axis=1))
+    return planted_lcp(M, random, bounds=False)
+
+
+@pytest.mark.parametrize(("name", "options"), METHODS, ids=[name for name, _ in METHODS])
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
+    name: str, options: dict[str, Any], seed: int
+) -> None:
+    """|z_{k+1} − z*| ≤ T |z_k − z*| in every component of every step; of a modulus method by a step of x."""
+    problem, exact = planted(seed)
+    algorithm = create(name, options)
+    T = bound_of_errors(problem, algorithm.facts(problem))
+    z0 = np.random.default_rng(seed + 50).random(problem.n) * 3
+    iterates = [
+        step.z.copy() for step, _ in zip(algorithm.iterates(problem, z0), range(8), strict=False)
+    ]
+    if name.startswith("m"):  # |z − z*| ≤ |x − x*| alone: the radius is that of the errors of x
+        iterates = []
+    for before, after in pairwise(iterates):
+        assert (abs(after - exact) <= T @ abs(before - exact) + 1e-13).all()
+    assert convergence_guarantee(problem, algorithm).spectral_radius == pytest.approx(
+        max(abs(np.linalg.eigvals(T)))
+    )
+
+
+def test_it_is_no_larger_than_a_proved_rate() -> None:
+    """ρ(T) ≤ c of a projected relaxation's proof; it is that of Jacobi's and Gauss–Seidel's matrices where known."""
+    n = 40
+    M = sp.diags_array([-np.ones(n - 1), 2.5 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    problem = LCP(M, -np.ones(n))
+    cosine = 2 * np.cos(np.pi / (n + 1)) / 2.5
+    jacobi, seidel = (convergence_guarantee(problem, name) for name in ("pj", "pgs"))
+    assert jacobi.jacobi_radius == pytest.approx(cosine)
+    assert jacobi.spectral_radius == pytest.approx(cosine)
+    assert seidel.spectral_radius == pytest.approx(cosine**2)
+    for name, options in METHODS:
+        found = convergence_guarantee(problem, name, **options)
+        if name in ("pj", "pgs", "psor", "paor") and found.rate is not None:
+            assert found.spectral_radius <= found.rate * (1 + 1e-9), name
+
+
+def test_what_has_none_says_none() -> None:
+    """A direct method has no such matrix; a symmetric sweep of two halves gives none here."""
+    problem, _ = planted(0)
+    assert convergence_guarantee(problem, "lemke").spectral_radius is None
+    assert convergence_guarantee(problem, "pgs", sweep="symmetric").spectral_radius is None
+    large = gallery.build("obstacle_2d", size=33).problem
+    assert convergence_guarantee(large, "pgs").spectral_radius is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import dataclass
+from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,10 +12,24 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns.convex_programs import SOLVABLE, case
 
-from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp, qp_from_lcp
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    InvalidOption,
+    InvalidProblem,
+    NotConverged,
+    QuadraticProgram,
+    solve,
+)
+from lcp_plugin.core.errors import (
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    UnsupportedModel,
+)
+from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
+from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 
@@ -466,3 +481,175 @@ def test_data_are_read_only_and_the_callers_own_stay_as_they_are() -> None:
     assert program.G[0, 0] == before[1][0, 0]
     with pytest.raises(AttributeError):
         program.c = np.zeros(2)  # type: ignore[misc]
+
+
+# --- Rows of one variable become bounds; multipliers and proofs come back t ---
+
+
+def program_with_all(seed: int, *, contradicts: bool = False) -> QuadraticProgram:
+    """A program with a doubled row, three simple rows and two fixed variables."""
+    rng = np.random.default_rng(seed)
+    n = 9
+    F = rng.standard_normal((n - 3, n - 3))
+    P = np.zeros((n, n))
+    P[:-3, :-3], P[-3:, -3:] = F @ F.T + np.eye(n - 3), np.diag([1.0, 2.0, 3.0])
+    G = np.zeros((6, n))
+    G[:2, :-3], G[3, 1], G[4, 2], G[5, 1] = rng.standard_normal((2, n - 3)), 2.0, -4.0, -1.0
+    G[2] = G[0]
+    inside = rng.standard_normal(n - 3)
+    x = np.append(inside, rng.standard_normal(3))
+    h = G @ x + 0.1
+    h[2] = h[0]
+    if contradicts:
+        G[1], h[1] = -G[0], -h[0] - 1.0
+    A = np.hstack([rng.standard_normal((3, n - 3)), np.diag([1.0, -2.0, 0.5])])
+    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+    lower[[3, 4]] = upper[[3, 4]] = inside[[3, 4]]
+    lower[0] = -20.0
+    return QuadraticProgram(
+        P, rng.standard_normal(n), G, h, A, rng.standard_normal(3), lower, upper
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_answer_to_what_is_left_is_one_to_the_program(seed: int) -> None:
+    """Points and multipliers of the reduced program come back as those of the program."""
+    program = program_with_all(seed)
+    folded = FoldedRows.of(program)
+    found = solve(folded.reduced)
+    assert found.is_solved
+    multipliers = folded.multipliers(found.solution.multipliers)
+    gradient = program.P @ found.x + program.c + program.constraints.matrix.T @ multipliers
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-8)
+    assert type(found.solution).of_rows(program, found.x, multipliers).is_optimal(1e-8)
+    np.testing.assert_allclose(found.x, solve(program).x, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_contradiction_of_what_is_left_is_one_of_the_program(seed: int) -> None:
+    """What proves that the reduced program has no point comes back as a proof of the program: by its own rows."""
+    program = program_with_all(seed, contradicts=True)
+    reduction = FoldedRows.of(program)
+    proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
+    assert proof is not None
+    assert proof.program is program
+    assert proof.verify()
+    rows = np.flatnonzero(np.array(proof.multipliers, dtype=np.float64)[: program.constraints.rows])
+    assert set(rows.tolist()) <= {0, 1, 2}
+
+
+def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
+    """Along with fixed variables, a direction and its point come back."""
+    P = np.diag([0.0, 0.0, 1.0, 0.0])
+    program = QuadraticProgram(
+        P,
+        [-1.0, 0.0, 0.0, 1.0],
+        G=[[0.0, -2.0, 0.0, 0.0]],
+        h=[1.0],
+        A=[[0.0, 1.0, 3.0, 1.0]],
+        b=[2.0],
+        lower=[-np.inf, -np.inf, -np.inf, 0.1],
+        upper=[np.inf, 4.0, np.inf, 0.1],
+    )
+    reduction = FoldedRows.of(program)
+    assert not reduction.reduced.h.size
+    proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
+    assert proof is not None
+    assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)
+
+
+# --- What a program's matrices say is computed once, and says the same of e ---
+
+NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+VECTORS = ("c", "h", "b", "lower", "upper")
+
+
+def afresh(given: QuadraticProgram) -> QuadraticProgram:
+    """Return the program of the same data that shares nothing."""
+    return QuadraticProgram(**{name: getattr(given, name) for name in NAMES})
+
+
+def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
+    """Return other vectors, some bounds and limits of which come or go."""
+    slack = np.where(
+        rng.random(given.h.size) < 0.2, np.inf, given.h + rng.uniform(0.0, 1.0, given.h.size)
+    )
+    return {
+        "c": given.c + rng.normal(size=given.n),
+        "h": slack,
+        "b": given.b + rng.integers(0, 2, given.b.size),
+        "lower": np.where(rng.random(given.n) < 0.2, -np.inf, given.lower - 0.5),
+        "upper": given.upper + 0.25,
+    }
+
+
+@pytest.mark.parametrize("kind", SOLVABLE)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
+    """Its complementarity problem, and what is recovered and measured, are those of a fresh program, bit by bit."""
+    rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
+    first, _ = case(kind, seed, 0, 12)
+    lcp_from_qp(first)
+    shared = first.with_vectors(**moved(first, rng))
+    ours, theirs = lcp_from_qp(shared), lcp_from_qp(afresh(shared))
+    assert ours.origin.form == theirs.origin.form
+    np.testing.assert_array_equal(ours.csr.toarray(), theirs.csr.toarray())
+    for name in ("q", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    z = rng.normal(size=ours.n)
+    left, right = (one.origin.recover(z) for one in (ours, theirs))
+    for name in ("x", "multipliers"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+    for name in ("primal_residual", "duality_gap", "objective"):
+        assert getattr(left, name) == getattr(right, name)
+
+
+def test_rows_that_contradict_their_bounds_come_and_go() -> None:
+    """A row that is a bound in one program, and no bound in the next as it contradicts another, is seen as such."""
+    first = QuadraticProgram(
+        np.eye(2), [1.0, 1.0], G=[[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]], h=[1.0, 0.0, 5.0]
+    )
+    assert lcp_from_qp(first).n == lcp_from_qp(afresh(first)).n
+    crossed = first.with_vectors(h=[1.0, -2.0, 5.0])
+    assert FoldedRows.of(crossed).left.tolist() == [0, 1, 2]
+    assert FoldedRows.of(crossed.with_vectors(h=first.h)).left.tolist() == [2]
+    assert crossed.facts.accepted_proof() is not None
+
+
+@pytest.mark.parametrize("name", VECTORS)
+@pytest.mark.parametrize("wrong", [[np.nan, 0.0], [0.0], "two"])
+def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
+    """A vector of another length, of text or with a NaN is refused in words."""
+    first = QuadraticProgram(np.eye(2), [1, 1], G=np.eye(2), h=[1, 1], A=np.eye(2), b=[1, 1])
+    with pytest.raises(InvalidProblem, match=name):
+        first.with_vectors(**{name: wrong})
+
+
+def exactly(row: Any, x: Any) -> Fraction:
+    """Return a sum of products without rounding."""
+    return sum(
+        (Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), x.tolist(), strict=True)),
+        Fraction(0),
+    )
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
+    """If terms cancel, the primal residual is the exact one."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        P, G, A = (
+            np.ldexp(rng.normal(size=(4, 4)), rng.integers(-20, 21, (4, 4))) for _ in range(3)
+        )
+        P, (x, equality, lower, upper), inequality = P + P.T, rng.normal(size=(4, 4)), rng.random(4)
+        lower, upper, h, b = np.abs(lower), np.abs(upper), G @ x, A @ x
+        c = -(P @ x + G.T @ inequality + A.T @ equality - lower + upper)
+        program = QuadraticProgram(kind(P), c, kind(G), h, kind(A), b, x - 1.0, x)
+        solution = QPSolution(program, x, inequality, equality, lower, upper)
+        rows, at = np.vstack([np.column_stack([G, -h]), np.column_stack([A, -b])]), np.append(x, 1)
+        exact = max(
+            abs(exactly(row, at)) / Fraction(float(np.abs(row * at).max()))
+            for i, row in enumerate(rows)
+            if i >= 4 or exactly(row, at) > 0
+        )
+        assert abs(Fraction(solution.primal_residual) - exact) <= exact * Fraction(1, 2**40)

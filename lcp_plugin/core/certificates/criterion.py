@@ -225,8 +225,13 @@ class RowData:
 
 
 def times(M: Any, x: FloatVector) -> FloatVector:
-    """Return M x, of one problem or of each of a stack."""
-    product: FloatVector = M @ x if x.ndim == 1 else (M @ x[..., None])[..., 0]
+    """Return M x, of one problem or of each of a stack, which may have one M."""
+    if x.ndim == 1:
+        product: FloatVector = M @ x
+    elif len(M) == 1 < len(x):
+        product = x @ M[0].T
+    else:
+        product = (M @ x[..., None])[..., 0]
     return product
 
 

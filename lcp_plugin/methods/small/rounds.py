@@ -55,7 +55,7 @@ class Rounds(Algorithm):
         yield Step(z0, work=0.0)
         unit = max(problem.nonzeros, 1)
         with np.errstate(all="ignore"):
-            stack = stack_of(as_dense(problem.matrix), problem.q, problem.lower, problem.upper)
+            stack = one_as_stack(problem)
             reference = references(stack)
         points = answers(stack, z0[None], reference)
         while True:
@@ -78,7 +78,7 @@ def first_answer(
     None also if a step is superfluous: z0 is solved already, or z° is.
     """
     with np.errstate(all="ignore"):
-        stack = stack_of(as_dense(problem.matrix), problem.q, problem.lower, problem.upper)
+        stack = one_as_stack(problem)
         reference = references(stack)
         is_cold = z0 is problem.nearest_to_zero
         if not reference.all() or not (
@@ -97,6 +97,12 @@ def is_small(problem: LCP) -> bool:
     return 0 < problem.n <= (SMALL_DENSE if problem.is_dense else SMALL_SPARSE)
 
 
+def one_as_stack(problem: LCP) -> RowData:
+    """Return one problem as a stack."""
+    vectors = (one[None] for one in (problem.q, problem.lower, problem.upper))
+    return stack_of(as_dense(problem.matrix), *vectors)
+
+
 def as_dense(matrix: Matrix) -> FloatVector:
     """Return M as an ndarray with an axis in front, shape (1, n, n)."""
     M: FloatVector = matrix.array if matrix.is_dense else matrix.csr.toarray()
@@ -107,17 +113,19 @@ def as_dense(matrix: Matrix) -> FloatVector:
 
 
 def stack_of(M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
-    """Return problems of one size as data of the criterion; an axis of length 1, or none, stands for all."""
-    count = max(len(M), *(len(one) if one.ndim == 2 else 1 for one in (q, lower, upper)))
-    shape = count, M.shape[-1]
-    q, lower, upper = (np.broadcast_to(one, shape) for one in (q, lower, upper))
-    M = np.ascontiguousarray(np.broadcast_to(M, (*shape, shape[1])))
+    """Return problems of one size as data of the criterion; an axis of length 1 stands for all.
+
+    One matrix for all stays one matrix, M of shape (1, n, n).
+    """
+    count = max(len(M), len(q), len(lower), len(upper))
+    if count > 1:
+        q, lower, upper = (np.broadcast_to(one, (count, M.shape[-1])) for one in (q, lower, upper))
     sizes = np.abs(M)
-    largest = sizes.max(-1, initial=0.0)
-    diagonal = M.diagonal(axis1=-2, axis2=-1)
-    return RowData(
-        M, sizes, q, lower, upper, residual_scales(diagonal, largest), _components(sizes)
-    )
+    scale = residual_scales(M.diagonal(axis1=-2, axis2=-1), sizes.max(-1, initial=0.0))
+    labels = _components(sizes)
+    if labels is not None and len(labels) < count:
+        labels = labels + M.shape[-1] * np.arange(count)[:, None]
+    return RowData(M, sizes, q, lower, upper, scale, labels)
 
 
 def _components(sizes: FloatVector) -> Any:
@@ -141,8 +149,10 @@ def part_of(stack: RowData, items: Any) -> RowData:
     labels = stack.labels
     if labels is not None:
         labels = np.unique(labels[items], return_inverse=True)[1].reshape(-1, labels.shape[1])
-    names = ("M", "absolute", "q", "lower", "upper", "scale")
-    parts: dict[str, Any] = {name: getattr(stack, name)[items] for name in names}
+    parts: dict[str, Any] = {name: getattr(stack, name)[items] for name in ("q", "lower", "upper")}
+    for name in ("M", "absolute", "scale"):
+        whole = getattr(stack, name)
+        parts[name] = whole if len(stack.M) == 1 else whole[items]
     return RowData(**parts, labels=labels)
 
 
@@ -268,7 +278,8 @@ def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
     order = np.argsort(~free, 1, kind="stable")[:, :most]
     inside = np.take_along_axis(free, order, 1)
     n = side.shape[1]
-    rows = (items[:, None] * n + order)[:, :, None] * n
+    first = items[:, None] * n if len(stack.M) > 1 else 0
+    rows = (first + order)[:, :, None] * n
     blocks = stack.M.reshape(-1).take(rows + order[:, None, :])
     if not inside.all():  # a row at its bound is z_i = bound
         blocks = np.where(inside[:, :, None], blocks, np.eye(most))

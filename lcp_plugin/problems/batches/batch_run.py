@@ -10,6 +10,7 @@ import numpy as np
 
 from ...api import solve
 from ...core.certificates.residuals import Certificate
+from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.settings import Settings, Status
@@ -112,7 +113,7 @@ class BatchRun:
             self.z[items] = z
         else:
             for k, row in zip(items.tolist(), z, strict=True):
-                self.z[k] = row
+                self.z[k] = read_only(row)
         self.residual[items], self.iterations[items] = residual, iterations
         self.status[items], self.is_open[items] = Status.SOLVED, False
 
@@ -178,6 +179,7 @@ class BatchRun:
             z = np.full((len(z), *(sizes or {0})), np.nan)
             for k, row in enumerate(self.z):
                 z[k, : len(row)] = row
+        z = read_only(z) if isinstance(z, np.ndarray) else z
         return {"x": z, "z": z, "relative_residual": self.residual, "iterations": self.iterations}
 
     def objectives(self) -> Any:

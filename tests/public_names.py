@@ -12,7 +12,7 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 ELSEWHERE = {
     "algorithms": "Algorithm Step algorithm_class create",
     "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
-    "problems.contact": "ContactMotion Contacts contact_data lcp_from_contacts",
+    "problems.contact": "ContactMotion Contacts contact_data",
     "problems.programs.solution": "QPSolution",
     "problems.programs.conversion": "lcp_from_qp qp_from_lcp",
     "evidence.measurement": "Measurement",

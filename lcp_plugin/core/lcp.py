@@ -297,11 +297,14 @@ class LCP:
         InvalidProblem
             As `contact_data`.
         """
-        from ..problems.contact import lcp_from_contacts
+        from ..problems.contact import contact_data
 
-        return lcp_from_contacts(
+        given = contact_data(
             contacts, friction, velocities, directions, gaps=gaps, time_step=time_step
         )
+        problem = cls(*given.arrays)
+        problem.origin = given
+        return problem
 
     def to_qp(self) -> Any:
         """Return a quadratic program with the same solutions; see ``problems.programs.conversion.qp_from_lcp``."""

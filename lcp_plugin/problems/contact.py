@@ -37,7 +37,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import canonical_csr, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, ModelWarning
-from ..core.lcp import LCP
 from ..core.solving.result import Result
 
 FloatArray = NDArray[np.float64]
@@ -190,62 +189,6 @@ class Contacts:
         return np.column_stack([problem.q[:k] - self.closing, tangential])
 
 
-def lcp_from_contacts(
-    contacts: Any,
-    friction: ArrayLike,
-    velocities: ArrayLike,
-    directions: int = 4,
-    *,
-    gaps: ArrayLike | None = None,
-    time_step: float | None = None,
-) -> LCP:
-    """Return the complementarity problem of contacts with friction, see the module; ``origin.recover`` leads back.
-
-    Parameters
-    ----------
-    contacts, friction, velocities, directions, gaps, time_step
-        As in `contact_data`.
-
-    Returns
-    -------
-    LCP
-        n = k (m + 2) with m edges a contact, and an origin of type :class:`Contacts`.
-
-    Raises
-    ------
-    InvalidProblem
-        As `contact_data`.
-
-    Examples
-    --------
-    A block of 2 kg that gravity pulls into the ground and along it for a hundredth of a second; friction holds it at
-    μ = 0.5, not at 0.3:
-
-    >>> from lcp_plugin import solve
-    >>> pull = 0.01 * np.array([-9.81, 3.924])
-    >>> for friction in (0.5, 0.3):
-    ...     problem = lcp_from_contacts((2.0 * np.eye(2), [[1, 0]], [[0, 1]]), friction, pull)
-    ...     motion = problem.origin.recover(solve(problem))
-    ...     print(motion.normal.round(5), motion.tangential.round(5), motion.slip.round(5), motion.sticks)
-    [0.1962] [[-0.07848]] [[0.]] [ True]
-    [0.1962] [[-0.05886]] [[0.00981]] [False]
-
-    It falls with 1 m/s, 4 mm above the ground; a step takes 0.01 s. It may lose the 4 mm, so it keeps 0.4 m/s, and the
-    ground takes the other 0.6 m/s:
-
-    >>> block = 2.0 * np.eye(2), [[0, 1]], [[1, 0]]  # mass matrix, normals, tangents; its velocities: along, up
-    >>> problem = lcp_from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01)
-    >>> result = solve(problem)
-    >>> motion = problem.origin.recover(result)
-    >>> motion.normal.round(6), motion.separation.round(6), motion.body_velocities.round(6)
-    (array([1.2]), array([-0.4]), array([ 0. , -0.4]))
-    """
-    given = contact_data(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
-    problem = LCP(*given.arrays)
-    problem.origin = given
-    return problem
-
-
 def contact_data(
     contacts: Any,
     friction: ArrayLike,
@@ -292,10 +235,27 @@ def contact_data(
 
     Examples
     --------
-    >>> from lcp_plugin import solve
-    >>> data = contact_data(np.eye(3), 0.5, [[-1.0, 0.9, 0.0]])
-    >>> data.recover(solve(LCP(*data.arrays))).tangential.round(6).tolist()
-    [[-0.5, 0.0]]
+    A block of 2 kg that gravity pulls into the ground and along it for a hundredth of a second; friction holds it at
+    μ = 0.5, not at 0.3:
+
+    >>> from lcp_plugin import LCP, solve
+    >>> pull = 0.01 * np.array([-9.81, 3.924])
+    >>> for friction in (0.5, 0.3):
+    ...     problem = LCP.from_contacts((2.0 * np.eye(2), [[1, 0]], [[0, 1]]), friction, pull)
+    ...     motion = problem.origin.recover(solve(problem))
+    ...     print(motion.normal.round(5), motion.tangential.round(5), motion.slip.round(5), motion.sticks)
+    [0.1962] [[-0.07848]] [[0.]] [ True]
+    [0.1962] [[-0.05886]] [[0.00981]] [False]
+
+    It falls with 1 m/s, 4 mm above the ground; a step takes 0.01 s. It may lose the 4 mm, so it keeps 0.4 m/s, and the
+    ground takes the other 0.6 m/s:
+
+    >>> block = 2.0 * np.eye(2), [[0, 1]], [[1, 0]]  # mass matrix, normals, tangents; its velocities: along, up
+    >>> problem = LCP.from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01)
+    >>> result = solve(problem)
+    >>> motion = problem.origin.recover(result)
+    >>> motion.normal.round(6), motion.separation.round(6), motion.body_velocities.round(6)
+    (array([1.2]), array([-0.4]), array([ 0. , -0.4]))
     """
     need = "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane"
     given, bodies = _array(velocities, need), None
@@ -309,7 +269,7 @@ def contact_data(
         _refuse_velocities(len(W), given)
     k, d = given.shape
     mu, edges = checked_friction(friction, k), _edges(d - 1, directions)
-    warn_of_much_friction(mu, 5)
+    warn_of_much_friction(mu, 4)
     return Contacts(W, mu, given, edges, closing_speeds(gaps, time_step, k), bodies)
 
 
@@ -520,15 +480,10 @@ def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> Non
 
 
 def _refuse_velocities(size: int, velocities: FloatArray) -> None:
-    d = (
-        velocities.shape[-1]
-        if velocities.ndim > 1 and velocities.shape[-1] in (2, 3)
-        else 3
-        if size % 3 == 0
-        else 2
-    )
-    count = velocities.shape[-2] if velocities.ndim > 1 else velocities.size
+    last = velocities.shape[-1] if velocities.ndim > 1 else 0
+    d = last if last in (2, 3) else 3 if size % 3 == 0 else 2
+    given = velocities.shape[-2] if velocities.ndim > 1 else velocities.size
     raise InvalidProblem(
-        f"velocities must have shape ({size // d}, {d}): one row (normal, tangents) a contact, W having {size} rows, "
-        f"got {velocities.shape}: too {'few' if count < size // d else 'many'}; of bodies give the mass matrix and u"
+        f"velocities must have shape ({size // d}, {d}): one row (normal, tangents) per contact, W having {size} rows, "
+        f"got {velocities.shape}: too {'few' if given < size // d else 'many'}; of bodies give the mass matrix and u"
     )

@@ -58,12 +58,8 @@ class Blocks:
     def __init__(
         self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool
     ) -> None:
-        self.rows, self.starts, self.slope, self.has_friction = (
-            rows,
-            read_only(starts),
-            read_only(slope),
-            has_friction,
-        )
+        self.rows, self.has_friction = rows, has_friction
+        self.starts, self.slope = read_only(starts), read_only(slope)
         self._facts: dict[Any, Any] = {}  # properties of M: problems that differ in q share them
 
     @property
@@ -147,12 +143,8 @@ class Blocks:
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
         """Return the problem of the selected blocks, bool, shape (k,), which must be entire components."""
         rows = blocks[self.block_of_row]
-        own = LCP(
-            self.rows.csr[rows][:, rows],
-            self.q[rows],
-            lower=self.lower[rows],
-            upper=self.upper[rows],
-        )
+        M, lower, upper = self.rows.csr[rows][:, rows], self.lower[rows], self.upper[rows]
+        own = LCP(M, self.q[rows], lower=lower, upper=upper)
         starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
         part = Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
         if self.bodies is not None:

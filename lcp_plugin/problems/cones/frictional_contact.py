@@ -327,11 +327,8 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
     if contacts is None:
         return np.full(count, k)
     counts = np.asarray(contacts)
-    if (
-        counts.shape != (count,)
-        or counts.dtype.kind not in "iu"
-        or ((counts < 0) | (counts > k)).any()
-    ):
+    is_whole = counts.shape == (count,) and counts.dtype.kind in "iu"
+    if not is_whole or ((counts < 0) | (counts > k)).any():
         raise InvalidProblem(
             f"contacts must be {count} integers from 0 to {k}, one per instance, got {contacts!r}"
         )

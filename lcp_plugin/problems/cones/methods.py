@@ -69,6 +69,10 @@ class ConeAlgorithm:
     """A method over cones: a frozen dataclass of its options."""
 
     name: ClassVar[str]
+    needs: ClassVar[str]
+    solves: ClassVar[str]
+    cost: ClassVar[str]
+    reference: ClassVar[str]
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per step, until the residual is at most `goal` or no longer falls."""
@@ -88,10 +92,6 @@ class ConeNPGS(ConeAlgorithm):
 
     A contact in space is solved exactly (open, stick, or the angle of sliding), any other cone by projections.
 
-    Requires blocks on the diagonal that are positive definite. Solves cones without friction, M symmetric positive
-    definite (descent by blocks); else observed. Cost: one product with M a sweep. Reference: Jourdan, Alart, Jean
-    1998, doi:10.1016/S0045-7825(97)00137-1.
-
     Parameters
     ----------
     sweeps : int
@@ -99,6 +99,12 @@ class ConeNPGS(ConeAlgorithm):
     """
 
     name = "npgs"
+    needs = "blocks on the diagonal that are positive definite"
+    solves = (
+        "cones without friction, M symmetric positive definite (descent by blocks); else observed"
+    )
+    cost = "one product with M a sweep"
+    reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
 
     sweeps: int = SWEEPS_A_STEP
 
@@ -123,9 +129,6 @@ class ConeNPGS(ConeAlgorithm):
 class ConeNewton(ConeAlgorithm):
     """Semismooth Newton on the natural map R(z) = z − P(z − ŵ/d), with a nonmonotone line search on ‖R‖₂.
 
-    Requires a factor that fits. Solves locally, where the generalised derivatives are regular. Cost: one factor of
-    the blocks that are not open. Reference: Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X.
-
     Parameters
     ----------
     proximal : float
@@ -135,6 +138,10 @@ class ConeNewton(ConeAlgorithm):
     """
 
     name = "newton"
+    needs = "a factor that fits"
+    solves = "locally, where the generalised derivatives are regular"
+    cost = "one factor of the blocks that are not open"
+    reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
 
     proximal: float = 1e-3
     seed: int = 0
@@ -155,14 +162,13 @@ class ConeNewton(ConeAlgorithm):
 
 @dataclass(frozen=True, kw_only=True)
 class ConeInteriorPoint(ConeAlgorithm):
-    """Primal–dual interior point on De Saxcé's cones, scaled after Nesterov and Todd; Newton's steps end it.
-
-    Requires contacts with friction, and a factor that fits. Solves observed: also where many contacts make the same
-    motion. Cost: one factor of all blocks a step, some 15 to 40 of them. Reference: Acary, Armand, Nguyen,
-    Shpakovych 2024, doi:10.1080/10556788.2023.2296438.
-    """
+    """Primal–dual interior point on De Saxcé's cones, scaled after Nesterov and Todd; Newton's steps end it."""
 
     name = "interior_point"
+    needs = "contacts with friction, and a factor that fits"
+    solves = "observed: also where many contacts make the same motion"
+    cost = "one factor of all blocks a step, some 15 to 40 of them"
+    reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per factorization."""
@@ -179,13 +185,13 @@ class FixedPoint(ConeAlgorithm):
 
     Each program goes to Clarabel, an interior point on cones. Of an M that is not symmetric its symmetric part is
     taken, and the rest of M z is held as s is. Without friction, and for symmetric M, one program is the answer.
-
-    Requires a symmetric part of M that is positive semidefinite. Solves cones without friction, M symmetric
-    positive semidefinite. Cost: one conic program, some ten to thirty factors. Reference: Acary, Cadoux,
-    Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073.
     """
 
     name = "fixed_point"
+    needs = "a symmetric part of M that is positive semidefinite"
+    solves = "cones without friction, M symmetric positive semidefinite"
+    cost = "one conic program, some ten to thirty factors"
+    reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per program until five gain nothing, then Newton's from the best."""

@@ -199,7 +199,7 @@ class Log:
         self, problem: Blocks, settings: Settings, callback: Callback | None, clock: Clock
     ) -> None:
         self.settings, self.callback, self.clock = settings, callback, clock
-        self.iterations, self.work, self.setup_seconds = 0, 0.0, 0.0
+        self.iterations, self.work, self.nonzeros = 0, 0.0, max(problem.nonzeros, 1)
         self.stages: list[StageRecord] = []
         self.samples: list[Sample] = []
         self.is_watched = settings.record or settings.verbose or callback is not None
@@ -269,8 +269,6 @@ class ConeRun:
         The user's start.
     embed : callable
         Puts a point of the component, shape (n,), into that of the whole problem.
-    share : float
-        Entries of the component's matrix relative to those of the whole one.
     """
 
     def __init__(
@@ -280,15 +278,9 @@ class ConeRun:
         log: Log,
         z: Any,
         embed: Callable[[FloatVector], FloatVector] = lambda z: z,
-        share: float = 1.0,
     ) -> None:
-        self.problem, self.stack, self.log, self.embed, self.share = (
-            problem,
-            stack,
-            log,
-            embed,
-            share,
-        )
+        self.problem, self.stack, self.log, self.embed = problem, stack, log, embed
+        self.share = problem.nonzeros / log.nonzeros  # of the work of the whole problem
         settings = log.settings
         self.tolerance, self.absolute = settings.tolerance, settings.absolute_tolerance
         if self.absolute:
@@ -472,7 +464,6 @@ class ConeRun:
         assert measures is not None
         is_open = ~((measures.relative <= self.tolerance) & (measures.terms <= self.tolerance))[0]
         statuses = [Status.SOLVED]
-        proofs: list[tuple[bool, NoImpulse]] = []
         for label in np.unique(labels[is_open]).tolist():
             blocks = labels == label
             rows = blocks[pattern.of_row]
@@ -485,23 +476,20 @@ class ConeRun:
             part = self.problem.part(blocks)
             stack = ConeStack.of(part)
             start = stack.pattern.wide(pattern.flat(self.start)[:, rows]) if self.is_warm else None
-            share = self.share * part.nonzeros / max(self.problem.nonzeros, 1)
-            run = ConeRun(part, stack, self.log, start, embed, share)
+            run = ConeRun(part, stack, self.log, start, embed)
             run.solve("auto")
             assert run.measures is not None
             flat[rows] = stack.pattern.flat(run.measures.z)[0]
             statuses.append(run.status)
-            if run.proof is not None:
+            if run.proof is not None and (self.proof is None or run.status is Status.INFEASIBLE):
                 y = np.zeros(pattern.n)
                 y[rows] = run.proof.y
-                proofs.append((run.status is Status.INFEASIBLE, NoImpulse(self.problem, y)))
+                self.proof = NoImpulse(self.problem, y)
             if run.status in (Status.INTERRUPTED, Status.MAX_SECONDS, Status.MAX_ITERATIONS):
                 break
         self.measures = measured(
             self.stack, pattern.wide(flat[None]), self.tolerance, self.absolute
         )
-        if proofs:
-            self.proof = max(proofs, key=lambda one: one[0])[1]  # one that excludes all points
         raise Ended(max(statuses, key=WORST.index))
 
 
@@ -509,18 +497,13 @@ def _checked_algorithm(algorithm: Any) -> str | ConeAlgorithm:
     """Return "auto" or the object of a method."""
     if isinstance(algorithm, ConeAlgorithm):
         return algorithm
-    if not isinstance(algorithm, str):
+    name = str(algorithm)
+    if name != "auto" and name not in METHODS:
         raise UnknownAlgorithm(
-            f"algorithm must be one of {', '.join(METHODS)} or an object of "
-            f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
+            f"no algorithm for cones is called {algorithm!r}{did_you_mean(name, {'auto', *METHODS})}; use one of "
+            f"{', '.join(METHODS)}, or an object of lcp_plugin.problems.cones.methods"
         )
-    if algorithm == "auto":
-        return algorithm
-    if algorithm not in METHODS:
-        raise UnknownAlgorithm(
-            f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
-        )
-    return METHODS[algorithm]()
+    return name if name == "auto" else METHODS[name]()
 
 
 def _start(problem: Blocks, z0: ArrayLike) -> FloatVector:
@@ -542,23 +525,27 @@ def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm
     if run.status is Status.SOLVED and not log.iterations:
         stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
     name = ", ".join(dict.fromkeys(stage.name for stage in stages))
-    return ConeResult(
-        z=certificate.z,
-        w=certificate.w,
-        status=run.status,
-        certificate=certificate,  # type: ignore[arg-type]
+    return _result_at(
+        certificate,
+        run.status,
         algorithm=f"auto: {name}" if chosen == "auto" else chosen.name,  # type: ignore[union-attr]
         iterations=log.iterations,
         work=log.work,
         seconds=log.clock.read(),
-        setup_seconds=log.setup_seconds,
         tolerance=settings.tolerance,
         absolute_tolerance=settings.absolute_tolerance,
         history=tuple(log.samples),
         stages=_merged(stages),
         infeasibility=run.proof,
-        problem=problem,
         _advice=words,
+    )
+
+
+def _result_at(certificate: ConeCertificate, status: Status, **parts: Any) -> ConeResult:
+    z, w, problem = certificate.z, certificate.w, certificate.problem
+    held: Any = certificate
+    return ConeResult(
+        z=z, w=w, status=status, certificate=held, setup_seconds=0.0, problem=problem, **parts
     )
 
 
@@ -567,19 +554,16 @@ def result_of(
 ) -> ConeResult:
     """Return the result of a problem that a stack has solved."""
     certificate = ConeCertificate.at(problem, z, settings.tolerance)
-    return ConeResult(
-        z=certificate.z,
-        w=certificate.w,
-        status=Status.SOLVED,
-        certificate=certificate,  # type: ignore[arg-type]
+    stage = StageRecord("npgs, newton", f"{SWEPT}, {FOLLOWS}", iterations, 0.0)
+    return _result_at(
+        certificate,
+        Status.SOLVED,
         algorithm="auto: npgs, newton",
         iterations=iterations,
         work=0.0,
         seconds=seconds,
-        setup_seconds=0.0,
         tolerance=settings.tolerance,
-        stages=(StageRecord("npgs, newton", f"{SWEPT}, {FOLLOWS}", iterations, 0.0),),
-        problem=problem,
+        stages=(stage,),
     )
 
 
@@ -631,8 +615,8 @@ class ConeResult(Result):
 
     def _effort(self) -> str:
         return (
-            f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
-            f"{self.setup_seconds:.3g} s), the work of {self.work:.1f} products of M with a vector"
+            f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s, the work of "
+            f"{self.work:.1f} products of M with a vector"
         )
 
     def explain(self) -> str:
@@ -653,16 +637,6 @@ class ConeResult(Result):
             f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
             f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
         ]
-        if motion.touches.any():
-            pulls = np.hypot.reduce(np.abs(motion.tangential), axis=1)[motion.touches]
-            angle = np.degrees(np.arctan2(pulls, motion.normal[motion.touches])).max()
-            edge = np.degrees(np.arctan(problem.friction.max()))
-            limit = (
-                ", the limit of friction"
-                if slides.any() and abs(angle - edge) <= 1e-6 * edge
-                else ""
-            )
-            lines.append(f"the steepest impulse leans {angle:.3g}° from its normal{limit}")
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
         if asymmetry > ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
             lines.append(

@@ -278,20 +278,8 @@ class ConeStack:
             return self
         other = copy(self)
         other.pattern = self.pattern.taken(some)
-        for name in (
-            "q",
-            "mu",
-            "d",
-            "origin",
-            "reference",
-            "is_answered",
-            "weight",
-            "asks",
-            "low",
-            "high",
-        ):
-            values = getattr(self, name)
-            if values is not None and len(values) == self.B:
+        for name, values in vars(self).items():
+            if isinstance(values, np.ndarray) and len(values) == self.B:
                 setattr(other, name, values[some])
         other.B = other.pattern.B
         return other

@@ -217,36 +217,25 @@ class Steps:
         return by_q
 
 
-class MarchGradient:
+class MarchGradient(NamedTuple):
     """Gradient of a function of all steps in time, with respect to the data.
 
-    Parameters
+    Attributes
     ----------
     z0, lower, upper : array, shape (n,)
         By the state before the first step, also where that was left to its default, and by the bounds of all steps.
     M, propagator : csr_array, shape (n, n)
-        By the entries that M and the propagator have, in their places. A propagator that is a number has that of the
-        diagonal's sum.
-    by_forcing : callable
-        Gives forcing, shape (k, n).
+        By the entries that M and the propagator have, in their places. A propagator that is a number has the sum of
+        the diagonal.
+    forcing : array, shape (k, n)
     """
 
-    def __init__(
-        self,
-        z0: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-        M: sp.csr_array,
-        propagator: sp.csr_array,
-        by_forcing: Callable[[], FloatVector],
-    ) -> None:
-        self.z0, self.lower, self.upper, self.M = z0, lower, upper, M
-        self.propagator, self._by_forcing = propagator, by_forcing
-
-    @cached_property
-    def forcing(self) -> FloatVector:
-        """The gradients by the forcing, shape (k, n); the steps are gone back again when it is looked at."""
-        return self._by_forcing()
+    z0: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    M: sp.csr_array
+    propagator: sp.csr_array
+    forcing: FloatVector
 
 
 class MarchDerivative:
@@ -408,39 +397,21 @@ class MarchDerivative:
         n, steps = self.march.problem.n, len(self)
         rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
         M, propagator = self.march.problem.csr, self.march.propagator
-        after, of_bounds = np.zeros(n), np.zeros((2, n))
-        of_M, of_propagator = np.zeros(M.nnz), np.zeros(propagator.nnz)
-        for part, by_q in self._back(rows, after, of_bounds):
-            of_M += _outer_on(M, by_q, part.z)
-            of_propagator += _outer_on(propagator, by_q, part.states[:-1])
-        z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
-
-        def by_forcing() -> FloatVector:
-            forcing = np.empty((steps, n))
-            for part, by_q in self._back(rows, np.zeros(n), np.zeros((2, n))):
-                forcing[part.here] = by_q
-            return forcing
-
-        return MarchGradient(
-            z0,
-            of_bounds[0],
-            of_bounds[1],
-            sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n)),
-            sp.csr_array((of_propagator, propagator.indices, propagator.indptr), shape=(n, n)),
-            by_forcing,
-        )
-
-    def _back(
-        self, g: FloatVector, after: FloatVector, of_bounds: FloatVector
-    ) -> Iterator[tuple[Steps, FloatVector]]:
-        """Yield the steps from the last to the first, some at a time, with their gradients by q."""
+        after, of_bounds, forcing = np.zeros(n), np.zeros((2, n)), np.empty((steps, n))
+        of_M, of_C = np.zeros(M.nnz), np.zeros(propagator.nnz)
         for part in self._parts(backwards=True):
             own = np.zeros(part.z.shape)
-            if g.ndim > 1:
-                own[:] = g[part.here]
-            elif part.here.stop == len(self):
-                own[-1] = g
-            yield part, part.vjp(own, after, of_bounds)
+            if rows.ndim > 1:
+                own[:] = rows[part.here]
+            elif part.here.stop == steps:
+                own[-1] = rows
+            by_q = forcing[part.here] = part.vjp(own, after, of_bounds)
+            of_M += _outer_on(M, by_q, part.z)
+            of_C += _outer_on(propagator, by_q, part.states[:-1])
+        z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
+        by_M = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
+        by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
+        return MarchGradient(z0, of_bounds[0], of_bounds[1], by_M, by_C, forcing)
 
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps, some at a time, with what has been found out about each."""

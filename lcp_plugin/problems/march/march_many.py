@@ -23,6 +23,7 @@ from ..many.data import length_of_all, rows_of_a_batch
 from . import March, checked_forcing, checked_propagator, take_steps, take_steps_together
 from .on_band import bounded_side
 
+BOUNDS = "lower", "upper"
 SIDE_BY_SIDE = 16  # marches in one array, so that a block of their steps stays in the cache
 
 
@@ -108,20 +109,14 @@ def march(
     [array([0.781, 0.469]), array([0.722, 0.528])]
     """
     of_states = lower, upper, z0
-    are_many = (
-        isinstance(problem, (list, tuple))
-        or _is_one_a_march(propagator)
-        or _has_more_axes(forcing, of_states)
-    )
-    problems = list(problem) if isinstance(problem, (list, tuple)) else [problem]
+    is_list = isinstance(problem, (list, tuple))
+    are_many = is_list or _is_one_a_march(propagator) or _has_more_axes(forcing, of_states)
+    problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
     if not problems:
         return []
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
-    states = {
-        name: values
-        for name, values in zip(("lower", "upper", "z0"), of_states, strict=True)
-        if values is not None
-    }
+    given = zip((*BOUNDS, "z0"), of_states, strict=True)
+    states = {name: values for name, values in given if values is not None}
     marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
     for some in _groups(marches):
         take_steps_together(some, algorithm, wishes, limit - clock.read())
@@ -182,38 +177,23 @@ def _begin(
         raise InvalidOption(
             f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}"
         )
-    shape, axes = (
-        ("(m, k, n), or (k, n) for all marches", (2, 3))
-        if are_many
-        else ("(k, n), a row a step", (2,))
-    )
-    given = checked_forcing(forcing, n, shape, axes)
-    offsets = [given] if given.ndim == 2 else list(given)
-    propagators = [
-        checked_propagator(C, n)
-        for C in (propagator if _is_one_a_march(propagator) else [propagator])
-    ]
-    rows = {
-        name: rows_of_a_batch(values, name, n) if are_many else [values]
-        for name, values in states.items()
-    }
-    if isinstance(problems[0], LCP):
-        asked_of_solve(algorithm, wishes)
+    shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
+    given = checked_forcing(forcing, n, shape, (2, 3) if are_many else (2,))
+    each = propagator if _is_one_a_march(propagator) else [propagator]
     several: dict[str, Any] = {
         "problem": problems,
-        "forcing": offsets,
-        "propagator": propagators,
-        **rows,
+        "forcing": [given] if given.ndim == 2 else list(given),
+        "propagator": [checked_propagator(C, n) for C in each],
     }
+    for name, values in states.items():
+        several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
+    if isinstance(problems[0], LCP):
+        asked_of_solve(algorithm, wishes)
+    lengths = {name: len(one) for name, one in several.items() if len(one) != 1}
     marches: list[March] = []
-    for j in range(
-        length_of_all({name: len(one) for name, one in several.items() if len(one) != 1})
-    ):
+    for j in range(length_of_all(lengths)):
         own = {name: one[min(j, len(one) - 1)] for name, one in several.items()}
-        stated, bounds = (
-            own["problem"],
-            {name: own[name] for name in ("lower", "upper") if name in own},
-        )
+        stated, bounds = own["problem"], {name: own[name] for name in BOUNDS if name in own}
         stated = stated.with_q(stated.q, **bounds) if bounds else stated
         state = checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
         marches.append(March(stated, own["forcing"], own["propagator"], state))

@@ -127,18 +127,12 @@ def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchD
     problems = batch.problems
     if isinstance(problems, Worlds):
         return ContactBatchDerivative(batch, derivative)
-    if not isinstance(problems, Stacked) and not (
-        isinstance(problems, Listed) and problems.are_lcps
-    ):
-        raise InvalidOption(
-            f"{refusal('derivative', batch)}; write [derivative(answer) for answer in batch]"
-        )
-    if not isinstance(batch.z, np.ndarray):
-        raise InvalidOption(
-            "the derivative of a batch takes problems of one size; "
-            "write [derivative(answer) for answer in batch] for several"
-        )
-    return BatchDerivative(batch, derivative)
+    are_lcps = isinstance(problems, Stacked) or (isinstance(problems, Listed) and problems.are_lcps)
+    if are_lcps and isinstance(batch.z, np.ndarray):
+        return BatchDerivative(batch, derivative)
+    of_one_size = "the derivative of a batch takes problems of one size"
+    need = of_one_size if are_lcps else refusal("derivative", batch)
+    raise InvalidOption(f"{need}; write [derivative(answer) for answer in batch]")
 
 
 class Derivative(LinearizedSystem):

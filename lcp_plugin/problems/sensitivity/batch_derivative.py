@@ -230,9 +230,7 @@ class ManyDerivatives:
         found = np.zeros((len(self), self._pieces), np.bool_)
         places = np.arange(self._pieces)
         self._fill(
-            [found],
-            lambda part: [part.degenerate],
-            lambda k: [np.isin(places, self[k].degenerate)],
+            [found], lambda part: [part.degenerate], lambda k: [np.isin(places, self[k].degenerate)]
         )
         return found
 

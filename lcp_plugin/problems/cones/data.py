@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -52,6 +52,7 @@ class Blocks:
         Whether the slack of a cone is û.
     """
 
+    offset = "q"  # its name in messages
     origin: Any = None
     bodies: Any = None  # Bodies, behind contacts that are stated by them
 
@@ -156,6 +157,20 @@ class Blocks:
             part.bodies = type(self.bodies)(mass[columns][:, columns], J[:, columns], None)
         return part
 
+    def with_q(self, q: ArrayLike) -> Self:
+        """Return the problem with another q, shape (n,), b of contacts; it shares the cached properties of M."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        given = checked_vector(
+            np.ravel(real_array(q, f"{self.offset} must be a vector")), self.offset, self.n
+        )
+        other.rows = self.rows.with_q(given, lower=self.lower, upper=self.upper)
+        if self.bodies is not None:
+            other.bodies = self.bodies._replace(
+                velocities=None
+            )  # b does not give those of the bodies
+        return other
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
 
@@ -235,55 +250,34 @@ class ConeProblem(Blocks):
         """The stored matrix, dense or CSR."""
         return self.rows.M
 
-    def with_q(self, q: ArrayLike) -> ConeProblem:
-        """Return the problem with another q, shape (n,); it shares the cached properties of M."""
-        other: ConeProblem = with_other_q(self, q, "q")
-        return other
-
     def _shape(self) -> dict[str, Any]:
         kinds = [CONES.index(cone[0]) for cone in self.cones]
         rows = [
-            np.broadcast(*cone[1:]).size if cone[0] == "box" else int(cone[1])
-            for cone in self.cones
+            np.broadcast(*given).size if name == "box" else int(given[0])
+            for name, *given in self.cones
         ]
-        return {
-            "cone_kinds": np.array(kinds, np.int64),
-            "cone_rows": np.array(rows, np.int64),
-            "lower": self.lower,
-            "upper": self.upper,
-        }
+        of_cones = {"cone_kinds": np.array(kinds, np.int64), "cone_rows": np.array(rows, np.int64)}
+        return {**of_cones, "lower": self.lower, "upper": self.upper}
 
     def _words(self) -> str:
         return f"n={self.n}, {in_words(int((self.sizes > 1).sum()), 'second-order cone')}"
-
-
-def with_other_q(problem: Any, q: ArrayLike, name: str) -> Any:
-    """Return the problem with another q, shape (n,), called `name` in errors; it shares the cached properties of M."""
-    other = object.__new__(type(problem))
-    other.__dict__.update(problem.__dict__)
-    other.rows = problem.rows.with_q(
-        checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper
-    )
-    return other
 
 
 def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
     """Return lower and upper bounds of a box, each of its rows; raise InvalidProblem where they have no such shape."""
     need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
     low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
-    lengths = {bound.size for bound in (low, high)} - {1} or {1}
-    if low.ndim > 1 or high.ndim > 1 or len(lengths) > 1:
-        remedy = (
-            "write np.ravel(lower), np.ravel(upper)"
-            if low.size == high.size
-            else "give both one length"
+    lengths = {low.size, high.size} - {1} or {1}
+    if max(low.ndim, high.ndim) > 1 or len(lengths) > 1:
+        raise InvalidProblem(
+            f"{need}, got shapes {low.shape} and {high.shape}; write np.ravel(lower), np.ravel(upper) of one length"
         )
-        raise InvalidProblem(f"{need}, got shapes {low.shape} and {high.shape}; {remedy}")
     (rows,) = lengths
-    low, high = (np.broadcast_to(bound, rows) for bound in (low, high))
-    return checked_limit(low, f"lower of {name}", rows), checked_limit(
-        high, f"upper of {name}", rows
+    low, high = (
+        checked_limit(np.broadcast_to(one, rows), f"{word} of {name}", rows)
+        for one, word in ((low, "lower"), (high, "upper"))
     )
+    return low, high
 
 
 def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:

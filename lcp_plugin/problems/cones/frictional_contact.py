@@ -31,7 +31,7 @@ from ..contact import (
     is_of_bodies,
     warn_of_much_friction,
 )
-from .data import Blocks, with_other_q
+from .data import Blocks
 
 NEARLY_SYMMETRIC = 1e-2  # of the largest entry: contact data are written with few digits, and differ by up to 2.5e-3
 
@@ -87,6 +87,7 @@ class FrictionalContact(Blocks):
 
     """
 
+    offset = "b"
     bodies: Bodies | None = None
 
     def __init__(
@@ -183,17 +184,6 @@ class FrictionalContact(Blocks):
     def friction(self) -> FloatVector:
         """Coefficients, shape (k,)."""
         return self.slope
-
-    def with_q(self, b: ArrayLike) -> FrictionalContact:
-        """Return the problem with other velocities, shape (d k,); it shares the cached properties of W."""
-        other: FrictionalContact = with_other_q(
-            self, np.ravel(real_array(b, "b must be a vector")), "b"
-        )
-        if self.bodies is not None:
-            other.bodies = self.bodies._replace(
-                velocities=None
-            )  # b does not determine the velocities of the bodies
-        return other
 
     def _shape(self) -> dict[str, Any]:
         return {"mu": self.friction}

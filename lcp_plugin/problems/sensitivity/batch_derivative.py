@@ -121,21 +121,26 @@ class BatchPart(LinearizedSystem):
 class BatchGradient:
     """Gradients of functions of the solutions of a batch, with respect to the data.
 
-    Parameters
+    Attributes
     ----------
     q, lower, upper : array, shape (B, n)
-        As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row per problem. NaN if `errors` of the
-        derivative says why there is none; 0 where the function does not look at z and w.
-    by_M : callable
-        Gives M.
+        As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row per problem; contacts have q (by b) and
+        friction, shape (B, k). NaN if `errors` of the derivative says why there is none; 0 if the function does not
+        depend on the problem, and for contacts that are not there.
     """
 
-    def __init__(self, q: Any, lower: Any, upper: Any, by_M: Callable[[], Any]) -> None:
-        self.q, self.lower, self.upper, self._by_M = q, lower, upper, by_M
+    q: Any
+    lower: Any
+    upper: Any
+    friction: Any
+
+    def __init__(self, by_M: Callable[[], Any], **by: Any) -> None:
+        vars(self).update(by)
+        self._by_M = by_M
 
     @cached_property
     def M(self) -> Any:
-        """The gradients by the entries of M, in the form in which M was given; computed when it is looked at.
+        """The gradients by the entries of M, in the form in which M was given; computed when first read.
 
         Shape (B, n, n), by all entries, for an M each. If one M stands for all, their sum: shape (n, n), or a
         csr_array with the pattern of a sparse M. For a list of LCPs a list with a csr_array on each one's pattern.
@@ -394,8 +399,8 @@ class BatchDerivative(ManyDerivatives):
             lambda k: [*self[k].vjp(rows[k], by_w[k])][:3],  # its M comes later
         )
         self._forget_unasked(tables, g, gw)
-        by_q, by_lower, by_upper = tables
-        return BatchGradient(by_q, by_lower, by_upper, lambda: self._by_M(by_q, left))
+        names = dict(zip(("q", "lower", "upper"), tables, strict=True))
+        return BatchGradient(lambda: self._by_M(tables[0], left), **names)
 
     def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
         z = self.z.copy()

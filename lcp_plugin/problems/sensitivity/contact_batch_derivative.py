@@ -15,7 +15,7 @@ from ..cones.derivative import StackDerivative
 from ..cones.newton import whole_systems
 from ..cones.stack import ConeStack
 from ..many.chunks import in_chunks
-from .batch_derivative import ManyDerivatives
+from .batch_derivative import BatchGradient, ManyDerivatives
 
 NAMED = 5  # worlds, in words
 TOGETHER = 512  # worlds whose arrays a cache holds
@@ -59,32 +59,6 @@ class _Together(StackDerivative):
 
     def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
         return self.system.solve(right, transposed=transposed)
-
-
-class ContactBatchGradient:
-    """Gradients of functions of the impulses and velocities of each world, with respect to its data.
-
-    Parameters
-    ----------
-    q : array, shape (B, n)
-        By b.
-    friction : array, shape (B, k)
-    z : array, shape (B, n)
-        The impulses.
-
-    Notes
-    -----
-    NaN if ``errors`` of the derivative says why there is none; 0 where the function does not look at the world, and
-    for contacts that are not there. What you gave once for all worlds has the sum over the worlds for its gradient.
-    """
-
-    def __init__(self, q: Any, friction: Any, z: Any) -> None:
-        self.q, self.friction, self._z = q, friction, z
-
-    @cached_property
-    def M(self) -> Any:
-        """By the entries of W, shape (B, n, n); computed when it is looked at."""
-        return self.q[:, :, np.newaxis] * self._z[:, np.newaxis]
 
 
 class ContactBatchDerivative(ManyDerivatives):
@@ -216,7 +190,7 @@ class ContactBatchDerivative(ManyDerivatives):
         dw[[*self.errors]] = np.nan
         return dw
 
-    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ContactBatchGradient:
+    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> BatchGradient:
         """Return the gradients of functions L_k(z_k, w_k) of each world by its b, W and friction.
 
         Parameters
@@ -243,7 +217,10 @@ class ContactBatchDerivative(ManyDerivatives):
             tables, lambda part: part.rows_of_gradients(by_z[part.items], by_w[part.items]), alone
         )
         self._forget_unasked(tables, g, gw)
-        return ContactBatchGradient(*tables, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
+        z, by_b = np.where(self._is_solved[:, np.newaxis], self.z, 0.0), tables[0]
+        return BatchGradient(
+            lambda: by_b[:, :, np.newaxis] * z[:, np.newaxis], q=by_b, friction=tables[1]
+        )
 
     @property
     def _pieces(self) -> int:

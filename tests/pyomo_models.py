@@ -117,73 +117,6 @@ def of_munson(m: Any, sign: float) -> Published:
     return Published(m, [m.x1, m.x2, m.x3], answers=[[sign, 0.0, 0.0]], digits=1e-9)
 
 
-@published
-def four_by_four() -> Published:
-    """M. C. Ferris, T. Munson, PATH 4.6 user's guide: the linear example of its interface."""
-    M = np.array([[0.0, 0, -1, -1], [0, 0, 1, -2], [1, -1, 2, -2], [1, 2, -2, 4]])
-    return linear(M, [2.0, 2, -2, -6], answers=[[2.8, 0.0, 0.8, 1.2]], digits=1e-9)
-
-
-@published
-def murty_exponential() -> Published:
-    """K. G. Murty, Math. Program. Study 7 (1978) 138–146: 2ⁿ pivots; n = 8, solution (1, 0, …, 0)."""
-    n = 8
-    return linear(
-        np.eye(n) + 2 * np.tril(np.ones((n, n)), -1),
-        -np.ones(n),
-        answers=[np.eye(n)[0]],
-        digits=1e-9,
-    )
-
-
-@published
-def fathi() -> Published:
-    """Y. Fathi, Math. Program. 17 (1979) 335–344: symmetric positive definite, 2ⁿ pivots; n = 8, solution (1, 0, …)."""
-    L = np.eye(8) + 2 * np.tril(np.ones((8, 8)), -1)
-    return linear(L @ L.T, -np.ones(8), answers=[np.eye(8)[0]], digits=1e-9)
-
-
-@published
-def transmcp() -> Published:
-    """G. B. Dantzig, Linear Programming and Extensions (1963) 3-3, as a complementarity problem: GAMS' transmcp."""
-    plants, markets = (
-        {"Seattle": 350.0, "San Diego": 600.0},
-        {"New York": 325.0, "Chicago": 300.0, "Topeka": 275.0},
-    )
-    distance = dict(
-        zip(((i, j) for i in plants for j in markets), (2.5, 1.7, 1.8, 2.5, 1.8, 1.4), strict=True)
-    )
-    m = pe.ConcreteModel()
-    m.I, m.J = pe.Set(initialize=list(plants)), pe.Set(initialize=list(markets))
-    m.cost = pe.Param(
-        m.I, m.J, initialize={key: 0.09 * d for key, d in distance.items()}, mutable=True
-    )
-    m.x = pe.Var(m.I, m.J, within=pe.NonNegativeReals)
-    m.at_plant, m.at_market = (
-        pe.Var(m.I, within=pe.NonNegativeReals),
-        pe.Var(m.J, within=pe.NonNegativeReals),
-    )
-    m.supply = Complementarity(
-        m.I,
-        rule=lambda m, i: complements(plants[i] >= sum(m.x[i, j] for j in m.J), m.at_plant[i] >= 0),
-    )
-    m.demand = Complementarity(
-        m.J,
-        rule=lambda m, j: complements(
-            sum(m.x[i, j] for i in m.I) >= markets[j], m.at_market[j] >= 0
-        ),
-    )
-    m.profit = Complementarity(
-        m.I,
-        m.J,
-        rule=lambda m, i, j: complements(
-            m.at_plant[i] + m.cost[i, j] >= m.at_market[j], m.x[i, j] >= 0
-        ),
-    )
-    variables = each(m.x, m.at_plant, m.at_market)
-    return Published(m, variables, answers=[[0.225, 0.153, 0.126]], digits=1e-9, first=8)
-
-
 def polynomial(name: str) -> Any:
     """The figures of Josephy's problem and of Kojima and Shindo's, which differ in three."""
     third, ninth, last = (3, 3, -1) if name == "josephy" else (10, 9, -9)
@@ -354,117 +287,6 @@ def by_rows(
     return Published(m, each(m.x), **given)
 
 
-def kkt_of(
-    gradient: Any,
-    constraints: Any,
-    n: int,
-    m: int,
-    lower: Any = -np.inf,
-    upper: Any = np.inf,
-    **given: Any,
-) -> Published:
-    """The first-order conditions of min f(x), g(x) ≥ 0 within bounds: `constraints(x)`: each g and its gradient."""
-
-    def rows(x: Any, functions: Any) -> list[Any]:
-        told = constraints(x)
-        multipliers = [x[n + k] for k in range(m)]
-        slopes = [
-            gradient(x, functions)[j] - sum(multipliers[k] * told[k][1][j] for k in range(m))
-            for j in range(n)
-        ]
-        return slopes + [value for value, _ in told]
-
-    bounds = [np.broadcast_to(np.asarray(bound, dtype=float), n) for bound in (lower, upper)]
-    lower, upper = np.append(bounds[0], np.zeros(m)), np.append(bounds[1], np.full(m, np.inf))
-    return by_rows(rows, n + m, lower, upper, **given)
-
-
-@published
-def colville1() -> Published:
-    """A. R. Colville, IBM report 320-2949 (1968), problem 1, its first-order conditions: MCPLIB's colvncp."""
-    c = np.array(
-        [
-            [30, -20, -10, 32, -10],
-            [-20, 39, -6, -31, 32],
-            [-10, -6, 10, -6, -10],
-            [32, -31, -6, 39, -20],
-            [-10, 32, -10, -20, 30.0],
-        ]
-    )
-    e, d = [-15.0, -27, -36, -18, -12], [4.0, 8, 10, 6, 2]
-    a = [
-        [-16.0, 2, 0, 1, 0],
-        [0, -2, 0, 4, 2],
-        [-3.5, 0, 2, 0, 0],
-        [0, -2, 0, -4, -1],
-        [0, -9, -2, 1, -2.8],
-        [2, 0, -4, 0, 0],
-        [-1, -1, -1, -1, -1],
-        [-1, -2, -3, -2, -1],
-        [1, 2, 3, 4, 5],
-        [1, 1, 1, 1, 1],
-    ]
-    b = [-40, -2, -0.25, -4, -4, -1, -40, -60, 5, 1.0]
-    return kkt_of(
-        lambda x, _: [
-            e[j] + 2 * sum(c[j, i] * x[i] for i in range(5)) + 3 * d[j] * x[j] ** 2
-            for j in range(5)
-        ],
-        lambda x: [(sum(row[j] * x[j] for j in range(5)) - b[k], row) for k, row in enumerate(a)],
-        5,
-        10,
-        lower=0.0,
-        start=np.append([0, 0, 0, 0, 1.0], np.zeros(10)),
-        answers=[[0.3, 0.33346761, 0.4, 0.42831010, 0.22396487]],
-        digits=1e-6,
-    )
-
-
-@published
-def hock_schittkowski_35() -> Published:
-    """E. M. L. Beale, Naval Res. Logist. Q. 6 (1959) 227–243; Hock and Schittkowski's 35 (1981)."""
-    return kkt_of(
-        lambda x, _: [
-            -8 + 4 * x[0] + 2 * x[1] + 2 * x[2],
-            -6 + 4 * x[1] + 2 * x[0],
-            -4 + 2 * x[2] + 2 * x[0],
-        ],
-        lambda x: [(3 - x[0] - x[1] - 2 * x[2], [-1, -1, -2])],
-        3,
-        1,
-        lower=0.0,
-        start=0.5,
-        answers=[[4 / 3, 7 / 9, 4 / 9]],
-        digits=1e-8,
-    )
-
-
-@published
-def hock_schittkowski_43() -> Published:
-    """J. B. Rosen, S. Suzuki, Comm. ACM 8 (1965) 113; Hock and Schittkowski's 43."""
-    return kkt_of(
-        lambda x, _: [2 * x[0] - 5, 2 * x[1] - 5, 4 * x[2] - 21, 2 * x[3] + 7],
-        lambda x: [
-            (
-                8 - x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - x[3] ** 2 - x[0] + x[1] - x[2] + x[3],
-                [-2 * x[0] - 1, -2 * x[1] + 1, -2 * x[2] - 1, -2 * x[3] + 1],
-            ),
-            (
-                10 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - 2 * x[3] ** 2 + x[0] + x[3],
-                [-2 * x[0] + 1, -4 * x[1], -2 * x[2], -4 * x[3] + 1],
-            ),
-            (
-                5 - 2 * x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - 2 * x[0] + x[1] + x[3],
-                [-4 * x[0] - 2, -2 * x[1] + 1, -2 * x[2], 1],
-            ),
-        ],
-        4,
-        3,
-        answers=[[0, 1, 2, -1]],
-        digits=1e-7,
-    )
-
-
 @published
 def hock_schittkowski_71() -> Published:
     """M. C. Bartholomew-Biggs (1976); Hock and Schittkowski's 71: its equation has a free multiplier, x two bounds."""
@@ -483,25 +305,6 @@ def hock_schittkowski_71() -> Published:
     lower, upper = [1, 1, 1, 1, 0, -np.inf], [5, 5, 5, 5, np.inf, np.inf]
     answer = [1, 4.7429994, 3.8211503, 1.3794082]
     return by_rows(rows, 6, lower, upper, [1, 5, 5, 1, 0.5, -0.1], answers=[answer], digits=1e-6)
-
-
-@published
-def hock_schittkowski_76() -> Published:
-    """B. A. Murtagh, R. W. H. Sargent, Math. Programming 3 (1972) 245–259; Hock and Schittkowski's 76."""
-    return kkt_of(
-        lambda x, _: [2 * x[0] - x[2] - 1, x[1] - 3, 2 * x[2] - x[0] + x[3] + 1, x[3] + x[2] - 1],
-        lambda x: [
-            (5 - x[0] - 2 * x[1] - x[2] - x[3], [-1, -2, -1, -1]),
-            (4 - 3 * x[0] - x[1] - 2 * x[2] + x[3], [-3, -1, -2, 1]),
-            (x[1] + 4 * x[2] - 1.5, [0, 1, 4, 0]),
-        ],
-        4,
-        3,
-        lower=0.0,
-        start=0.5,
-        answers=[[0.27272727, 2.0909091, 0, 0.54545455]],
-        digits=1e-6,
-    )
 
 
 @published
@@ -668,29 +471,6 @@ def pigou() -> Published:
     )
 
 
-@published
-def bimatrix_game() -> Published:
-    """B. von Stengel, Handbook of Game Theory 3 (2002) ch. 45: a game of 3 × 2 with three equilibria."""
-    A, B = [[3, 3], [2, 5], [0, 6]], [[3, 2], [2, 6], [3, 1]]
-    m = pe.ConcreteModel()
-    m.x, m.y = pe.Var(range(3), initialize=1 / 3), pe.Var(range(2), initialize=0.5)
-    m.u, m.v = pe.Var(), pe.Var()
-    m.row = Complementarity(
-        range(3),
-        rule=lambda m, i: complements(m.x[i] >= 0, m.u >= sum(A[i][j] * m.y[j] for j in range(2))),
-    )
-    m.column = Complementarity(
-        range(2),
-        rule=lambda m, j: complements(m.y[j] >= 0, m.v >= sum(B[i][j] * m.x[i] for i in range(3))),
-    )
-    m.one, m.two = (
-        pe.Constraint(expr=sum(m.x[i] for i in range(3)) == 1),
-        pe.Constraint(expr=m.y[0] + m.y[1] == 1),
-    )
-    answers = [[1, 0, 0, 1, 0], [0.8, 0.2, 0, 2 / 3, 1 / 3], [0, 1 / 3, 2 / 3, 1 / 3, 2 / 3]]
-    return Published(m, [*each(m.x, m.y), m.u, m.v], answers=answers, digits=1e-8)
-
-
 def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
     """The five-point −h² Δ on size² interior points of the unit square, and these."""
     second = sp.diags_array(
@@ -702,22 +482,6 @@ def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
         x,
         y,
     )
-
-
-@published
-def obstacle() -> Published:
-    """P. G. Ciarlet, The Finite Element Method for Elliptic Problems (1978): between two obstacles; Pyomo's mcplib."""
-    A, x, y = on_grid(12)
-    wave = np.sin(9.2 * x) * np.sin(9.3 * y)
-    return linear(A, -np.full(144, 1.0 / 169), wave**3, wave**2 + 0.2)
-
-
-@published
-def torsion() -> Published:
-    """T. W. Ting, Indiana Univ. Math. J. 20 (1971) 1047–1076: elastic–plastic torsion of a square bar."""
-    A, x, y = on_grid(11)
-    distance = np.minimum(np.minimum(x, 1 - x), np.minimum(y, 1 - y))
-    return linear(A, -np.full(121, 5.0 / 144), -distance, distance)
 
 
 @published
@@ -737,47 +501,6 @@ def bratu_under_a_ceiling() -> Published:
         ),
     )
     return Published(m, each(m.u))
-
-
-@published
-def journal_bearing() -> Published:
-    """G. Cimatti, Appl. Math. Optim. 3 (1977) 227–242: a long bearing of eccentricity 0.8, with cavitation."""
-    n, eccentricity = 40, 0.8
-    x = np.linspace(0, 2 * np.pi, n + 2)
-    film = (1 + eccentricity * np.cos(x[:-1] + np.pi / (n + 1))) ** 3
-    A = (
-        sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1])
-        / x[1] ** 2
-    )
-    return linear(A, -eccentricity * np.sin(x[1:-1]))
-
-
-@published
-def american_put() -> Published:
-    """J. C. Hull, Options, Futures and Other Derivatives: S = K = 50, 10 %, σ = 40 %, five months; 4.28."""
-    rate, volatility, steps, top, nodes = 0.1, 0.4, 12, 100.0, 39
-    price, dt = np.linspace(0, top, nodes + 2)[1:-1], 5 / 12 / steps
-    j = np.arange(1, nodes + 1)
-    down, up = (
-        0.5 * dt * (rate * j - volatility**2 * j**2),
-        -0.5 * dt * (rate * j + volatility**2 * j**2),
-    )
-    step = sp.diags_array(
-        [down[1:], 1 + dt * (volatility**2 * j**2 + rate), up[:-1]], offsets=[-1, 0, 1]
-    )
-    M = sp.kron(sp.eye_array(steps), step) - sp.kron(sp.eye_array(steps, k=-1), sp.eye_array(nodes))
-    payoff = np.maximum(50 - price, 0)
-    q = np.zeros(steps * nodes)
-    q[::nodes] += down[0] * 50.0  # the value at S = 0
-    q[:nodes] -= payoff
-    return linear(
-        sp.csr_array(M),
-        q,
-        np.tile(payoff, steps),
-        answers=[[4.28]],
-        digits=0.03,
-        first=steps * nodes - 20,
-    )
 
 
 @published
@@ -835,50 +558,6 @@ def lubrication() -> Published:
 
     start = [1.6, *(max(0.0, 1 - abs((begin + 1 + i * dx) / 2)) for i in range(1, n + 1))]
     return by_rows(rows, n + 1, np.append(-np.inf, np.zeros(n)), start=start)
-
-
-@published
-def takayama_judge() -> Published:
-    """T. Takayama, G. G. Judge, J. Farm Econ. 46 (1964) 67–93: two goods in three regions; GAMS' spatequ."""
-    wanted, offered = [(200, 300), (100, 200), (160, 250)], (-50, -60)
-    fall, rise = [(-10, -10), (-5, -20), (-8, -10)], [(10, 15), (20, 25), (10, 15)]
-    cost = {
-        (0, 1): (2, 3),
-        (0, 2): (2, 3),
-        (1, 0): (2, 3),
-        (1, 2): (1, 2),
-        (2, 0): (2, 3),
-        (2, 1): (1, 2),
-    }
-    m = pe.ConcreteModel()
-    m.R, m.C, m.route = pe.RangeSet(0, 2), pe.RangeSet(0, 1), pe.Set(initialize=list(cost), dimen=2)
-    m.p = pe.Var(m.R, m.C, within=pe.NonNegativeReals, initialize=1.0)
-    m.x = pe.Var(m.route, m.C, within=pe.NonNegativeReals)
-    m.supplied = pe.Expression(
-        m.R, m.C, rule=lambda m, r, c: offered[c] + rise[r][c] * m.p[r, c] + 0.5 * m.p[r, 1 - c]
-    )
-    m.demanded = pe.Expression(
-        m.R, m.C, rule=lambda m, r, c: wanted[r][c] + fall[r][c] * m.p[r, c] + m.p[r, 1 - c]
-    )
-    m.market = Complementarity(
-        m.R,
-        m.C,
-        rule=lambda m, r, c: complements(
-            m.p[r, c] >= 0,
-            m.supplied[r, c]
-            + sum(m.x[s, t, c] * ((t == r) - (s == r)) for s, t in cost if r in (s, t))
-            >= m.demanded[r, c],
-        ),
-    )
-    m.trade = Complementarity(
-        m.route,
-        m.C,
-        rule=lambda m, s, t, c: complements(
-            m.x[s, t, c] >= 0,
-            m.p[s, c] + cost[s, t][c] >= m.p[t, c],
-        ),
-    )
-    return Published(m, each(m.p, m.x))
 
 
 @published

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
 import pkgutil
-import time
-import tracemalloc
 from importlib import import_module
 from itertools import pairwise
 
@@ -14,18 +11,17 @@ import pytest
 import scenes
 import scipy.sparse as sp
 from collection.truth import ExactData
-from scipy.ndimage import label
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, gallery
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem
+from lcp_plugin.core.errors import InvalidOption
 from lcp_plugin.gallery.obstacle import (
     CONE_BEGINS,
     CONTACT_RADIUS,
     sphere_obstacle,
     sphere_solution,
 )
-from lcp_plugin.gallery.stencil import dirichlet_terms, nodes, stencil_matrix
+from lcp_plugin.gallery.stencil import stencil_matrix
 
 # Every scene, and one line per variant, small enough for dense linear algebra and rational arithmetic.
 SMALL = [
@@ -156,28 +152,6 @@ def test_description_is_one_line_and_every_parameter_is_documented() -> None:
             assert parameter in documented.replace(",", " ").split(), (name, parameter)
 
 
-def test_defaults_are_quick_and_of_moderate_size() -> None:
-    """Every scene builds with its defaults in less than half a second and at most 40 000 unknowns."""
-    for name in gallery.names():
-        begin = time.process_time()
-        scene = gallery.build(name)
-        assert time.process_time() - begin < 0.5, name
-        assert scene.n <= 40_000
-
-
-def test_three_ways_to_build_agree() -> None:
-    """By text, by name and by function the same scene results, with the values actually used."""
-    by_text = gallery.parse(" half_active : n=25, delta=1e0, degenerate=False ")
-    by_name = gallery.build("half_active", n=np.int64(25), delta=1, degenerate=np.False_)
-    by_function = gallery.half_active(n=25, delta=1.0, degenerate=False)
-    for scene in (by_text, by_name, by_function):
-        assert scene.parameters == {"n": 25, "delta": 1.0, "block": 5, "degenerate": False}
-        assert [type(value) for value in scene.parameters.values()] == [int, float, int, bool]
-        assert scene.name == "half_active"
-        assert np.array_equal(scene.problem.q, by_text.problem.q)
-    assert repr(by_text) == "Scene(half_active: n=25, delta=1.0, block=5, degenerate=False)"
-
-
 @pytest.mark.parametrize(
     ("name", "parameters", "message"),
     [
@@ -241,52 +215,6 @@ def test_bad_parameters_are_refused_by_name_and_value(
         gallery.build(name, **parameters)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("nothing_like_it:size=3", r"unknown test problem 'nothing_like_it'; known: american_put"),
-        (
-            "obstacle_2d:size",
-            "'size' in 'obstacle_2d:size' has no '='; write scene:parameter=value",
-        ),
-        ("obstacle_2d:size=3,size=4", "'size=4' in .* repeats a parameter"),
-        ("obstacle_2d:size=3.5", "size must be an integer ≥ 1, as 100, got 3.5"),
-        ("obstacle_2d:shifted=perhaps", "shifted must be true or false, as False, got 'perhaps'"),
-        ("paper_example_1:delta=four", "delta must be a finite number, as 4.0, got 'four'"),
-        ("paper_example_1:delta=1e999", "delta must be a finite number, as 4.0, got inf"),
-        ("half_active:m=3", r"test problem 'half_active' has no parameter 'm'"),
-    ],
-)
-def test_bad_texts_are_refused(text: str, message: str) -> None:
-    """A text that denotes no scene is an InvalidOption that says where."""
-    with pytest.raises(InvalidOption, match=message):
-        gallery.parse(text)
-
-
-@pytest.mark.parametrize(
-    ("facts", "message"),
-    [
-        ({"exact": np.ones(3)}, r"exact must have shape \(2,\) like z, got \(3,\)"),
-        ({"grid": (3,), "axis_labels": ("x",)}, r"grid \(3,\) must hold n = 2 nodes"),
-        ({"grid": (2,)}, "a label per axis"),
-        ({"grid": (2,), "axis_labels": ("x",), "coordinates": (np.ones(3),)}, "axes of length"),
-        ({"steps": 2}, "a march of 2 steps needs advance"),
-    ],
-)
-def test_scene_refuses_facts_that_do_not_fit(facts: dict, message: str) -> None:
-    """A builder that declares a fact of the wrong size fails at once."""
-    with pytest.raises(InvalidProblem, match=message):
-        gallery.Scene(problem=LCP(np.eye(2), np.zeros(2)), **facts)
-
-
-def test_picture_needs_a_grid_and_the_right_length() -> None:
-    """A scene without a grid, or a vector of another length, gives no picture."""
-    with pytest.raises(InvalidProblem, match="'bimatrix_game' has no grid"):
-        gallery.build("bimatrix_game").picture(np.zeros(4))
-    with pytest.raises(InvalidProblem, match=r"z must have shape \(9,\), got \(8,\)"):
-        gallery.build("obstacle_2d", size=3).picture(np.zeros(8))
-
-
 # --- What every scene declares ----------------------------------------------------------------------------
 
 
@@ -331,25 +259,6 @@ def test_active_share_is_as_declared(scene: gallery.Scene) -> None:
         assert scene.active_share == pytest.approx(np.mean(is_active), abs=1e-15)
 
 
-def test_facts_cannot_be_overwritten(scene: gallery.Scene) -> None:
-    """Reference vectors are read-only, and the picture of z is z."""
-    for values in (scene.exact, scene.continuum, scene.start):
-        if values is not None:
-            assert not values.flags.writeable
-    if scene.grid is not None:
-        z = np.arange(float(scene.n))
-        assert np.array_equal(scene.picture(z).ravel(), z)
-
-
-def test_scenes_travel_between_processes(scene: gallery.Scene) -> None:
-    """A scene survives pickling with its data and its march."""
-    copy = pickle.loads(pickle.dumps(scene))
-    assert repr(copy) == repr(scene)
-    assert np.array_equal(copy.problem.csr.data, scene.problem.csr.data)
-    if scene.advance is not None:
-        assert np.array_equal(copy.advance(scene.problem.lower), scene.advance(scene.problem.lower))
-
-
 # --- Assembly ---------------------------------------------------------------------------------------------
 
 
@@ -371,21 +280,6 @@ def test_stencil_agrees_with_kronecker_products() -> None:
         assert M.indices.dtype == M.indptr.dtype == np.int32
 
 
-def test_stencil_and_boundary_terms_together_are_the_operator() -> None:
-    """With coefficients that vary from node to node, M u + boundary terms is the stencil applied to u."""
-    generator = np.random.default_rng(1)
-    u = generator.normal(size=(5, 6))
-    below, above = generator.normal(size=(2, 2, 3, 4))
-    centre = generator.normal(size=(3, 4))
-    inner = u[1:-1, 1:-1]
-    expected = centre * inner + below[0] * u[:-2, 1:-1] + above[0] * u[2:, 1:-1]
-    expected += below[1] * u[1:-1, :-2] + above[1] * u[1:-1, 2:]
-    result = stencil_matrix((3, 4), centre, below, above) @ inner.ravel() + dirichlet_terms(
-        u, below, above
-    )
-    assert np.allclose(result, expected.ravel(), rtol=0.0, atol=1e-14)
-
-
 def test_paper_matrices_are_the_printed_ones_corrected() -> None:
     """Both examples equal blocktridiag(·, L₁, ·) + δI with the corrected blocks, start (1, 0, …)."""
     blocks = {"paper_example_1": (-1.0, -1.0), "paper_example_2": (-1.5, -0.5)}
@@ -404,35 +298,6 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
         assert not scene.problem.slack(scene.exact).any()
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(
-    "text",
-    [
-        "paper_example_1:n=250000",
-        "half_active:n=250000",
-        "obstacle_2d:size=500",
-        "obstacle_3d:size=63",
-    ],
-)
-def test_a_quarter_of_a_million_unknowns_are_cheap(text: str) -> None:
-    """Assembly takes less than two seconds and less than three times the memory of the matrix."""
-    tracemalloc.start()
-    begin = time.process_time()
-    problem = gallery.parse(text).problem
-    seconds = time.process_time() - begin
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    matrix = problem.csr
-    assert seconds < 2.0
-    assert peak < 3 * (matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes)
-
-
-def test_problems_use_the_assembled_matrix_itself() -> None:
-    """The stencil's arrays are canonical, so the problem keeps them without a copy."""
-    M = stencil_matrix((30, 30), 4.0, [-1.0, -1.0], [-1.0, -1.0])
-    assert np.shares_memory(LCP(M, np.zeros(900)).csr.data, M.data)
-
-
 # --- Single scenes ----------------------------------------------------------------------------------------
 
 
@@ -443,19 +308,6 @@ def test_half_active_is_half_active_and_degenerate_on_request() -> None:
         w = scene.problem.slack(scene.exact)
         assert scene.active_share == 0.5
         assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == count
-
-
-def test_random_scene_has_every_kind_of_index_and_no_dominance() -> None:
-    """Active, inactive and degenerate indices occur, the share is met, and M is not dominant as it stands."""
-    scene = gallery.build("random_h_plus", n=1000, active_share=0.3)
-    w = scene.problem.slack(scene.exact)
-    assert np.count_nonzero(scene.exact == 0.0) == 300
-    assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == 30
-    M = abs(scene.problem.csr)
-    assert np.mean(M.sum(axis=1) > 2.0 * M.diagonal()) > 0.2
-    assert np.mean(M.sum(axis=0) > 2.0 * M.diagonal()) > 0.2
-    other = gallery.build("random_h_plus", n=1000, active_share=0.3, seed=1)
-    assert not np.array_equal(other.exact, scene.exact)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -502,31 +354,6 @@ def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int
     assert errors[-1] < 1.0 / sizes[-1] ** 1.5
 
 
-def test_shifted_obstacle_is_the_same_problem() -> None:
-    """In the unknown u − ψ the problem is plain and has the shifted solution."""
-    bounded, shifted = (
-        gallery.build("obstacle_2d", size=20),
-        gallery.build("obstacle_2d", size=20, shifted=True),
-    )
-    assert shifted.problem.is_plain
-    expected = active_set(bounded.problem) - bounded.problem.lower
-    assert np.allclose(active_set(shifted.problem), expected, rtol=0.0, atol=1e-13)
-    assert np.array_equal(shifted.continuum, bounded.continuum - bounded.problem.lower)
-
-
-def test_bumps_have_several_contact_sets() -> None:
-    """The membrane rests on several bumps, hangs between them, and the bumps end inside the square."""
-    scene = gallery.build("obstacle_bumps", size=60)
-    z = active_set(scene.problem)
-    touching = scene.picture(z <= scene.problem.lower)
-    assert label(touching)[1] >= 3
-    assert 0.05 < touching.mean() < 0.5
-    rim = np.ones(scene.grid, dtype=bool)
-    rim[1:-1, 1:-1] = False
-    # One mesh width inside the boundary no bump is higher than its steepest slope allows.
-    assert scene.picture(scene.problem.lower)[rim].max() < 2.0 * 0.5 / 0.08 / 61
-
-
 def test_stopping_operator_is_exact_on_linear_functions() -> None:
     """Inside the square the scaled rows give h² (b·∇u + r u) for u = 2x − 3y, upwind or not."""
     size, wind_x, wind_y, swirl, discount = 9, 0.4, -0.3, 5.0, 2.0
@@ -540,18 +367,6 @@ def test_stopping_operator_is_exact_on_linear_functions() -> None:
     )
     computed = scene.picture(scene.problem.csr @ u.ravel()) * (size + 1) ** 2
     assert np.allclose(computed[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=0.0, atol=1e-12)
-
-
-def test_stopping_value_grows_with_gain_and_patience() -> None:
-    """More running gain or less discounting never lowers the value, and there are both regions."""
-    value = active_set(gallery.build("optimal_stopping", size=30).problem)
-    richer = active_set(gallery.build("optimal_stopping", size=30, gain=0.5).problem)
-    patient = active_set(gallery.build("optimal_stopping", size=30, discount=0.1).problem)
-    lower = gallery.build("optimal_stopping", size=30).problem.lower
-    assert np.all(richer >= value - 1e-12)
-    assert np.all(patient >= value - 1e-12)
-    assert richer.sum() > value.sum()
-    assert 0.1 < np.mean(value <= lower) < 0.9
 
 
 def test_american_put_march_agrees_with_the_binomial_tree() -> None:
@@ -568,40 +383,6 @@ def test_american_put_march_agrees_with_the_binomial_tree() -> None:
     )
     assert tree[0] == pytest.approx(20.0, abs=1e-12)
     assert gallery.binomial_put(100.0, **data).shape == ()
-
-
-def test_american_put_march_shares_its_matrix() -> None:
-    """Every step of the march has the same matrix object's data; the first step is the scene american_put."""
-    scene = gallery.build("american_put_march", size=51, steps=3)
-    single = gallery.build("american_put", size=51, steps=3)
-    following = scene.problem.with_q(scene.advance(eliminate_with_maximum(scene.problem)))
-    assert following.csr.data is scene.problem.csr.data
-    assert (scene.steps, single.steps, single.advance) == (3, 1, None)
-    assert np.array_equal(single.problem.csr.toarray(), scene.problem.csr.toarray())
-    assert np.array_equal(single.problem.q, scene.problem.q)
-
-
-def test_both_put_scenes_have_the_same_defaults() -> None:
-    """The defaults stand in two signatures, and they agree."""
-    defaults = {name: parameters for name, _, parameters in gallery.describe()}
-    assert defaults["american_put"] == defaults["american_put_march"]
-
-
-def test_binomial_tree_refuses_what_gives_no_probability() -> None:
-    """No steps, or steps too long for the drift, are refused; the latter with the number that suffices."""
-    data = {"strike": 100.0, "rate": 0.5, "volatility": 0.05, "maturity": 1.0}
-    with pytest.raises(
-        InvalidOption, match="steps must be at least 101 at this rate and volatility, got 50"
-    ):
-        gallery.binomial_put(100.0, **data, steps=50)
-    assert gallery.binomial_put(100.0, **data, steps=101) == pytest.approx(0.0, abs=0.1)
-    with pytest.raises(InvalidOption, match="steps must be positive, got 0"):
-        gallery.binomial_put(100.0, **data, steps=0)
-
-
-def test_nodes_include_both_ends() -> None:
-    """The axis holds its interior nodes and the two ends."""
-    assert nodes(-1.0, 1.0, 3).tolist() == [-1.0, -0.5, 0.0, 0.5, 1.0]
 
 
 def test_unique_equilibria_are_equilibria() -> None:
@@ -651,20 +432,6 @@ def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
     assert all(fine < coarse / 1.5 for coarse, fine in pairwise(errors))
     assert errors[-1] < 1e-3
     assert np.mean(plastic(scene, z)) == pytest.approx(0.75, abs=0.02)
-
-
-def test_torsion_is_nowhere_steeper_than_the_yield_stress() -> None:
-    """|u| ≤ dist, neighbours differ by a mesh width at most, more twist yields more, and corners stay elastic."""
-    shares = []
-    for share in (0.0, 0.5, 0.9):
-        scene, z = twisted(f"size=30,plastic_share={share}")
-        u = np.pad(scene.picture(z), 1)
-        assert max(np.abs(np.diff(u, axis=axis)).max() for axis in (0, 1)) <= 2.0 / 31.0 * (
-            1.0 + 1e-12
-        )
-        shares.append(np.mean(plastic(scene, z)))
-        assert scene.picture(z)[0, 0] < scene.picture(scene.problem.upper)[0, 0]
-    assert 0.1 < shares[0] < shares[1] < shares[2] < 0.8
 
 
 @pytest.mark.parametrize("size", [30, 31])

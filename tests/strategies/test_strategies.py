@@ -5,18 +5,16 @@ from __future__ import annotations
 import re
 from collections import Counter
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
 from exact import determinant, exact_rows, has_positive_pivots, principal_minors
-from fresh_process import printed_by
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, analyze, strategies
+from lcp_plugin import LCP, analyze
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem
 from lcp_plugin.strategies import (
     assert_solves,
@@ -219,11 +217,6 @@ def is_p(matrix: object) -> bool:
     return all(minor > 0 for minor in principal_minors(exact_rows(matrix)))
 
 
-def is_indefinite(matrix: object) -> bool:
-    """Neither it nor its negative is semidefinite."""
-    return not is_semidefinite(matrix) and not is_semidefinite(-np.asarray(matrix))
-
-
 FEW = st.integers(1, 5)
 SOME = st.integers(2, 5)
 # strategy, oracle, verdict of analyze and its value
@@ -366,13 +359,6 @@ def test_convex_qps_are_solved() -> None:
     check()
 
 
-@pytest.mark.full
-def test_strict_problems_have_no_degenerate_rows() -> None:
-    """Of problems made strict a row at a bound has w ≠ 0."""
-    counts = counted(strict(solved_lcps(h_plus_matrices(st.integers(1, 4)))))
-    assert set(counts) == {"half bounded", "lower, w > 0"}
-
-
 # --- The judge ----------------------------------------------------------------------------------------------
 
 
@@ -429,32 +415,6 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("is_dense", [True, False])
-def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
-    """Arrays come as arrays though an LCP keeps nearly empty ones as CSR, and the other way round."""
-    forms = set()
-
-    def solver(M: object, *others: np.ndarray) -> None:
-        forms.add(type(M))
-
-    drawn = h_plus_matrices(st.integers(1, 6), density=0.5)
-    matrices = drawn if is_dense else drawn.map(sp.csr_array)
-    assert_solves(solver, matrices=matrices, bounds=True, may_give_up=True, max_examples=40)
-    assert forms == {np.ndarray if is_dense else sp.csr_array}
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("answer", [lambda z: (z, 0), lambda z: [z, "solved"], lambda z: {"z": z}])
-def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
-    """A pair (z, flag), as many solvers return it, and anything else is a wrong answer and no crash of the judge."""
-    report = verdict_on(
-        lambda *data: answer(exact_diagonal(*data)), matrices=h_plus_matrices(density=0)
-    )
-    assert "z must be 1 real numbers in an array of shape (1,), got" in report
-    assert "problem = LCP([[1.0]]" in report
-
-
 def test_the_judge_refuses_wrong_options() -> None:
     """Options out of range are refused before anything is drawn."""
     for options, message in (
@@ -472,46 +432,6 @@ def test_the_judge_refuses_wrong_options() -> None:
 
 
 # --- Everything occurs ------------------------------------------------------------------------------------
-
-
-def counted(
-    strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examples: int = 150
-) -> Counter[str]:
-    """How often each kind of row occurs in that many drawn problems."""
-    counts: Counter[str] = Counter()
-
-    @settings(max_examples=examples)
-    @given(strategy)
-    def count(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
-        counts.update(kinds(*drawn))
-
-    count()
-    return counts
-
-
-@pytest.mark.full
-def test_active_inactive_and_degenerate_rows_occur() -> None:
-    """Each of the three kinds makes up at least a sixth of the rows of plain problems."""
-    counts = counted(solved_lcps(h_plus_matrices(FEW)))
-    assert set(counts) == {"half bounded", "lower", "lower, w > 0"}
-    assert min(counts.values()) > counts.total() / 6
-
-
-@pytest.mark.full
-def test_every_kind_of_bound_occurs() -> None:
-    """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
-    counts = counted(solved_lcps(bounds=True), 300)
-    sides = [
-        "lower",
-        "lower, w > 0",
-        "upper",
-        "upper, w < 0",
-        "fixed",
-        "fixed, w > 0",
-        "fixed, w < 0",
-    ]
-    assert set(counts) == {"free", "half bounded", "boxed", *sides}
-    assert min(counts.values()) > counts.total() / 100
 
 
 def test_options_do_what_they_say() -> None:
@@ -532,18 +452,6 @@ def test_options_do_what_they_say() -> None:
     assert np.mean(nonzeros[0.25]) < 0.6 * np.mean(nonzeros[1.0])
 
 
-def test_positive_definite_matrices_leave_h_plus() -> None:
-    """Most of the larger positive definite matrices are no H₊-matrices, so they test something else."""
-    outside = []
-
-    @given(positive_definite_matrices(6))
-    def collect(matrix: np.ndarray) -> None:
-        outside.append(not is_h_plus(matrix))
-
-    collect()
-    assert np.mean(outside) > 0.5
-
-
 # --- Shrinking --------------------------------------------------------------------------------------------
 
 
@@ -552,29 +460,6 @@ def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
     """The simplest matrix of any options is the identity, 1 × 1."""
     simplest = find(H_PLUS[name], lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
     assert exact_rows(simplest) == [[1]]
-
-
-@pytest.mark.parametrize("name", ["default", "sparse"])
-def test_positive_definite_matrices_shrink_to_the_identity(name: str) -> None:
-    """The simplest matrix of any options is the identity, 1 × 1."""
-    simplest = find(POSITIVE_DEFINITE[name], lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
-    assert exact_rows(simplest) == [[1]]
-
-
-@pytest.mark.full
-def test_counterexamples_are_small() -> None:
-    """What is found for a claim that breaks at an off-diagonal entry or at a slack has only small integers."""
-    matrix = find(
-        h_plus_matrices(st.integers(1, 4)), lambda M: np.count_nonzero(M) > len(M), settings=SEARCH
-    )
-    assert sorted(abs(matrix).ravel().tolist()) == [0.0, 1.0, 1.0, 2.0]
-    small = solved_lcps(h_plus_matrices(st.integers(1, 3)))
-    problem, z = find(
-        small, lambda drawn: drawn[0].n == 2 and exact_slack(*drawn)[0] > 0, settings=SEARCH
-    )
-    assert np.array_equal(problem.M.toarray() if sp.issparse(problem.M) else problem.M, np.eye(2))
-    assert exact_slack(problem, z)[0] == 1
-    assert max(z) <= 1
 
 
 # --- What cannot be drawn ---------------------------------------------------------------------------------
@@ -617,15 +502,6 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
-def test_nothing_is_drawn_in_vain() -> None:
-    """Valid by construction: the module neither filters nor assumes."""
-    for file in Path(strategies.__file__).parent.glob("*.py"):
-        source = file.read_text(encoding="utf-8")
-        assert not [word for word in (".filter(", "assume(", "reject(") if word in source], (
-            file.name
-        )
-
-
 def test_a_counterexample_can_be_copied() -> None:
     """The judge prints the call that makes the problem, bounds included if there are any."""
     with pytest.raises(AssertionError) as caught:
@@ -633,15 +509,3 @@ def test_a_counterexample_can_be_copied() -> None:
     (call,) = re.findall(r"^problem = (LCP\(.*\))$", str(caught.value), re.M)
     problem = eval(call, {"LCP": LCP, "inf": np.inf})
     assert problem.n == 2
-
-
-@pytest.mark.full
-def test_hypothesis_loads_with_the_strategies_only() -> None:
-    """``import lcp_plugin`` leaves hypothesis alone; the first use of ``lcp_plugin.strategies`` loads it."""
-    code = (
-        "import sys, lcp_plugin\n"
-        "before = 'hypothesis' in sys.modules\n"
-        "lcp_plugin.strategies.h_plus_matrices()\n"
-        "print(before, 'hypothesis' in sys.modules)"
-    )
-    assert printed_by(code).split() == ["False", "True"]

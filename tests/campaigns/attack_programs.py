@@ -1,24 +1,25 @@
 """Hill climbing against the judges of programs and of least squares: large errors with small measures.
 
-Problems are small,
-with the odd numbers that users write in some places; optima are those of all active sets, in fractions. A point falls
-where it is called proved, or SOLVED, and its objective is off by more than 1 %.
+Problems are small, with odd numbers that users write in some places; optima are rational. A point falls if it is called
+proved, or SOLVED, and its objective is off by more than 1 %.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from exact import solve_fractions
 
 from lcp_plugin import QuadraticProgram, certify
 from lcp_plugin.problems.least_squares.certificate import Optimality
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures
+
+from .outliers import ExactProgram
 
 ODD = (1e-17, float(np.cos(np.pi / 2)), 1e-9, 1e-5, 1e10, 1e15, 1e19)
 MOST = 1e-2  # of the objective's terms: an error that is one
@@ -35,22 +36,6 @@ def fractions(values: Any) -> list[Any]:
 def product(rows: Any, x: Any) -> list[Fraction]:
     """Return rows · x."""
     return [sum((a * v for a, v in zip(row, x, strict=True) if a), ZERO) for row in rows]
-
-
-def solved(rows: list[list[Fraction]], right: list[Fraction]) -> list[Fraction] | None:
-    """Return the solution of a square system, None where it is singular."""
-    n = len(right)
-    table = [[*row, value] for row, value in zip(rows, right, strict=True)]
-    for k in range(n):
-        pivot = next((i for i in range(k, n) if table[i][k]), None)
-        if pivot is None:
-            return None
-        table[k], table[pivot] = table[pivot], table[k]
-        for i in range(n):
-            if i != k and table[i][k]:
-                share = table[i][k] / table[k][k]
-                table[i] = [a - share * b for a, b in zip(table[i], table[k], strict=True)]
-    return [table[i][n] / table[i][i] for i in range(n)]
 
 
 # --- Programs ------------------------------------------------------------------------------------------------------
@@ -95,23 +80,6 @@ def hessian(given: QuadraticProgram) -> Any:
     return fractions(given.P.toarray() if sp.issparse(given.P) else given.P)
 
 
-def candidates(given: QuadraticProgram) -> Iterator[list[Fraction]]:
-    """Yield the feasible stationary points of all active sets that have one each: the optimum is one of them."""
-    P, c, n = hessian(given), fractions(given.c), given.n
-    rows = given.constraints
-    finite = rows.finite
-    C, d = fractions(rows.matrix[finite].toarray()), fractions(rows.limit[finite])
-    for k in range(n + 1):
-        for active in itertools.combinations(range(len(d)), k):
-            system = [[*row, *(C[i][j] for i in active)] for j, row in enumerate(P)]
-            system += [[*C[i], *[ZERO] * k] for i in active]
-            found = solved(system, [*(-v for v in c), *(d[i] for i in active)])
-            if found is not None and all(
-                a <= b for a, b in zip(product(C, found[:n]), d, strict=True)
-            ):
-                yield found[:n]
-
-
 def off(given: QuadraticProgram, x: Any, best: tuple[Fraction, Fraction]) -> float:
     """Return |f(x) − f*| beside the terms of the optimum, or of x where these vanish."""
     P = hessian(given)
@@ -125,12 +93,13 @@ def attack_certify(rng: np.random.Generator, count: int) -> list[str]:
     for _ in range(count):
         given = program(rng)
         P, c = hessian(given), fractions(given.c)
-        points = list(candidates(given))
-        if not points:
+        data = (given.P, given.c, given.G, given.h, given.A, given.b, given.lower, given.upper)
+        optimum = ExactProgram(
+            *(one.toarray() if sp.issparse(one) else one for one in data)
+        ).optimum()
+        if optimum is None:
             continue
-        best = min((value(P, c, x) for x in points), key=lambda pair: pair[0])
-        starts = [np.array([float(v) for v in x]) for x in points]
-        x = starts[int(rng.integers(len(starts)))]
+        best, x = value(P, c, optimum), np.array([float(v) for v in optimum])
         least, worst = np.inf, None
         for step in range(STEPS):
             at = x if step == 0 else climbed(rng, x, step)
@@ -244,7 +213,7 @@ def least_cost(case: dict[str, Any]) -> Fraction:
         free = [j for j in range(n) if state[j][0]]
         x = [ZERO if is_free else v for is_free, v in state]
         right = [pull[i] - product([gram[i]], x)[0] - state[i][1] * l1[i] for i in free]
-        found = solved([[gram[i][j] for j in free] for i in free], right)
+        found = solve_fractions([[gram[i][j] for j in free] for i in free], right)
         if found is None:
             continue
         for j, v in zip(free, found, strict=True):

@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from exact import solve_fractions
 
 INF = np.inf
 EPSILON = float(np.finfo(float).eps)
@@ -146,7 +147,9 @@ class Exact:
             free.append(entering)
             while True:
                 gradient = self.gradient(x)
-                step = solved([[self.gram[j][k] for k in free] + [-gradient[j]] for j in free])
+                step = solve_fractions(
+                    [[self.gram[j][k] for k in free] for j in free], [-gradient[j] for j in free]
+                )
                 share, hits = self._share(x, free, step)
                 for j, d in zip(free, step, strict=True):
                     x[j] += share * d
@@ -176,21 +179,6 @@ class Exact:
                 if part < 1:
                     hits.append(j)
         return share, hits
-
-
-def solved(system: list[list[Fraction]]) -> list[Fraction]:
-    """Return the answer of a nonsingular system [matrix, right]."""
-    size = len(system)
-    for k in range(size):
-        pivot = next(i for i in range(k, size) if system[i][k])
-        system[k], system[pivot] = system[pivot], system[k]
-        inverse = 1 / system[k][k]
-        system[k] = [v * inverse for v in system[k]]
-        for i in range(size):
-            if i != k and system[i][k]:
-                factor = system[i][k]
-                system[i] = [v - factor * w for v, w in zip(system[i], system[k], strict=True)]
-    return [row[-1] for row in system]
 
 
 def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) -> str:

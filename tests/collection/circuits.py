@@ -25,7 +25,6 @@ Matrix = NDArray[np.float64]
 def entries() -> Iterator[Entry]:
     """Yield diode circuits, then relays."""
     yield from _diodes()
-    yield from _ladders()
     yield from _relays()
 
 
@@ -121,32 +120,6 @@ def _diodes() -> Iterator[Entry]:
     yield diode_problem(
         "antiparallel_loop", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (2, 1)], [4.0, 0.0], "singular"
     )
-
-
-def _ladders() -> Iterator[Entry]:
-    for stages in (10, 100):
-        resistors = [(k, 0, 0.25) for k in range(1, stages + 1)] + [
-            (k, k + 1, 1.0) for k in range(1, stages)
-        ]
-        diodes = [(k, k + 1) for k in range(1, stages)] + [(0, k) for k in range(1, stages + 1)]
-        M = circuit(resistors, diodes, stages)
-        generator = np.random.default_rng(stages)
-        conducts = generator.random(len(diodes)) < 0.4
-        v = np.maximum.accumulate(generator.integers(0, 3, stages)).astype(float)
-        w = np.where(conducts, 0.0, 1.0)
-        z = np.concatenate([v, conducts * generator.integers(0, 4, len(diodes))])
-        lower = np.concatenate([np.full(stages, -np.inf), np.zeros(len(diodes))])
-        yield planted(
-            f"diode_ladder_{stages}",
-            f"{OWN}: drops planted",
-            M,
-            z,
-            np.concatenate([np.zeros(stages), w]),
-            "mixed",
-            "PSD",
-            "degenerate",
-            lower=lower,
-        )
 
 
 def relay(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from .entry import COTTLE_PANG_STONE, OWN, Entry, planted, solvable
+from .entry import OWN, Entry, planted, solvable
 
 TAKAYAMA_JUDGE = (
     "Takayama, Judge, Spatial and Temporal Price and Allocation Models, North-Holland 1971"
@@ -17,7 +17,6 @@ DANTZIG_MANNE = (
     "J. Economic Theory 5 (1972); Dantzig, Manne, A complementarity algorithm for an optimal capital path with "
     "invariant proportions, J. Economic Theory 9 (1974)"
 )
-BRAESS = "Braess, On a paradox of traffic planning (1968), Transportation Science 39 (2005), doi:10.1287/trsc.1050.0127"
 COURNOT = (
     "Murphy, Sherali, Soyster, A mathematical programming approach for determining oligopolistic market equilibrium, "
     "Math. Programming 24 (1982)"
@@ -29,10 +28,8 @@ Matrix = NDArray[np.float64]
 def entries() -> Iterator[Entry]:
     """Yield spatial prices, production, capital stocks, oligopolies and traffic."""
     yield from _spatial_prices()
-    yield from _production()
     yield from _capital()
     yield from _oligopoly()
-    yield from _traffic()
 
 
 def _spatial_prices() -> Iterator[Entry]:
@@ -91,38 +88,6 @@ def _shipments(supply: Matrix, demand: Matrix) -> Matrix:
     m, k = len(supply), len(demand)
     M: Matrix = np.kron(supply, np.ones((k, k))) + np.kron(np.ones((m, m)), demand)
     return M
-
-
-def _production() -> Iterator[Entry]:
-    """Prices ⟂ supply − demand, activities ⟂ cost − revenue: [[D, A], [−Aᵀ, 0]]."""
-    A = np.array([[1.0, 2.0, 0.0, 1.0], [1.0, 0.0, 3.0, 1.0]])
-    for name, D in (
-        ("fixed_demand", np.zeros((2, 2))),
-        ("elastic_demand", np.diag([2.0, 1.0])),
-        ("not_integrable_demand", np.array([[2.0, 1.0], [-1.0, 1.0]])),
-        ("complements_in_demand", np.array([[1.0, 2.0], [2.0, 1.0]])),
-    ):
-        M = np.block([[D, A], [-A.T, np.zeros((4, 4))]])
-        yield solvable(
-            f"market_{name}",
-            f"{COTTLE_PANG_STONE}, §1.2 (market equilibrium); own numbers",
-            M,
-            [-12, -9, 4, 5, 6, 5],
-            "market",
-        )
-    generator = np.random.default_rng(6)
-    for goods, activities in ((8, 15), (30, 60)):
-        A = generator.integers(0, 3, (goods, activities)).astype(float)
-        D = (
-            np.diag(generator.integers(1, 4, goods))
-            + np.triu(np.ones((goods, goods)), 1)
-            - np.tril(np.ones((goods, goods)), -1)
-        )
-        M = np.block([[D, A], [-A.T, np.zeros((activities, activities))]])
-        n = goods + activities
-        z = generator.integers(1, 6, n) * (generator.random(n) < 0.5)
-        w = generator.integers(0, 6, n) * (z == 0)
-        yield planted(f"market_{goods}_goods", OWN, M, z, w, "PSD", "market", "degenerate")
 
 
 def _capital() -> Iterator[Entry]:
@@ -190,61 +155,4 @@ def _oligopoly() -> Iterator[Entry]:
         np.ones((3, 3)) - 0.5 * np.eye(3),
         [-4, -4, -6],
         "indefinite",
-    )
-
-
-def _traffic() -> Iterator[Entry]:
-    """Path flows ⟂ path cost − least cost, least cost ⟂ flow − demand; the bridge makes all travel longer."""
-    links = np.array([[1, 0, 0, 1, 0], [0, 1, 1, 0, 0], [1, 0, 1, 0, 1]]).T  # columns: paths
-    slope, free = np.diag([10.0, 1.0, 10.0, 1.0, 1.0]), np.array([0.0, 50.0, 0.0, 50.0, 10.0])
-    for name, paths, answer in (
-        ("with_bridge", 3, [2, 2, 2, 92]),
-        ("without_bridge", 2, [3, 3, 83]),
-    ):
-        used = links[:, :paths]
-        M = np.block(
-            [[used.T @ slope @ used, -np.ones((paths, 1))], [np.ones((1, paths)), np.zeros((1, 1))]]
-        )
-        q = np.concatenate([used.T @ free, [-6.0]])
-        yield solvable(f"braess_{name}", BRAESS, M, q, "PSD", solution=answer)
-        lower = np.zeros(paths + 1)
-        lower[-1] = -np.inf
-        yield solvable(
-            f"braess_{name}_mixed", BRAESS, M, q, "PSD", "mixed", solution=answer, lower=lower
-        )
-    yield solvable(
-        "two_routes_one_unused",
-        OWN,
-        [[1, 0, -1], [0, 1, -1], [1, 1, 0]],
-        [1, 9, -4],
-        solution=[4, 0, 5],
-    )
-    yield _grid_traffic()
-
-
-def _grid_traffic() -> Entry:
-    """Thirty paths over twelve links, ten pairs of towns: path flows are not unique, link costs are."""
-    generator = np.random.default_rng(8)
-    pairs, paths = 10, 30
-    links = (generator.random((12, paths)) < 0.3).astype(float)
-    belongs = np.kron(np.eye(pairs), np.ones((1, 3)))
-    M = np.block(
-        [
-            [links.T @ np.diag(generator.integers(1, 5, 12)) @ links, -belongs.T],
-            [belongs, np.zeros((pairs, pairs))],
-        ]
-    )
-    flows = generator.integers(0, 4, paths).astype(float)
-    flows[::3] += 1.0
-    costs = generator.integers(20, 30, pairs).astype(float)
-    w = np.concatenate([(flows == 0) * 3.0, np.zeros(pairs)])
-    return planted(
-        "traffic_10_pairs",
-        OWN,
-        M,
-        np.concatenate([flows, costs]),
-        w,
-        "PSD",
-        "singular",
-        "degenerate",
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .entry import OWN, Entry, solvable
+from .entry import Entry, solvable
 
 NASH = "Nash 1950: every finite game has an equilibrium"
 LEMKE_HOWSON = (
@@ -28,10 +28,8 @@ Matrix = NDArray[np.float64]
 
 
 def entries() -> Iterator[Entry]:
-    """Yield the named games, degenerate ones, random ones and the hard ones."""
+    """Yield the named games and the hard ones."""
     yield from _named()
-    yield from _degenerate()
-    yield from _random()
     for d in (2, 4, 6, 8):
         A, B = cyclic_polytope_game(d)
         yield game(f"cyclic_polytope_{d}x{d}", f"after {SAVANI}", A, B)
@@ -90,46 +88,6 @@ def _named() -> Iterator[Entry]:
         guess,
         np.array(guess).T,
     )
-
-
-def _degenerate() -> Iterator[Entry]:
-    yield game(
-        "all_equal_2x2", OWN, np.ones((2, 2)), np.ones((2, 2)), "degenerate", solution=[1, 0, 1, 0]
-    )
-    yield game("all_equal_5x7", OWN, np.ones((5, 7)), np.ones((5, 7)), "degenerate")
-    yield game(
-        "duplicate_rows", OWN, [[1, 0], [1, 0], [0, 1]], [[0, 1], [0, 1], [1, 0]], "degenerate"
-    )
-    yield game("weak_dominance", OWN, [[1, 1], [1, 0]], [[1, 1], [1, 0]], "degenerate")
-    yield game(
-        "one_sided_indifference_3x3",
-        OWN,
-        [[1, 1, 1]] * 3,
-        [[3, 2, 1], [1, 3, 2], [2, 1, 3]],
-        "degenerate",
-    )
-    yield game("identity_8x8", OWN, np.eye(8), np.eye(8), "degenerate")
-    yield game(
-        "identity_against_8x8", OWN, np.eye(8), -np.eye(8), solution=["1/9"] * 8 + ["1/15"] * 8
-    )
-    yield game("single_row", OWN, [[1, 2, 3]], [[2, 2, 1]], "degenerate")
-    yield game("single_cell", OWN, [[4]], [[-4]], solution=[1, 1])
-    for n in (4, 8):
-        generator = np.random.default_rng(n)
-        A, B = generator.integers(0, 2, (2, n, n))
-        yield game(f"zero_one_{n}x{n}", OWN, A, B, "degenerate")
-
-
-def _random() -> Iterator[Entry]:
-    for m, k in ((2, 2), (3, 4), (4, 4), (5, 5), (6, 3), (7, 7), (8, 8)):
-        generator = np.random.default_rng(100 * m + k)
-        A, B = generator.integers(-9, 10, (2, m, k))
-        yield game(f"integers_{m}x{k}", OWN, A, B)
-    generator = np.random.default_rng(88)
-    A = generator.standard_normal((8, 8))
-    yield game("zero_sum_8x8", OWN, A, -A)
-    yield game("correlated_8x8", OWN, A, -0.9 * A + 0.1 * generator.standard_normal((8, 8)))
-    yield game("common_interest_8x8", OWN, A, A)
 
 
 def cyclic_polytope_game(d: int) -> tuple[Matrix, Matrix]:

@@ -32,7 +32,6 @@ def entries() -> Iterator[Entry]:
     yield from _z_matrices()
     yield from _nonnegative()
     yield from _copositive()
-    yield from _diagonals()
     yield from _stopping()
     yield from _phases()
     yield from _bearing()
@@ -136,27 +135,6 @@ def _petersen() -> np.ndarray:
         for a, b in ((k, (k + 1) % 5), (k, k + 5), (k + 5, (k + 2) % 5 + 5)):
             A[a, b] = A[b, a] = 1.0
     return A
-
-
-def _diagonals() -> Iterator[Entry]:
-    for n in (100, 1000):
-        d = 2.0 ** ((np.arange(n) % 61) - 30)
-        z = (np.arange(n) % 2).astype(float)
-        yield planted(
-            f"diagonal_scaled_{n}", OWN, sp.diags_array(d).tocsr(), z, (1 - z) * d, "H+", "scaled"
-        )
-    generator = np.random.default_rng(3)
-    n = 300
-    M = sp.random_array((n, n), density=0.02, rng=generator).tocsr()
-    M.data = np.round(8.0 * (M.data - 0.5))
-    M = (M + sp.diags_array(np.asarray(abs(M).sum(axis=1)) + 1.0)).tocsr()
-    z = generator.integers(-2, 3, n).astype(float)
-    w = np.where(z == -2, 1.0, np.where(z == 2, -1.0, 0.0))
-    yield planted("h_plus_boxes_300", OWN, M, z, w, "H+", "box", lower=-2.0, upper=2.0)
-    lower = np.where(np.arange(n) % 3 == 0, -np.inf, -2.0)
-    upper = np.where(np.arange(n) % 3 == 1, 2.0, np.inf)
-    w = np.where((z == lower) & (z < upper), 1.0, np.where((z == upper), -1.0, 0.0))
-    yield planted("h_plus_mixed_300", OWN, M, z, w, "H+", "mixed", "box", lower=lower, upper=upper)
 
 
 def _stopping() -> Iterator[Entry]:

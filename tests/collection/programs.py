@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .entry import COTTLE_PANG_STONE, OWN, Entry, infeasible, planted, solvable
+from .entry import COTTLE_PANG_STONE, OWN, Entry, infeasible, solvable
 
 BEALE = "Beale, Cycling in the dual simplex algorithm, Naval Research Logistics Quarterly 2 (1955)"
 KLEE_MINTY = (
@@ -89,36 +89,6 @@ def _linear() -> Iterator[Entry]:
         "singular",
         theorem=MONOTONE,
     )
-    yield from _planted_programs()
-
-
-def _planted_programs() -> Iterator[Entry]:
-    for kind, n, m, rank in (
-        ("linear", 20, 12, 0),
-        ("linear", 80, 60, 0),
-        ("quadratic", 20, 12, 20),
-        ("quadratic", 60, 40, 15),
-    ):
-        generator = np.random.default_rng(n + m + rank)
-        half = generator.integers(-2, 3, (n, max(rank, 1))) * (rank > 0)
-        A = generator.integers(-4, 5, (m, n)) * (generator.random((m, n)) < 0.4)
-        M, _ = conditions(half @ half.T, np.zeros(n), A, np.zeros(m))
-        z = generator.integers(1, 6, n + m) * (generator.random(n + m) < 0.5)
-        w = (z == 0) * generator.integers(0, 6, n + m)
-        yield planted(f"{kind}_program_{n}_{m}_rank_{rank}", OWN, M, z, w, "PSD", "degenerate")
-        free = np.arange(n + m) % 4 == 0
-        lower = np.where(free, -np.inf, 0.0)
-        yield planted(
-            f"{kind}_program_{n}_{m}_rank_{rank}_free",
-            OWN,
-            M,
-            np.where(free, 2.0 - z, z),
-            np.where(free, 0, w),
-            "PSD",
-            "mixed",
-            "degenerate",
-            lower=lower,
-        )
 
 
 def _quadratic() -> Iterator[Entry]:

@@ -31,7 +31,6 @@ def entries() -> Iterator[Entry]:
     yield from _cycling()
     yield from _newton_min()
     yield from _tridiagonal()
-    yield from _tiny()
 
 
 def _books() -> Iterator[Entry]:
@@ -195,53 +194,4 @@ def _tridiagonal() -> Iterator[Entry]:
         [-1] * 3,
         "M",
         solution=["5/14", "3/7", "5/14"],
-    )
-
-
-def _tiny() -> Iterator[Entry]:
-    """The smallest sizes, where shortcuts go wrong."""
-    yield solvable("empty", OWN, np.zeros((0, 0)), [], "tiny", solution=[])
-    yield solvable("one_positive", OWN, [[2.0]], [-3.0], "tiny", solution=["3/2"])
-    yield solvable("one_negative_two_answers", OWN, [[-1.0]], [1.0], "tiny", solution=[0])
-    yield infeasible("one_negative_infeasible", OWN, [[-1.0]], [-1.0], "tiny")
-    yield solvable("one_zero", OWN, [[0.0]], [0.0], "tiny", solution=[0])
-    yield solvable("one_zero_positive", OWN, [[0.0]], [2.0], "tiny", solution=[0])
-    yield infeasible("one_zero_infeasible", OWN, [[0.0]], [-2.0], "tiny")
-    yield solvable(
-        "one_negative_box",
-        OWN,
-        [[-1.0]],
-        [-1.0],
-        "tiny",
-        "box",
-        solution=[2],
-        lower=-1.0,
-        upper=2.0,
-    )
-    yield solvable(
-        "one_negative_box_inside",
-        OWN,
-        [[-1.0]],
-        [1.0],
-        "tiny",
-        "box",
-        solution=[1],
-        lower=0.5,
-        upper=1.0,
-    )
-    yield solvable(
-        "one_free_negative", OWN, [[-2.0]], [1.0], "tiny", "mixed", solution=["1/2"], lower=-np.inf
-    )
-    yield infeasible("one_free_zero", OWN, [[0.0]], [1.0], "tiny", "mixed", lower=-np.inf)
-    yield solvable(
-        "one_free_zero_any", OWN, [[0.0]], [0.0], "tiny", "mixed", solution=[7], lower=-np.inf
-    )
-    yield solvable(
-        "one_upper_only", OWN, [[-1.0]], [-4.0], "tiny", solution=[3], lower=-np.inf, upper=3.0
-    )
-    yield infeasible(
-        "one_upper_only_infeasible", OWN, [[-1.0]], [4.0], "tiny", lower=-np.inf, upper=3.0
-    )
-    yield solvable(
-        "one_fixed", OWN, [[-5.0]], [-4.0], "tiny", "fixed", solution=[3], lower=3.0, upper=3.0
     )

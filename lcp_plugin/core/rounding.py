@@ -131,8 +131,3 @@ def read_only_views(*arrays: Any) -> list[Any]:
     for view in views:
         view.flags.writeable = False
     return views
-
-
-def fresh_copies(*arrays: Any) -> list[Any]:
-    """Return a copy of each array: one compiled signature with arrays that kernels make and write to."""
-    return [np.array(array) for array in arrays]

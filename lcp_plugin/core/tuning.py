@@ -24,10 +24,6 @@ PSOR_GAIN = (
 INTERIOR_STEPS = 20  # factorisations that interior_point takes
 PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
-# Up to where one compiled call is quicker than libraries called step by step.
-COMPILED_UP_TO = 256  # rows of a dense M
-COMPILED_SPARSE_UP_TO = 128  # rows of a sparse one, treated as dense
-
 # Up to where a sparse matrix is quicker shown to be definite as a dense one.
 CHOLESKY_UP_TO = 150  # rows, whatever is in them
 FULL_CHOLESKY_FROM = (
@@ -54,8 +50,4 @@ SEMIDEFINITENESS_UP_TO = (
 )
 
 # Inside methods.
-SWEEPS_FIRST_UP_TO = (
-    600  # rows of a dense M up to which a sweep costs less than one change of an active set
-)
 SHARED_FROM = 65_536  # rows of one pass, for each thread: .1 to .2 ms of work, several times what a hand-over takes
-SHARP_SAMPLES_UP_TO = 100_000  # unknowns with which a sharp error bound takes half a second

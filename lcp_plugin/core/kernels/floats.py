@@ -8,8 +8,5 @@ TINY = 2.0**-1074  # the smallest positive double; a product that underflows is 
 NORMAL = 2.0**-1022  # the smallest normal double: below it the next one is TINY away
 LARGEST = 1.7976931348623157e308  # the largest double
 DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
-SURELY_RIGHT = (
-    1e-10  # beside a few terms of a row: a wrong part that its other terms need not be added up for
-)
 NEGLIGIBLE = 2.0**-42  # beside what acts at an answer: terms of a row that do not count
 NEGLIGIBLE_DIAGONAL = 2.0**-20  # beside the largest entry of its row: no measure of that row then

@@ -18,11 +18,3 @@ def residual_of_row(step, z, lower, upper):  # type: ignore[no-untyped-def]
     below, above = z - upper, z - lower
     step = below if below > step else step
     return above if above < step else step
-
-
-@inlined
-def wrong_part(w, z, lower, upper):  # type: ignore[no-untyped-def]
-    """Return the part of w that has the wrong sign, |w| off bounds; not positive where w is right."""
-    if z <= lower:
-        return 0.0 if z >= upper else -w
-    return w if z >= upper else abs(w)

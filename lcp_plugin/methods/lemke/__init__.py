@@ -165,7 +165,7 @@ class Lemke(Algorithm):
 
         A path lost to rounding is followed again with an inverse renewed every few pivots.
         """
-        from ..small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
+        from .tableau import GOING_ON, LOST, RAY, SOLVED
 
         usual = path.fresh_for
         for block in (
@@ -189,7 +189,7 @@ class Lemke(Algorithm):
 
     def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, solved again on the problem's own data first; return whether one is good."""
-        from ..small.kernels.workspace import AT_LOWER, AT_UPPER
+        from .tableau import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), component.lower, component.upper)
         bounded = (component.lower > -np.inf) | (component.upper < np.inf)

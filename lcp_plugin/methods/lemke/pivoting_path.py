@@ -13,23 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ..small.kernels import tableau
-from ..small.kernels.tableau import GOING_ON, LOST, SOLVED
-from ..small.kernels.workspace import (
+from . import tableau
+from .games import bimatrix_players
+from .tableau import (
     AT_LOWER,
     AT_UPPER,
     BASIC,
     BETWEEN,
+    GOING_ON,
     HIGH,
     KEPT,
+    LOST,
     LOW,
     OTHER,
     PLACE,
     SIDE,
+    SOLVED,
     WIDTH,
     shapes,
 )
-from .games import bimatrix_players
 
 FloatMatrix = NDArray[np.float64]
 
@@ -54,7 +56,7 @@ class LemkePath:
         self.M, self.q, self.upper = M, q, upper
         self.n = n = q.size
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
-        real, whole, matrix = shapes(n)  # type: ignore[no-untyped-call]
+        real, whole, matrix = shapes(n)
         self.real, self.whole, self.matrix = (
             np.zeros(real),
             np.zeros(whole, dtype=np.int64),

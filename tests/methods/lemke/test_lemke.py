@@ -19,7 +19,7 @@ from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.methods.lemke.games import bimatrix_players
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, starts
-from lcp_plugin.methods.small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
+from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST, RAY, SOLVED
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps
 

@@ -1,10 +1,10 @@
 """Lemke's path on a dense tableau: complementary pivoting along w = M z + q + t r, 0 ≤ z ≤ u, from t = ∞ to t = 0.
 
 The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Exactly one of
-z_i, w_i is basic for every row i but the *driven* one; SIDE says where z_i stands: AT_LOWER (w_i ≥ 0 basic), BETWEEN
-(z_i basic), AT_UPPER (w_i ≤ 0 basic). Bounds are those of the variables. q is thought of as q + (ε, ε², …) for a tiny
+z_i, w_i is basic for every row i but the *driven* one; SIDE is the place of z_i: AT_LOWER (w_i ≥ 0 basic), BETWEEN (z_i
+basic), AT_UPPER (w_i ≤ 0 basic). Bounds belong to variables. q is perturbed symbolically, q + (ε, ε², …) for a tiny
 ε, which settles every tie in the ratio test, so that no basis can come twice (Eaves' lexicographic rule). Variables are
-numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`.
+numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole` (:func:`shapes`).
 
 A few pivots are made at a time, and the caller renews the tableau (:func:`pivots`). Rows are divided by their largest
 entry.
@@ -14,24 +14,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import helper, inlined, kernel
-from .workspace import (
-    AT_LOWER,
-    AT_UPPER,
-    BASIC,
-    BETWEEN,
-    CANDIDATE,
-    DISTANCE,
-    HELD,
-    HIGH,
-    KEPT,
-    LOW,
-    OTHER,
-    PLACE,
-    SIDE,
-    WIDTH,
-)
+from ...core.kernels.compilation import helper, inlined, kernel
 
+KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
+SIDE, BASIC, PLACE, OTHER, CANDIDATE = range(5)  # rows of `whole`
+AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
+HELD = 8  # pivots whose products are added to a large tableau at once
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 TIE = 1e-12
 DOUBTFUL = (
@@ -42,13 +30,18 @@ OWN_BOUND, NOTHING = -1, -2
 GOING_ON, SOLVED, RAY, LOST = 0, 1, 2, 3
 
 
+def shapes(n: int) -> tuple[tuple[int, int], ...]:
+    """Return the shapes of `real`, `whole` and `matrix`."""
+    return (5, n + 1), (5, 2 * n + 6), (n + 2 * HELD, n + 1)
+
+
 @kernel
-def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
+def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
 
     The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow it:
     those of the last few pivots. They are added at once, so that a large tableau goes through memory once for all of
-    them. What a pivot looks at is brought up to date before.
+    them. The entries that a pivot needs are updated before.
 
     Parameters
     ----------
@@ -151,7 +144,7 @@ def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
 
 @inlined
 def _move(real, whole, matrix, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
-    """Move the driven variable by a step, at whose end `row` blocks it; return what left the basis, and what is driven.
+    """Move the driven variable by a step, at whose end `row` blocks it; return the leaving and the driven variable.
 
     That is 2n at the end of the path, OWN_BOUND where the variable has met its own other bound; then (driven variable,
     its value, its direction).
@@ -190,7 +183,7 @@ def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
 @inlined
 def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped-def]
     """Return the complement of a variable that left the basis, the value it has, and the direction it moves in."""
-    if leaving >= n:  # w_i reached 0: z_i leaves the bound it stands at
+    if leaving >= n:  # w_i reached 0: z_i leaves its bound
         i = leaving - n
         is_low = whole[SIDE, i] == AT_LOWER
         return i, 0.0 if is_low else real[WIDTH, i], 1.0 if is_low else -1.0

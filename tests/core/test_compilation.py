@@ -5,18 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
-import scipy.sparse as sp
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, gallery, solve
-from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 
 COUNT_COMPILED = """
 import sys
@@ -59,26 +53,6 @@ def test_nothing_is_compiled_after_a_warm_up() -> None:
     run = CliRunner().invoke(app, ["warm-up"])
     assert run.exit_code == 0
     assert in_a_new_process(COUNT_COMPILED) == "True 0"
-
-
-@pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
-def test_a_history_has_floats(algorithm: str) -> None:
-    """Numbers of a history are floats, not scalars of numpy."""
-    rng, numbers = np.random.default_rng(0), []
-    band = sp.diags_array([-np.ones(39), np.full(40, 3.0), -np.ones(39)], offsets=(-1, 0, 1))
-    skew = np.triu(rng.normal(size=(30, 30)))
-    problems = (
-        gallery.build("obstacle_2d", size=24, shifted=True).problem,
-        LCP(band, rng.normal(size=40)),
-        LCP(skew - skew.T + 0.1 * np.eye(30), rng.normal(size=30)),
-        gallery.build("bimatrix_game").problem,
-    )
-    for given in problems:
-        with suppress(UnsuitableMatrix, UnsuitableProblem):
-            for sample in solve(given, algorithm, record=True, max_iterations=200).history:
-                numbers += [sample.residual, sample.work, sample.seconds]
-    assert numbers
-    assert {type(number) for number in numbers} == {float}
 
 
 @pytest.mark.full

@@ -13,7 +13,7 @@ from shutil import copytree, ignore_patterns
 import numpy as np
 import pytest
 from families import BOUNDED
-from relations import bits, data_of
+from relations import bits
 
 from lcp_plugin import LCP, Status, analyze, error_bound, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Step
@@ -241,30 +241,6 @@ def test_compiled_code_needs_no_place_on_disk(
     assert Path(where).is_relative_to(read_only_package)
     assert splits == "0 3"
     assert z == (["[2.5 0. ]"] if cache == "full disk" else [])
-
-
-@pytest.mark.full
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full device")
-def test_a_full_disk_is_told_and_the_problem_stays_whole(tmp_path: Path) -> None:
-    """Where nothing can be written the error says so; the problem can be saved elsewhere and comes back the same."""
-    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
-    before = data_of(problem)
-    for path in (tmp_path / "p.npz", tmp_path / "folder"):
-        done = in_a_process(f"""
-            import resource
-            from lcp_plugin import LCP, LCPError
-            resource.setrlimit(resource.RLIMIT_FSIZE, (20, resource.RLIM_INFINITY))
-            try:
-                LCP([[4, -1], [-1, 4]], [-3, 5]).save({str(path)!r})
-            except LCPError as error:
-                print(type(error).__name__, error)
-        """)
-        assert done.stdout.startswith("UnreadableFile cannot write"), done.stdout + done.stderr
-        assert not [file for file in tmp_path.rglob("*") if file.is_file()]
-        problem.save(path)
-        assert data_of(LCP.load(path))[-3:] == before[-3:]
-        for file in [path] if path.is_file() else list(path.iterdir()):
-            file.unlink()
 
 
 # --- Many at once ---------------------------------------------------------------------------------------------------

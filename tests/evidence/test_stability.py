@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from exact_components import component_of_rows, relative_residual
-from families import BOUNDED, NEEDS_MONOTONE
+from families import NEEDS_MONOTONE
 from hypothesis import given, settings
 
 from lcp_plugin import LCP, Certificate, Result, Status, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, Step
+from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.strategies import solved_lcps
 
@@ -205,19 +205,6 @@ def test_q_without_negative_entries_needs_no_iteration(name: str, q: list[float]
 
 
 @EVERY_ALGORITHM
-def test_zeros_in_q_are_nothing_special(name: str) -> None:
-    """Where most of q is zero the solution is found as always."""
-    scene = gallery.obstacle_2d(size=10)
-    assert np.mean(scene.problem.q == 0.0) > 0.5
-    shifted = gallery.obstacle_2d(size=10, shifted=True)
-    problem = scene.problem if name in ("auto", *BOUNDED) else shifted.problem
-    result = solve(problem, name)
-    assert result.status is Status.SOLVED
-    reference = solve(problem, "psor", tolerance=1e-12).z
-    assert abs(result.z - reference).max() < 1e-6
-
-
-@EVERY_ALGORITHM
 def test_a_solution_degenerate_everywhere(name: str) -> None:
     """With w* = 0 in every row, active or not, every algorithm still converges, and z is accurate."""
     scene = gallery.half_active(n=100, block=5)
@@ -301,13 +288,6 @@ def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> 
     result = solve(problem, name, max_iterations=1000)
     assert_honest(result)
     assert result.status is not Status.SOLVED or abs(result.z - exact).max() < 1e-8 * 2.0**20
-
-
-# --- Algorithms that misbehave -----------------------------------------------------------------------------
-
-
-def steps(*points: list[float], **claims: Any) -> tuple[Step, ...]:
-    return tuple(Step(np.array(point), **claims) for point in points)
 
 
 # --- The automatic relaxation where a large one is a trap -------------------------------------------------------

@@ -18,7 +18,7 @@ from exact import exact_solution
 from hypothesis import given, settings
 from test_stability import assert_honest
 
-from lcp_plugin import LCP, InvalidOption, Status, UnknownAlgorithm, gallery, solve
+from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import stability as atlas
@@ -30,7 +30,6 @@ from lcp_plugin.evidence.stresses import (
     grid,
     half_active,
     mostly_free,
-    rescaled,
 )
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.strategies import solved_lcps
@@ -218,32 +217,6 @@ def test_powers_of_two_change_no_bit(name: str) -> None:
 
 
 # --- defects that the atlas found ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9"])
-def test_interior_steps_see_through_the_units_of_rows(text: str) -> None:
-    """Rows multiplied by 10^±50 leave a monotone problem solvable, dense or sparse, with the same answer."""
-    problem = gallery.parse(text).problem
-    rows = 10.0 ** np.resize([50.0, -50.0, 0.0, 25.0], problem.n)
-    scaled = LCP(
-        sp.diags_array(rows) @ problem.csr,
-        rows * problem.q,
-        lower=problem.lower,
-        upper=problem.upper,
-    )
-    result = solve(scaled, "interior_point")
-    assert result.status is Status.SOLVED
-    assert np.allclose(result.z, solve(problem, "newton").z, rtol=1e-6, atol=1e-7)
-
-
-@pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor", "npsplitting"])
-def test_projected_type_methods_see_through_the_units_of_columns(name: str) -> None:
-    """Columns in units of 10^±8 leave an H₊-matrix one; it takes more sweeps only for losing sight of dominance."""
-    base = half_active("", grid(4, 5.0))
-    case = rescaled("", base, 1.0, 10.0 ** np.resize([8.0, -8.0, 0.0, 4.0], 16))
-    plain, result = solve(base.problem, name), solve(case.problem, name)
-    assert plain.status is result.status is Status.SOLVED
-    assert result.iterations <= 2.5 * plain.iterations
 
 
 @pytest.mark.parametrize("name", ["newton", "lemke", "multigrid", "auto"])

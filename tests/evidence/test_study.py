@@ -19,10 +19,9 @@ import scipy.sparse.linalg
 from legends import hides_nothing
 
 from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
-from lcp_plugin.algorithms import Algorithm, Step, create
+from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.evidence.measurement import Measurement
-from lcp_plugin.evidence.methods import methods_of
 from lcp_plugin.evidence.pictures import draw
 from lcp_plugin.evidence.study import COLUMNS, Study, error_against_time, study
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
@@ -212,20 +211,6 @@ def test_a_plain_problem_is_examined() -> None:
     assert measured(LCP([[1, 4], [4, 1]], [-3, 5]), "npsor").error_kind == "residual"
 
 
-def test_sizes_go_to_families_and_to_scenes_by_their_own_name() -> None:
-    """A function gets the size, a scene its n or its size; n of each row is that of the problem."""
-    found = study([chain, "half_active", "obstacle_2d"], ["psor"], [4, 9], repeats=1)
-    assert [(row.problem, row.size, row.n) for row in found.rows] == [
-        ("chain", 4, 4),
-        ("chain", 9, 9),
-        ("half_active", 4, 4),
-        ("half_active", 9, 9),
-        ("obstacle_2d", 4, 16),
-        ("obstacle_2d", 9, 81),
-    ]
-    assert found.row("psor", "obstacle_2d", 9).n == 81
-
-
 def test_refusals_and_errors_are_rows_with_their_reason(tmp_path: Path) -> None:
     """A refused size, a refused matrix, a method that raises: each is a row, and the others are measured."""
     found = study([even, "half_active"], ["psor"], [4, 5], repeats=1)
@@ -398,22 +383,3 @@ def test_views_and_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(InvalidOption, match=words):
             call()
-
-
-# --- The methods ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("given", "labels"),
-    [
-        ([("npsor", {"relaxation": 1.5}), "auto"], ["npsor relaxation=1.5", "auto"]),
-        (("npsor", {"relaxation": 1.5}), ["npsor relaxation=1.5"]),
-        ([("auto", {})], ["auto"]),
-        ({"mine": ("npsor", {"relaxation": 1.5}), 2: "psor"}, ["mine", "2"]),
-        (["psor", "psor"], ["psor"]),
-        ([create("npsor", {"relaxation": 1.2})], ["npsor relaxation=1.2"]),
-    ],
-)
-def test_methods_are_named_by_label_or_by_their_options(given: Any, labels: list[str]) -> None:
-    """A name with its options is a method, alone, in a list, and under a label."""
-    assert [one.label for one in methods_of(given)] == labels

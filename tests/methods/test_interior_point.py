@@ -167,35 +167,6 @@ def test_signs_are_found_or_there_are_none() -> None:
         assert signs_of(Matrix(M)) is None
 
 
-@pytest.mark.parametrize("kind", ["fixed", "boxed", "free", "below"])
-@pytest.mark.parametrize("storage", ["dense", "sparse"])
-def test_multipliers_of_any_bounds(kind: str, storage: str) -> None:
-    """Rows of a saddle point problem whose multipliers are fixed, free, in a box or have an upper bound alone."""
-    rng = np.random.default_rng(5)
-    n, m = 12, 5
-    B, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
-    M = np.block([[B @ B.T, -C.T], [C, np.zeros((m, m))]])
-    bounds = {
-        "fixed": (0.5, 0.5),
-        "boxed": (-0.2, 0.2),
-        "free": (-np.inf, np.inf),
-        "below": (-np.inf, 0.3),
-    }[kind]
-    lower, upper = (
-        np.append(np.zeros(n), np.full(m, bounds[0])),
-        np.append(np.full(n, np.inf), np.full(m, bounds[1])),
-    )
-    problem = LCP(
-        M if storage == "dense" else sp.csr_array(M),
-        rng.standard_normal(n + m),
-        lower=lower,
-        upper=upper,
-    )
-    result = solve(problem, "interior_point", tolerance=1e-12)
-    assert result.is_solved
-    np.testing.assert_allclose(result.z, solve(problem, "newton", tolerance=1e-12).z, atol=1e-8)
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("n", [20, 200])
 def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:

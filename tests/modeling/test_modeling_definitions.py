@@ -73,44 +73,6 @@ def test_chains_in_any_order() -> None:
         np.testing.assert_allclose(v.value, M @ x_true + 1, atol=1e-8)
 
 
-def test_several_definitions_and_a_true_equation() -> None:
-    """Two defined slacks go; an equation that defines nothing alone stays, with its free variable."""
-    M, q, x_true, w_true = planted(2)
-    rng = np.random.default_rng(5)
-    B = rng.normal(size=(N, N)) + 10 * np.eye(N)
-    y_true = rng.normal(size=N)
-    x, w, y = (cp.Variable(N, name=name) for name in "xwy")
-    u = cp.Variable(N, name="u")
-    constraints = [
-        complements(w >= 0, x >= 0),
-        complements(u >= 0, cp.multiply(2.0, u) + y - y_true + 1 >= 0),
-        w == M @ x + q,
-        B @ y == B @ y_true,
-    ]
-    model = build(constraints)
-    assert model.problem.n == 3 * N
-    solved(constraints)
-    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
-    np.testing.assert_allclose(x.value, x_true, atol=1e-8)
-    np.testing.assert_allclose(y.value, y_true, atol=1e-8)
-    np.testing.assert_allclose(u.value, 0.0, atol=1e-8)
-
-
-def test_part_of_a_variable_and_shapes() -> None:
-    """Single entries and matrices can be defined too, and slices of one variable in different ways."""
-    M, q, x_true, w_true = planted(3)
-    x, w = cp.Variable((2, 3), name="x"), cp.Variable(N, name="w")
-    constraints = [
-        complements(cp.vec(x, order="F")[:4] >= 0, w[:4] >= 0),
-        complements(cp.vec(x, order="F")[4:] >= 0, (M @ cp.vec(x, order="F") + q)[4:] >= 0),
-        w == M @ cp.vec(x, order="F") + q,
-    ]
-    assert build(constraints).problem.n == N
-    solved(constraints)
-    np.testing.assert_allclose(x.value.ravel(order="F"), x_true, atol=1e-9)
-    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
-
-
 def test_a_box_beside_a_defined_function() -> None:
     """The value of a defined variable may stand opposite a box, where its sign is free."""
     M, _, _, _ = planted(4)

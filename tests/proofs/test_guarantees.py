@@ -26,7 +26,6 @@ from lcp_plugin import LCP, Status, analyze, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
-from lcp_plugin.core.matrix.row_sums import automatic_factors
 from lcp_plugin.methods.npsplitting import NPSplitting
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.radius import bound_of_errors
@@ -355,14 +354,6 @@ def test_what_rounding_may_undo_is_not_guaranteed(
     assert guarantee.verdict == "not covered"
 
 
-def test_the_example_at_the_limit_does_not_converge() -> None:
-    """With α = 1.19, Ω = (α − 1)/α, msor has no margin on one row, and 1000 steps do not converge."""
-    problem = LCP([[1.0]], [-1.0])
-    result = solve(problem, "msor", relaxation=1.19, omega=(1.19 - 1.0) / 1.19, max_iterations=1000)
-    assert not result.is_solved
-    assert result.guarantee.verdict == "not covered"
-
-
 def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
     """In an SPD matrix of graded units ω = 0.9 is too much though each row is small beside its largest entry."""
     unit = np.array([1.0, 1e-11, 1e-22, 1e-33])
@@ -374,27 +365,6 @@ def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
         == "not covered"
     )
     assert convergence_guarantee(with_matrix(M), "pgs").is_guaranteed
-
-
-# --- The automatic scaling -----------------------------------------------------------------------------------
-
-
-def test_automatic_scaling_is_the_row_scaled_iteration() -> None:
-    """NP with scaling="auto" takes the steps of the unscaled NP on (SM, Sq), s_i = θ_i/d_i."""
-    problem = gallery.half_active(n=100, delta=1.0).problem
-    S = automatic_factors(problem.matrix, 1.0, "forward") / problem.diagonal
-    assert len(set(S.round(6))) > 1
-    scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
-    paths = [
-        np.array(
-            [
-                step.z.copy()
-                for step in islice(create("npsor", options).iterates(p, np.ones(100)), 20)
-            ]
-        )
-        for p, options in ((problem, {}), (scaled, UNSCALED))
-    ]
-    np.testing.assert_allclose(paths[0], paths[1], atol=1e-13)
 
 
 # --- The numbers behind it -----------------------------------------------------------------------------------
@@ -489,10 +459,6 @@ def negated_laplacian(k: int) -> sp.csr_array:
     """Return minus the five-point stencil on k × k nodes."""
     line = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k))
     return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
-
-
-def stages_of(result: Any) -> list[str]:
-    return [stage.name for stage in result.stages]
 
 
 @pytest.mark.few(2)

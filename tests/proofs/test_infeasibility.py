@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from fractions import Fraction
 
 import numpy as np
@@ -22,7 +21,7 @@ from lcp_plugin.proofs.exact.rational import exact_residuals
 from lcp_plugin.proofs.no_solution.farkas import CONTRADICTION, FarkasProgram
 from lcp_plugin.proofs.no_solution.infeasibility import contradictory_row, find_infeasibility
 from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
-from lcp_plugin.proofs.no_solution.proof import Choices, Infeasibility
+from lcp_plugin.proofs.no_solution.proof import Infeasibility
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:
@@ -114,35 +113,6 @@ def test_a_large_problem_is_proven_exactly() -> None:
     assert proof.verify()
     assert is_farkas(problem, list(proof.exact_y))
     assert Infeasibility.of(problem, dict.fromkeys(range(n), 1)).verify()
-
-
-@given(st.integers(0, 10**6))
-def test_a_contradiction_is_the_supremum_of_its_sum(seed: int) -> None:
-    """−c = sup qᵀy + (Mᵀy)ᵀz − yᵀw over all z and w that the bounds permit, by other fractions."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(1, 6))
-    M = rng.standard_normal((n, n)) * 10.0 ** rng.integers(-8, 9, (n, n))
-    kind = rng.integers(0, 3, n)
-    lower, upper = np.where(kind == 2, -1.5, 0.0), np.where(kind == 0, np.inf, 0.7)
-    problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    y = np.where(kind == 0, rng.random(n), 0.0)
-    found = Choices(problem, {}).contradiction(dict(enumerate(y)))
-    exact = [Fraction(value) for value in y.tolist()]
-    product = [
-        sum(Fraction(a) * b for a, b in zip(column, exact, strict=True)) for column in M.T.tolist()
-    ]
-    highest = sum(
-        Fraction(a) * Fraction(b) for a, b in zip(problem.q.tolist(), y.tolist(), strict=True)
-    )
-    is_open = [
-        value > 0 and side == math.inf for value, side in zip(product, upper.tolist(), strict=True)
-    ]
-    for value, low, high, opened in zip(
-        product, lower.tolist(), upper.tolist(), is_open, strict=True
-    ):
-        highest += 0 if opened else value * Fraction(high if value > 0 else low)
-    assert set(found.left) == {j for j, opened in enumerate(is_open) if opened}
-    assert found.plain == -highest
 
 
 def test_a_wrong_vector_does_not_verify() -> None:

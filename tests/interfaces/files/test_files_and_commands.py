@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 import typer
 from nl_content import content_of
 from scipy.io import savemat
@@ -189,31 +188,6 @@ def test_no_minimum_is_told_and_shows_no_point() -> None:
         assert done.exit_code == 1
         assert f"\n{status}: " in done.stdout
         assert "x[0]" not in done.stdout
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("name", ["p.npz", "qp.npz"])
-def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
-    """--grid rows x columns with --plot; what does not fit is refused before anything is drawn."""
-    LCP(sp.diags_array([np.full(12, 2.0)], offsets=[0]), -np.arange(12.0)).save("p.npz")
-    np.savez("qp.npz", P=np.eye(12), q=-np.arange(12.0), A=np.ones((1, 12)), u=[5.0])
-    for grid in ("3×4", "2x2x3"):
-        assert lcp_plugin("solve", name, "--plot", "out.png", "--grid", grid).exit_code == 0
-    for words, pattern in (
-        ("--plot out.png --grid 3x5", r"shape \(3, 5\) has 15 unknowns, and the problem has 12"),
-        (
-            "--plot out.png --grid 3by4",
-            "--grid requires integers, rows x columns, as --grid 500x500; got '3by4'",
-        ),
-        ("--plot out.png --grid 0x4", "--grid requires integers"),
-        ("--grid 3x4", "--grid 3x4 is for a picture; give --plot FILE as well"),
-    ):
-        done = lcp_plugin("solve", name, *words.split())
-        assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-        assert re.match(f"lcp-plugin: {pattern}", done.stderr), done.stderr
-    assert (
-        lcp_plugin("solve", "half_active:n=4", "--plot", "out.png", "--grid", "2x2").exit_code == 2
-    )
 
 
 # --- Mistakes ---------------------------------------------------------------------------------------------------

@@ -28,8 +28,6 @@ from lcp_plugin import (  # noqa: E402
 )
 from lcp_plugin.interfaces.learn.jax import contact_layer, lcp_layer  # noqa: E402
 
-INF = np.inf
-
 
 @pytest.fixture(autouse=True)
 def _double_precision() -> Iterator[None]:
@@ -54,32 +52,6 @@ def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> No
     data = M, q, np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # differences of ±inf are none
     for layer in (lcp_layer, jax.jit(lcp_layer)):
         check_grads(layer, tuple(map(jnp.array, data)), order=1, modes=["rev"], eps=1e-6)
-
-
-def test_gradients_are_those_of_each_problem() -> None:
-    """What one Result's own derivative says, for a single problem without axes in front; infinite bounds included."""
-    M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
-    gradients = jax.grad(lambda *data: lcp_layer(*data).sum(), argnums=(0, 1, 2, 3))(
-        M, q, lower, upper
-    )
-    own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
-    for ours, theirs in zip(gradients, (own.M.toarray(), own.q, own.lower, own.upper), strict=True):
-        assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-13)
-
-
-@pytest.mark.full
-def test_axes_in_front_broadcast() -> None:
-    """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
-    M, q, _, _ = planted(4, 6, 4)
-    M, q, lower = jnp.array(M[:3, None]), jnp.array(q), jnp.zeros(6)
-    z = lcp_layer(M, q, lower, 2.0)
-    one_by_one = jnp.stack(
-        [jnp.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)]
-    )
-    assert np.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
-    check_grads(
-        lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["rev"], eps=1e-6
-    )
 
 
 @pytest.mark.few(1)
@@ -154,21 +126,6 @@ def test_what_is_not_solved_is_named() -> None:
             jax.block_until_ready(layer(M, -jnp.ones(2)))
         with pytest.raises(Exception, match=r"q\[0\] = nan"):
             jax.block_until_ready(layer(jnp.eye(2), jnp.array([jnp.nan, 0.0])))
-
-
-def test_a_singular_block_has_the_gradient_of_least_change() -> None:
-    """The gradient is that of the generalized inverse."""
-
-    def layer(q):
-        return lcp_layer(jnp.ones((2, 2)), q, -INF)
-
-    assert np.allclose(jax.grad(lambda q: layer(q).sum())(jnp.zeros(2)), [-0.5, -0.5], atol=1e-15)
-
-
-def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
-    """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
-    gradient = jax.grad(lambda q: lcp_layer(jnp.array([[2.0]]), q).sum())(jnp.zeros(1))
-    assert gradient.item() in (0.0, -0.5)
 
 
 def test_single_precision_is_refused() -> None:

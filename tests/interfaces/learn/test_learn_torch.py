@@ -96,16 +96,6 @@ def test_many_unknowns() -> None:
     assert np.allclose(lower.grad, own.lower, rtol=1e-8, atol=1e-8)
 
 
-def test_the_answer_is_exact_whatever_the_tolerance() -> None:
-    """The answer is solved for once more: at a tolerance of 1e-2 it is the same to rounding."""
-    M, q, lower, upper = (torch.tensor(array) for array in planted(5, 8, 5))
-    rough = lcp_layer(M, q, lower, upper, algorithm="psor", tolerance=1e-3)
-    assert torch.allclose(
-        rough, lcp_layer(M, q, lower, upper, tolerance=1e-12), rtol=1e-13, atol=1e-14
-    )
-    assert not rough.requires_grad
-
-
 def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
     """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
     q = torch.zeros(1, dtype=torch.float64, requires_grad=True)
@@ -240,13 +230,3 @@ def test_contact_has_the_gradients_of_differences() -> None:
     assert torch.autograd.gradcheck(
         lambda mu: contact_layer(W[0].detach(), b.detach(), mu), (one,), atol=1e-4
     )
-
-
-def test_contact_that_is_no_problem_is_named() -> None:
-    """The world, or the shape."""
-    W, b, friction = map(torch.tensor, worlds(3))
-    b[1, 0] = np.nan
-    with pytest.raises(InvalidProblem, match=r"problem \(1,\) of the batch"):
-        contact_layer(W, b, friction)
-    with pytest.raises(InvalidProblem, match=r"and b \(B, n\), got"):
-        contact_layer(W, b[0], friction)

@@ -287,14 +287,6 @@ def test_the_other_command_answers_too_where_it_is_called_as_a_solver(
     assert (ended.value.code, read_sol(tmp_path / "m.sol").code) == (0, 0)
 
 
-def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:
-    """An unbounded program is not called infeasible in the same message; nothing else is said to check."""
-    write_nl(UNBOUNDED, tmp_path / "m.nl")
-    assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
-    assert "unbounded below along" in (message := read_sol(tmp_path / "m.sol").message)
-    assert "no z within" not in message
-
-
 @pytest.mark.full
 def test_pyomo_solves_through_the_executable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

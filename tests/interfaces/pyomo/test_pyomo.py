@@ -782,3 +782,14 @@ def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
     pe.assert_optimal_termination(SOLVER.solve(m))
     m.equation.set_value(m.y == m.x + 1)
     assert "y does not hold, off by" in SOLVER.solve(m).solver.message
+
+
+def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:
+    """Pyomo's file leaves it out; after "optimal" it is as near to 0 as its bounds let it."""
+    model = pe.ConcreteModel()
+    model.x, model.y, model.z = pe.Var(bounds=(0, None)), pe.Var(bounds=(1, 3)), pe.Var()
+    model.goal = pe.Objective(expr=(model.x - 1) ** 2 + 0 * model.y)
+    model.row = pe.Constraint(expr=model.x + 0 * model.z >= 0.5)
+    found = pe.SolverFactory("lcp_plugin").solve(model)
+    assert str(found.solver.termination_condition) == "optimal"
+    assert [one.value for one in (model.x, model.y, model.z)] == pytest.approx([1.0, 1.0, 0.0])

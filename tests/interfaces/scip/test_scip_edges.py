@@ -13,14 +13,13 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pyomo.environ as pe
-import pyscipopt
 import pytest
 from pyomo.mpec import Complementarity
 from pyomo.mpec import complements as complementary
 from sol_files import read_sol
 
 import lcp_plugin.pyomo
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, derivative
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
 from lcp_plugin.commands import ampl
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
 from lcp_plugin.interfaces import scip
@@ -129,63 +128,6 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path:
     found = answered_by_ampl(toll_in_pyomo(), tmp_path)
     assert found.code == 500
     assert "pip install 'lcp_plugin[global]'" in found.message
-
-
-def test_the_followed_advice_of_a_local_way_arrives_where_scip_does(without_scip: None) -> None:
-    """Without the objective, the toll a parameter: its gradient leads from 1 to 4.5 and 13.5."""
-    toll, flow, least = (
-        cp.Parameter(nonneg=True, value=1.0),
-        cp.Variable(2, nonneg=True),
-        cp.Variable(),
-    )
-    costs = cp.hstack([1.0 + flow[0] + toll, 5.0 + 0.5 * flow[1]])
-    followers = cp.Problem(
-        cp.Minimize(0), [complements(flow >= 0, costs - least >= 0), cp.sum(flow) == 10]
-    )
-    for _ in range(12):
-        followers.solve(method="LCP")
-        gradients = derivative(followers).vjp({flow: [float(toll.value), 0.0]})  # of toll · flow₀
-        toll.value = float(toll.value) + 0.5 * (float(gradients[toll]) + float(flow.value[0]))
-    assert float(toll.value) == pytest.approx(4.5, abs=1e-4)
-    assert float(toll.value) * flow.value[0] == pytest.approx(13.5, abs=1e-3)
-
-
-def failing(monkeypatch: pytest.MonkeyPatch, times: int, error: Exception) -> None:
-    """Let the next runs of SCIP end with an error."""
-    left = [times]
-
-    class Failing(pyscipopt.Model):  # type: ignore[misc]
-        def optimize(self) -> None:
-            left[0] -= 1
-            if left[0] >= 0:
-                raise error
-            super().optimize()
-
-    monkeypatch.setattr(pyscipopt, "Model", Failing)
-
-
-def test_an_error_inside_scip_is_told_and_no_traceback(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """After one error the same is solved at SCIP's own tolerance; after two its words are told."""
-    words = "SCIP: error in LP solver!"
-    failing(monkeypatch, 1, Exception(words))
-    assert minimize_over_solutions(bilinear()).status is Status.SOLVED
-    failing(monkeypatch, 2, Exception(words))
-    result = minimize_over_solutions(bilinear())
-    assert (result.status, result.bound_by) == (Status.STALLED, None)
-    assert words in result.advice
-    failing(monkeypatch, 2, Exception(words))
-    assert words in answered_by_ampl(toll_in_pyomo(), tmp_path).message
-    failing(monkeypatch, 2, Exception(words))
-    convex = EquilibriumProgram(
-        QuadraticProgram(None, [1, 2], A=[[1, 1]], b=[1], lower=0), [0], [1]
-    )
-    result = minimize_over_solutions(convex)
-    assert (result.status, result.bound_by) == (Status.SOLVED, "proof")
-    failing(monkeypatch, 1, MemoryError("SCIP: insufficient memory error!"))
-    with pytest.raises(MemoryError):
-        minimize_over_solutions(bilinear())
 
 
 # --- Limits and Ctrl-C ---

@@ -18,7 +18,6 @@ from lcp_plugin.methods.search.simplex import QUANTUM
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.proofs.no_solution.infeasibility import Case, NoSolution
-from lcp_plugin.proofs.no_solution.proof import row_choices
 
 
 @pytest.mark.parametrize("block", range(8))
@@ -260,21 +259,6 @@ def test_limits_end_the_search_honestly() -> None:
         all_solutions(problem, limit=0)
     with pytest.raises(InvalidProblem, match="LCP"):
         search(np.eye(2))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("bounds", "choices"),
-    [
-        ((0.0, np.inf), 2),
-        ((-np.inf, 0.0), 2),
-        ((0.0, 1.0), 3),
-        ((-np.inf, np.inf), 1),
-        ((1.0, 1.0), 1),
-    ],
-)
-def test_every_row_has_its_choices(bounds: tuple[float, float], choices: int) -> None:
-    """One-sided rows have two choices, boxes three, free and fixed rows one."""
-    assert len(row_choices(*bounds)) == choices
 
 
 BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solution: (1, 1e423)

@@ -16,6 +16,7 @@ from cone_families import (
     exact_residuals,
     planted_cones,
     planted_contacts,
+    tower,
     violation,
 )
 from contact_families import rows_of_bodies
@@ -32,6 +33,7 @@ from lcp_plugin import (
     ModelWarning,
     Status,
     UnknownAlgorithm,
+    UnreadableFile,
     derivative,
     load_problem,
     solve,
@@ -729,3 +731,49 @@ def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
             assert sp.issparse(problem.W) or not sp.issparse(given)
     with pytest.raises(InvalidProblem, match="b has 3 columns and dimension is 2"):
         FrictionalContact(np.eye(6), b.reshape(2, 3), 0.5, dimension=2)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"shape": [np.inf, 4]}, "shape must hold integers"),
+        ({"indices": [np.nan, 1, 2, 3]}, "indices must hold integers"),
+        ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
+        ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"),
+        ({"cone_kinds": [3]}, "cone_kinds names 1 cones"),
+        ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
+        ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"),
+        ({"data": None}, "lacks the keys"),
+    ],
+)
+def test_a_damaged_file_over_cones_is_told_what_is_wrong(
+    changed: Any, words: str, tmp_path: Path
+) -> None:
+    """Shapes, indices, kinds and rows that are no whole numbers, or none of a matrix; a kind of −1 counts from none."""
+    ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
+        tmp_path / "p.npz"
+    )
+    with np.load(tmp_path / "p.npz") as file:
+        content = {**file, **changed}
+    np.savez(
+        tmp_path / "p.npz",
+        **{name: np.array(value) for name, value in content.items() if value is not None},
+    )
+    with pytest.raises(UnreadableFile, match=words):
+        load_problem(tmp_path / "p.npz")
+
+
+@pytest.mark.parametrize(
+    ("heavy", "light", "corners", "has_foot"),
+    [(1e6, 2, (0.0,), True), (1e6, 10, (-0.5, 0.5), False), (1e8, 5, (-0.5, 0.5), True)],
+)
+def test_heavy_stands_on_light(
+    heavy: float, light: int, corners: tuple[float, ...], has_foot: bool
+) -> None:
+    """A heavy box on light ones, on another heavy one or on the ground: each face carries the weight above it."""
+    problem, weights = tower([heavy] * has_foot + [1.0] * light + [heavy], corners)
+    result = solve(problem)
+    carried = result.motion.normal.reshape(len(weights), -1).sum(axis=1)
+    np.testing.assert_allclose(carried, weights, rtol=1e-5 if heavy < 1e8 else 1e-4)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
+    assert result.is_solved or heavy == 1e8

@@ -86,20 +86,6 @@ def test_one_world_harms_no_other() -> None:
     np.testing.assert_allclose(batch.z[4], [1.0, -0.3, -0.4], atol=1e-8)
 
 
-def test_in_the_plane_by_a_method_and_within_a_time() -> None:
-    """One W for all, two rows a contact; a named method solves each; no time leaves the start."""
-    W, b = np.array([[3.128, -2.472], [-2.472, 3.872]]), np.array([[-9.81e-5, -55.0], [-1.0, 0.1]])
-    worlds = FrictionalContact.worlds(W, b, 0.5, dimension=2)
-    found, named = solve_batch(worlds), solve_batch(worlds, algorithm="newton")
-    late = solve_batch(worlds, max_seconds=0.0)
-    np.testing.assert_allclose(
-        found.require_solved().z, named.require_solved().z, rtol=1e-6, atol=1e-12
-    )
-    assert named[1].algorithm == "newton"
-    assert {*late.status} == {Status.MAX_SECONDS}
-    assert not late[0].z.any()
-
-
 TWO = np.zeros((2, 6))
 REFUSED: dict[str, tuple[Any, str]] = {
     "W of another size": (

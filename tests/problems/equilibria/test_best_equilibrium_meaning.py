@@ -144,3 +144,14 @@ def test_a_pair_of_any_sides_has_a_violation() -> None:
     assert max(pair.violation() for pair in pairs) <= 1e-7
     x.value = x.value + np.array([0.0, 0.25])
     assert pairs[0].violation() >= 0.2
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_an_equality_that_says_nothing_is_taken_beside_no_objective(beside: bool) -> None:
+    """A free z with 0*z == 0 may have any value, alone and beside a pair that needs it."""
+    z, x = cp.Variable(2), cp.Variable(2)
+    more = [complements(x >= 0, x + z - 1 >= 0)] if beside else []
+    problem = cp.Problem(cp.Minimize(0), [complements(z, 0 * z == 0), *more])
+    problem.solve(method="LCP")
+    assert problem.status == cp.OPTIMAL
+    assert np.isfinite(z.value).all()

@@ -9,7 +9,6 @@ from network import network
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
 from lcp_plugin.interfaces import scip
-from lcp_plugin.problems.equilibria import branch_and_bound
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
@@ -48,27 +47,6 @@ def test_where_an_equilibrium_is_known_one_is_returned(monkeypatch: pytest.Monke
     problem.solve(method="LCP", max_seconds=0)
     assert problem.status in (cp.OPTIMAL, cp.settings.USER_LIMIT)
     assert problem.value >= value - 1e-6 * abs(value)
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("seed", [0, 3])
-def test_what_a_few_nodes_prove_is_not_searched_by_scip(seed: int) -> None:
-    """A linear leader over eight followers, where SCIP fails in its linear programs: a few nodes of ours, proved."""
-    rng, k = np.random.default_rng(seed), 8
-    half = rng.standard_normal((k, k))
-    M, N, q = half @ half.T + np.eye(k), rng.standard_normal((k, 2)), rng.standard_normal(k)
-    box = np.append([-1, -1], np.zeros(k)), np.append([1, 1], np.full(k, np.inf))
-    program = QuadraticProgram(None, rng.standard_normal(k + 2), lower=box[0], upper=box[1])
-    result = minimize_over_solutions(
-        EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
-    )
-    assert (result.status, result.bound_by, result.outside, result.verify()) == (
-        Status.SOLVED,
-        "proof",
-        None,
-        True,
-    )
-    assert 0 < result.nodes <= branch_and_bound.FIRST // k
 
 
 def monopolist() -> tuple[cp.Problem, cp.Variable]:

@@ -219,3 +219,27 @@ def test_what_is_no_penalty_is_refused(l1: Any) -> None:
     """A negative or infinite one, NaN, another length, a word: in words that name l1."""
     with pytest.raises(InvalidProblem, match="l1"):
         BoundedLeastSquares(np.eye(2), [1.0, 2.0], l1=l1)
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+@pytest.mark.parametrize("l1", [1e-1, 1e-6])
+def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
+    """256 × 512, l1 down to 1e-6, with and without noise: SOLVED, and a ray of the dual bounds the cost from below."""
+    rng = np.random.default_rng(5)
+    A, x = rng.standard_normal((256, 512)), np.zeros(512)
+    x[:20] = rng.standard_normal(20)
+    b = A @ x + noise * rng.standard_normal(256)
+    result = bounded_least_squares(A, b, -INF, l1=l1).require_solved()
+    free = result.x != 0.0
+    shortest = -l1 * np.linalg.lstsq(A[:, free].T, np.sign(result.x[free]), rcond=None)[0]
+    bounds = []
+    for y in (
+        shortest,
+        A @ result.x - b,
+    ):  # scaled to |Aᵀy| ≤ l1: the one is good where little is left of b
+        y *= l1 / max(l1, float(np.abs(A.T @ y).max()))
+        bounds.append(-0.5 * (y @ y) - b @ y)
+    assert result.cost <= max(bounds) * (1.0 + 1e-6)
+    if noise == 0.0:
+        np.testing.assert_allclose(result.x, x, atol=10.0 * l1)

@@ -15,7 +15,6 @@ from exact_derivatives import distance, exact, piece_at, product
 
 from lcp_plugin import (
     LCP,
-    FrictionalContact,
     InvalidOption,
     InvalidProblem,
     Status,
@@ -397,19 +396,6 @@ def test_what_marches_of_several_matrices_refuse() -> None:
     assert march([], forcing) == []
 
 
-def test_what_a_march_says_of_its_answers_and_bounds() -> None:
-    """Bounds given to one march are those of its problem."""
-    rod, cool = LCP([[3, -1], [-1, 3]], [0, 0]), [[-1, 0]] * 3
-    for algorithm in ("auto", "psor"):
-        held, stated = (
-            march(rod, cool, upper=0.4, algorithm=algorithm),
-            march(rod.with_q(rod.q, upper=0.4), cool),
-        )
-        np.testing.assert_allclose(held.z[-1], stated.z[-1], rtol=1e-7)
-    with pytest.raises(InvalidOption, match="are bounds of an LCP; a FrictionalContact has none"):
-        march(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5), np.zeros((2, 3)), lower=0.0)
-
-
 def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     """One that overflows, and one that is not solved: each says so, the others reach their end."""
     rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
@@ -423,34 +409,6 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     assert [(len(one), one.all_solved) for one in cut] == [(1, False)] * 2
     late = march(rod, forcing[[0, 2]], -0.5, max_seconds=0.0)
     assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (
-            {"forcing": np.zeros((2, 2, 4))},
-            r"forcing must be .* \(m, k, n\), or \(k, n\) for all marches, n = 3, got",
-        ),
-        (
-            {"forcing": np.full((1, 2, 3), np.nan)},
-            r"but forcing\[0, 0, 0\] = nan; repair that entry",
-        ),
-        ({"z0": np.zeros((4, 3))}, "must be equally long, got forcing 2, z0 4"),
-        ({"lower": np.zeros((2, 5))}, r"lower must have shape \(B, n\)"),
-        ({"propagator": np.eye(2)}, "propagator must be"),
-    ],
-)
-def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
-    """Data of other shapes or not finite, in words and before the first step."""
-    with pytest.raises(InvalidProblem, match=message):
-        march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((2, 2, 3)), **given})
-    with pytest.raises(
-        InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"
-    ):
-        march(np.eye(3), np.zeros((1, 3)))
-    with pytest.raises(InvalidOption, match="march has no option 'tol'"):
-        march(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)
 
 
 # --- Schemes in time ------------------------------------------------------------------------------------------
@@ -526,17 +484,6 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
         ).z
         assert np.abs(z - alone).max() <= 1e-8 * max(np.abs(alone).max(), 1e-300)
         state = z
-
-
-@pytest.mark.few(2)
-@pytest.mark.parametrize("name", ["basket", "parabolic", "contact"])
-def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
-    """The same bits in two runs, for any number of threads, and where answers are computed once more."""
-    steps = SMALL[name]()
-    first = np.array(list(marched_beginnings(steps, threads=1).z))
-    fresh = steps._replace(problem=LCP(steps.problem.M, steps.problem.q, lower=steps.problem.lower))
-    for again in (marched_beginnings(fresh), marched_beginnings(steps, threads=2)):
-        np.testing.assert_array_equal(first, np.array(list(again.z)))
 
 
 def test_time_that_runs_out_keeps_the_steps_before() -> None:

@@ -141,21 +141,6 @@ def test_frontier_is_that_of_all_sets_of_assets() -> None:
         assert point.solution.is_optimal(1e-9)
 
 
-def test_multipliers_are_affine_too() -> None:
-    """What a limit is worth is affine between breakpoints: half of two ends at the middle."""
-    program = QuadraticProgram(np.eye(2), [-3, -1], G=[[1, 1]], h=[0], lower=0)
-    path = trace(program, {"h": [1]}, 0, 5).require_solved()
-    for piece in path.pieces:
-        ends, middle = (
-            [path.at(theta) for theta in (piece.begin, piece.end)],
-            path.at(0.5 * (piece.begin + piece.end)),
-        )
-        mean = 0.5 * (ends[0].solution.inequality + ends[1].solution.inequality)
-        assert np.allclose(middle.solution.inequality, mean, rtol=0, atol=1e-13)
-    assert path.at(1.0).solution.inequality == pytest.approx([2.0])
-    assert path.derivative(1.0).multipliers == pytest.approx([-1.0])
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_linear_programs_move_along_faces(seed: int) -> None:
     """Of a linear program, M of which is singular everywhere, the path follows values of right-hand sides and costs."""
@@ -426,13 +411,6 @@ def test_units_of_cost_and_of_columns_end_no_path(size: float) -> None:
     trace(
         squares.with_vectors(lower=np.zeros(7)), {"b": rng.standard_normal(9)}, -1, 1
     ).require_solved()
-
-
-def test_where_multipliers_alone_jump_x_is_not_said_to() -> None:
-    """Two limits that meet share a multiplier in any way; x is the same, and the words say so."""
-    program = QuadraticProgram([[1.0]], [-2.0], G=[[1.0], [1.0]], h=[0.0, 1.0])
-    path = trace(program, {"h": [1.0, 0.0]}, 0.0, 1.5).require_solved()
-    assert path.segments == pytest.approx([1.0])
 
 
 def assert_on_the_path(path: Path, solved: Any) -> None:

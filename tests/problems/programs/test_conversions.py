@@ -150,18 +150,6 @@ def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
 # --- Which form, and what is folded -------------------------------------------------------------------------
 
 
-def test_simple_rows_become_bounds() -> None:
-    """The tightest of bounds and singleton rows stays, of either sign; empty and unlimited rows go."""
-    G = [[2.0, 0, 0], [-4.0, 0, 0], [0, 1.0, 0], [0, 1.0, 0], [0, 0, 0], [1.0, 1.0, 1.0]]
-    program = QuadraticProgram(
-        np.eye(3), [0, 0, 0], G, [2.0, 4.0, 5.0, 3.0, 1.0, np.inf], lower=[-3, -3, 0], upper=4
-    )
-    problem = lcp_from_qp(program)
-    assert problem.origin.form == "direct"
-    assert problem.lower.tolist() == [-1.0, -3.0, 0.0]
-    assert problem.upper.tolist() == [1.0, 3.0, 4.0]
-
-
 @pytest.mark.parametrize("seed", range(30))
 def test_multipliers_of_crowded_variables(seed: int) -> None:
     """Many singleton rows and bounds on the same variables, ties included: the multipliers found are optimal ones."""
@@ -602,18 +590,6 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
     for name in ("primal_residual", "duality_gap", "objective"):
         assert getattr(left, name) == getattr(right, name)
-
-
-def test_rows_that_contradict_their_bounds_come_and_go() -> None:
-    """A row that is a bound in one program, and no bound in the next as it contradicts another, is seen as such."""
-    first = QuadraticProgram(
-        np.eye(2), [1.0, 1.0], G=[[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]], h=[1.0, 0.0, 5.0]
-    )
-    assert lcp_from_qp(first).n == lcp_from_qp(afresh(first)).n
-    crossed = first.with_vectors(h=[1.0, -2.0, 5.0])
-    assert FoldedRows.of(crossed).left.tolist() == [0, 1, 2]
-    assert FoldedRows.of(crossed.with_vectors(h=first.h)).left.tolist() == [2]
-    assert crossed.facts.accepted_proof() is not None
 
 
 @pytest.mark.parametrize("name", VECTORS)

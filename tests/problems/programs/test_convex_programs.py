@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
 from fractions import Fraction
 from typing import Any
 
@@ -14,8 +13,18 @@ import scipy.sparse as sp
 from campaigns import convex_programs
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
-from lcp_plugin import LCP, InvalidProblem, QPSolver, Status, UnsupportedModel, certify, solve
+from lcp_plugin import (
+    LCP,
+    InvalidProblem,
+    QPSolver,
+    Status,
+    UnsupportedModel,
+    certify,
+    complements,
+    solve,
+)
 from lcp_plugin.methods.interior_point import InteriorPoint
+from lcp_plugin.modeling.registration import build
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 from lcp_plugin.problems.programs.no_minimum import (
     QPInfeasibility,
@@ -578,35 +587,6 @@ def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
 
 # --- Infeasible, and by how much ---------------------------------------------------------------------------------
 
-ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: · x = 8.9e-16, x ≥ 0
-
-
-@pytest.mark.few(2)
-@pytest.mark.parametrize(
-    "c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]]
-)
-@pytest.mark.parametrize("P", [np.eye(4), np.diag([1.0, 0.0, 0.0, 0.0]), np.zeros((4, 4))])
-def test_infeasible_by_rounding_is_solved(P: Any, c: list[float]) -> None:
-    """A program whose equation contradicts the bounds by 9e-16: x = 0, not infeasible, at the limit of precision."""
-    problem = LCP.from_qp(P, c, A=[ROUNDED], b=[8.9e-16], lower=0.0)
-    result = solve(problem)
-    assert not result.has_no_solution
-    solution = problem.origin.recover(result)
-    assert np.abs(solution.x).max() < 1e-6
-    x = cp.Variable(4, nonneg=True)
-    program = cp.Problem(
-        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + np.array(c) @ x),
-        [np.array(ROUNDED) @ x == 8.9e-16],
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of inaccuracy
-        program.solve(solver=QPSolver)
-    assert program.status == cp.OPTIMAL_INACCURATE
-    assert np.abs(x.value).max() < 1e-6
-    exact = problem.origin.program.facts.proof_of_no_minimum
-    assert exact is None or (exact.verify() and exact.margin < 1e-9)
-    assert problem.origin.program.facts.accepted_proof() is None
-
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
 def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
@@ -686,3 +666,37 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     assert problem.origin.program.facts.accepted_proof() is None
     apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
     assert solve(apart.origin.program).status is Status.INFEASIBLE
+
+
+def is_monotone(constraints: list[Any]) -> bool:
+    M = build(constraints).problem.csr.toarray()
+    return bool(np.linalg.eigvalsh(M + M.T).min() > -1e-10 * np.abs(M).max())
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+@pytest.mark.parametrize("rank", [8, 3, 0])
+def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: float) -> None:
+    """Stationarity, feasibility and pairs of a QP, whichever way its equations are turned: monotone, right value."""
+    rng = np.random.default_rng(rank)
+    F, G, A, x0 = (
+        rng.normal(size=(8, rank)),
+        rng.normal(size=(5, 8)),
+        rng.normal(size=(3, 8)),
+        rng.normal(size=8),
+    )
+    P, h, b = F @ F.T, G @ x0 + rng.random(5), A @ x0
+    c = -(P @ x0 + G.T @ rng.random(5) + A.T @ rng.normal(size=3))
+    x, inequality, equality = cp.Variable(8), cp.Variable(5), cp.Variable(3)
+    constraints = [
+        complements(inequality >= 0, h - G @ x >= 0),
+        turned * (A @ x - b) == 0,
+        turned * (P @ x + c + G.T @ inequality + A.T @ equality) == 0,
+    ]
+    assert is_monotone(constraints)
+    problem = cp.Problem(cp.Minimize(0), constraints)
+    problem.solve(method="LCP", algorithm=INTERIOR, tolerance=1e-10)
+    assert problem.status == "optimal"
+    answer = solve_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
+    assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(
+        answer.objective, rel=1e-8, abs=1e-8
+    )

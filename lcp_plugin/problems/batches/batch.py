@@ -167,7 +167,7 @@ def solve_batch(
     options = {
         name: value
         for name, (value, default) in given.items()
-        if not (value is default or (np.isscalar(value) and value == default))
+        if not (value is default or (isinstance(value, type(default)) and value == default))
     }
     limit = Settings(max_seconds=max_seconds).max_seconds
     asked = Asked(algorithm, options, checked_threads(threads), limit)

@@ -64,26 +64,20 @@ def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[A
     rows: list[Any] = []
     limits: list[FloatVector] = []
     cones: list[Any] = []
-    identity = sp.eye_array(problem.n, format="csr")
-    single = np.flatnonzero(problem.sizes == 1)
-    single = problem.starts[:-1][single]
+    identity, is_cone = sp.eye_array(problem.n, format="csr"), problem.sizes > 1
+    first = problem.starts[:-1]
+    single, slopes = first[~is_cone], np.ones(problem.n)
     for sign, bound in ((-1.0, problem.lower), (1.0, problem.upper)):
         has = single[np.isfinite(bound[single])]
         if has.size:
             rows.append(sign * identity[has])
             limits.append(sign * bound[has])
             cones.append(clarabel.NonnegativeConeT(has.size))
-    slopes = np.ones(problem.n)
-    slopes[problem.starts[:-1]] = np.where(problem.sizes > 1, problem.slope, 1.0)
-    for k in np.flatnonzero(problem.sizes > 1):
-        first, end = int(problem.starts[k]), int(problem.starts[k + 1])
-        if problem.slope[k] > 0.0:
-            rows.append(-sp.diags_array(slopes[first:end]) @ identity[first:end])
-            cones.append(clarabel.SecondOrderConeT(end - first))
-        else:
-            rows.append(-identity[first:end])
-            cones += [clarabel.NonnegativeConeT(1), clarabel.ZeroConeT(end - first - 1)]
-        limits.append(np.zeros(end - first))
-    if not rows:
-        return sp.csr_array((0, problem.n)), np.zeros(0), []
+    slopes[first] = np.where(problem.slope > 0.0, problem.slope, 1.0)
+    in_cones = np.flatnonzero(is_cone[problem.block_of_row])
+    rows.append(-(sp.csr_array(sp.diags_array(slopes)))[in_cones])
+    limits.append(np.zeros(in_cones.size))
+    for size, slope in zip(problem.sizes[is_cone].tolist(), problem.slope[is_cone], strict=True):
+        ray = [clarabel.NonnegativeConeT(1), clarabel.ZeroConeT(size - 1)]
+        cones += [clarabel.SecondOrderConeT(size)] if slope > 0.0 else ray
     return sp.vstack(rows), np.concatenate(limits), cones

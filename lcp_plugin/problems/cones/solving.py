@@ -37,7 +37,6 @@ from .methods import (
 from .newton import EXACT, newton_steps, polished
 from .stack import ConeStack
 from .sweeps import sweeps
-from .systems import LAPACK_UP_TO
 
 Callback = Callable[[Sample, FloatVector], Any]
 
@@ -46,7 +45,6 @@ SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's met
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity, by which a path begins away from a point
 ROUNDS, LONG, TRIED_AFTER = 8, 2500, (0, 3, 7)  # of sweeps to the end
 ROUNDING = 2.0**-44  # of the largest entry of W, by which it may differ from its transpose
-BLOCK = 100  # sweeps between two looks at how fast they are
 STARTS = 17  # of Newton's method, moved at random
 GROWTH, VERBOSE_GROWTH = 1.05, 1.5  # of the iterations from one sample, or line, to the next
 WORST = (
@@ -324,7 +322,6 @@ class ConeRun:
             self.residual = float(stack.measured(self.start)[2][0])
             if self.residual <= self.tolerance:
                 self.judge(self.start)
-        self._sweep_while_fast()
         self._sweep_and_solve(*SCHEDULE[0])
         if stack.pattern.labels is not None:
             self._solve_components()
@@ -345,17 +342,6 @@ class ConeRun:
         for share in SHARES if has_friction else ():
             self._follow(share)
         self._to_the_end()
-
-    def _sweep_while_fast(self) -> None:
-        """Take sweeps as long as they halve the residual, if a factorization costs hundreds of them."""
-        stack, before = self.stack, np.inf
-        velocities = np.inf if stack.arms is None else stack.arms.mass.shape[0]
-        if min(stack.pattern.n, velocities) <= LAPACK_UP_TO:
-            return
-        residual = stack.measured(self.swept)[2][0]
-        while self.goal < residual < 0.5 * before:
-            self._sweep_and_solve(BLOCK, 0)
-            residual, before = stack.measured(self.swept)[2][0], residual
 
     def _prove(self) -> None:
         """Look for a proof that there is no solution, and raise Ended if it excludes all points."""

@@ -195,20 +195,20 @@ def beginning_of_next(found: Result, step: int) -> str | None:
     return last if step and last in ITERATIVE else None
 
 
-def checked_forcing(
-    forcing: Any, n: int, shape: str = "(k, n), a row a step", axes: tuple[int, ...] = (2,)
+def checked_rows(
+    name: str, given: Any, shape: str, fits: Callable[[tuple[int, ...]], bool]
 ) -> FloatVector:
-    """Return the forcing as a finite array of one of these numbers of axes."""
-    need = f"forcing must be a finite array of shape {shape}, n = {n}"
-    offsets = real_array(forcing.toarray() if sp.issparse(forcing) else forcing, need)
-    if offsets.ndim not in axes or offsets.shape[-1] != n:
-        raise InvalidProblem(f"{need}, got shape {offsets.shape}")
-    if not np.isfinite(offsets).all():
-        at = np.argwhere(~np.isfinite(offsets))[0]
+    """Return a finite array with a fitting shape."""
+    need = f"{name} must be a finite array of shape {shape}"
+    rows = real_array(given.toarray() if sp.issparse(given) else given, need)
+    if not fits(rows.shape):
+        raise InvalidProblem(f"{need}, got shape {rows.shape}")
+    if not np.isfinite(rows).all():
+        at = np.argwhere(~np.isfinite(rows))[0]
         raise InvalidProblem(
-            f"{need}, but forcing{at.tolist()} = {offsets[tuple(at)]}; repair that entry"
+            f"{need}, but {name}{at.tolist()} = {rows[tuple(at)]}; repair that entry"
         )
-    return offsets
+    return np.ascontiguousarray(rows)
 
 
 def checked_propagator(propagator: Any, n: int) -> sp.csr_array:

@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
-from ...core.errors import InvalidProblem, UnsuitableProblem
+from ...core.checks import FloatVector, finite_vector, is_number, rectangular_matrix
+from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
@@ -24,7 +24,7 @@ from ...core.matrix.structure import row_numbers
 from ...methods.banded import solve_on_band
 from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
-from . import BLOCK, March
+from . import BLOCK, March, checked_rows
 
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
@@ -453,15 +453,8 @@ def _vector(
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
     """Return a row per step, or the vector that stands for one thing."""
-    need = f"{name} must be a finite array of shape ({steps}, {n}), or ({n},) for {one}"
-    rows = real_array(given, need)
-    if rows.shape not in ((steps, n), (n,)):
-        raise InvalidProblem(f"{need}, got shape {rows.shape}")
-    if not np.isfinite(rows).all():
-        raise InvalidProblem(
-            f"{need}, but {name}{np.argwhere(~np.isfinite(rows))[0].tolist()} is not"
-        )
-    return np.ascontiguousarray(rows)
+    shapes = (steps, n), (n,)
+    return checked_rows(name, given, f"({steps}, {n}), or ({n},) for {one}", shapes.__contains__)
 
 
 def _require_all_steps(march: March) -> None:

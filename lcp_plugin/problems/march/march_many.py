@@ -20,7 +20,7 @@ from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import OF_SOLVE, Settings
 from ..cones.data import Blocks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import March, checked_forcing, checked_propagator, take_steps, take_steps_together
+from . import March, checked_propagator, checked_rows, take_steps, take_steps_together
 from .on_band import bounded_side
 
 BOUNDS = "lower", "upper"
@@ -178,7 +178,10 @@ def _begin(
             f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}"
         )
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
-    given = checked_forcing(forcing, n, shape, (2, 3) if are_many else (2,))
+    axes = (2, 3) if are_many else (2,)
+    given = checked_rows(
+        "forcing", forcing, f"{shape}, n = {n}", lambda of: len(of) in axes and of[-1] == n
+    )
     each = propagator if _is_one_a_march(propagator) else [propagator]
     several: dict[str, Any] = {
         "problem": problems,

@@ -325,14 +325,8 @@ class Derivative(LinearizedSystem):
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""
         h = self._optional(dq, "dq")
-        change = self._matrix_change(dM)
-        return h if change is None else h + change @ self.z
-
-    def _matrix_change(self, dM: Any) -> Any:
-        """Return dM as an array, None if none is given."""
-        if dM is None:
-            return None
-        return rectangular_matrix(dM, "dM", self.problem.n, self.problem.n)
+        n = self.problem.n
+        return h if dM is None else h + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
         """Return the change of the bound at which a row is, or would be."""

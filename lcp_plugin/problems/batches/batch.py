@@ -158,17 +158,12 @@ def solve_batch(
     >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
-    given = {
-        "tolerance": (tolerance, None),
-        "max_iterations": (max_iterations, None),
-        "absolute_tolerance": (absolute_tolerance, 0.0),
-        "prove_infeasibility": (prove_infeasibility, True),
-    }
-    options = {
-        name: value
-        for name, (value, default) in given.items()
-        if not (value is default or (isinstance(value, type(default)) and value == default))
-    }
+    options: dict[str, Any] = {"tolerance": tolerance, "max_iterations": max_iterations}
+    options = {name: value for name, value in options.items() if value is not None}
+    if not isinstance(absolute_tolerance, float) or absolute_tolerance:
+        options["absolute_tolerance"] = absolute_tolerance
+    if prove_infeasibility is not True:
+        options["prove_infeasibility"] = prove_infeasibility
     limit = Settings(max_seconds=max_seconds).max_seconds
     asked = Asked(algorithm, options, checked_threads(threads), limit)
     programs = _programs_of(M, q, lower, upper, z0)

@@ -96,16 +96,12 @@ class ProgramBatchRun(BatchRun):
         is_solved = errors.meet(self.settings.tolerance)
         good = np.flatnonzero(is_solved)
         at = good + items.start
-        self.x[at], self.y[at], self.at_bounds[:, at] = (
-            x[good],
-            y[good],
+        self.x[at], self.y[at] = x[good], y[good]
+        self.at_bounds[:, at], self.residual[at] = (
             np.array(of_bounds)[:, good],
-        )
-        self.is_open[at], self.status[at], self.residual[at] = (
-            False,
-            Status.SOLVED,
             errors.largest[good],
         )
+        self.is_open[at], self.status[at] = False, Status.SOLVED
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
         """Solve program k by itself, from the last one if all have the same matrices."""

@@ -231,11 +231,11 @@ class ConeDerivative:
     def jvp(
         self,
         *,
-        dq: ArrayLike | None = None,
+        dq: Any = None,
         dM: Any = None,
-        dfriction: ArrayLike | None = None,
-        dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None,
+        dfriction: Any = None,
+        dlower: Any = None,
+        dupper: Any = None,
     ) -> FloatVector:
         """Return the change dz, shape (n,), that changes of the data make; one-sided where blocks are degenerate.
 
@@ -290,7 +290,7 @@ class ConeDerivative:
         dz: FloatVector = of.tangent(self._moved(dq, dM)[None], held, more)[0]
         return dz
 
-    def dw(self, dz: ArrayLike, *, dq: ArrayLike | None = None, dM: Any = None) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
         change: FloatVector = self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
         return change

@@ -631,14 +631,10 @@ class ConeResult(Result):
         return lines
 
     def _numbers(self) -> dict[str, float]:
-        certificate = self.certificate
-        return {
-            "n": self.problem.n,
-            "relative_residual": certificate.relative_residual,
-            "natural_residual": certificate.natural_residual,
-            "term_residual": certificate.term_residual,
-            "work": self.work,
-            "setup_seconds": self.setup_seconds,
-            "tolerance": self.tolerance,
-            **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
+        residuals = ("relative_residual", "natural_residual", "term_residual")
+        own = ("work", "setup_seconds", "tolerance", "absolute_tolerance")
+        numbers = {name: getattr(self.certificate, name) for name in residuals}
+        numbers |= {
+            name: getattr(self, name) for name in own[: 4 if self.absolute_tolerance else 3]
         }
+        return {"n": self.problem.n, **numbers}

@@ -305,11 +305,11 @@ class MarchDerivative:
         self,
         *,
         dM: Any = None,
-        dforcing: ArrayLike | None = None,
+        dforcing: Any = None,
         dpropagator: Any = None,
-        dz0: ArrayLike | None = None,
-        dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None,
+        dz0: Any = None,
+        dlower: Any = None,
+        dupper: Any = None,
         only_last: bool = False,
     ) -> FloatVector:
         """Return how the answers change with the data, dz; one-sided where rows are degenerate.
@@ -354,10 +354,8 @@ class MarchDerivative:
         )
         dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
         low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
-        before, dz = (
-            _vector(dz0, "dz0", n, may_be_number=False).copy(),
-            np.empty((0 if only_last else steps, n)),
-        )
+        before = _vector(dz0, "dz0", n, may_be_number=False).copy()
+        dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
             changes = part.jvp(
                 dM, rows[part.here] if rows.ndim > 1 else rows, dpropagator, low, high, before

@@ -242,12 +242,7 @@ class Derivative(LinearizedSystem):
         return words_on_singular(system) if system.is_singular else ""
 
     def jvp(
-        self,
-        *,
-        dM: Any = None,
-        dq: ArrayLike | None = None,
-        dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None,
+        self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None
     ) -> FloatVector:
         """Return how z changes with the data, dz; one-sided where rows are degenerate.
 
@@ -285,7 +280,7 @@ class Derivative(LinearizedSystem):
         dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
         return dz
 
-    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
         return self._product(self._checked(dz, "dz")) + self._change(dM, dq)
 

@@ -152,13 +152,7 @@ class ContactBatchDerivative(ManyDerivatives):
             if which.any()
         )
 
-    def jvp(
-        self,
-        *,
-        dq: ArrayLike | None = None,
-        dM: ArrayLike | None = None,
-        dfriction: ArrayLike | None = None,
-    ) -> Any:
+    def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
         """Return the changes dz that changes of the data make, shape (B, n); one-sided where contacts are degenerate.
 
         Parameters
@@ -184,7 +178,7 @@ class ContactBatchDerivative(ManyDerivatives):
         self._fill([dz], lambda part: part.changes(change[part.items], slopes[part.items]), alone)
         return dz
 
-    def dw(self, dz: ArrayLike, *, dq: ArrayLike | None = None, dM: ArrayLike | None = None) -> Any:
+    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Any:
         """Return the changes of the velocities w = W z + b that go with changes dz of z, shape (B, n)."""
         dw = products(self.worlds.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan

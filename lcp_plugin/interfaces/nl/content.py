@@ -13,77 +13,33 @@ from ...core.checks import FloatVector
 
 Indices = NDArray[np.int64]
 NARY, PIECEWISE = -1, -2  # instead of a number of operands: that follows; a number of slopes does
+
+
+def _table(text: str) -> dict[int, str]:
+    """Return names by numbers."""
+    pairs = (one.strip().partition(" ") for one in text.split(","))
+    return {int(number): name for number, _, name in pairs}
+
+
 #: AMPL's operators by how many operands they have.
 OPERATOR_NAMES: dict[int, dict[int, str]] = {
-    1: {
-        13: "floor",
-        14: "ceil",
-        15: "abs",
-        16: "unary -",
-        34: "not",
-        37: "tanh",
-        38: "tan",
-        39: "sqrt",
-        40: "sinh",
-        41: "sin",
-        42: "log10",
-        43: "log",
-        44: "exp",
-        45: "cosh",
-        46: "cos",
-        47: "atanh",
-        49: "atan",
-        50: "asinh",
-        51: "asin",
-        52: "acosh",
-        53: "acos",
-        77: "square",
-    },
-    2: {
-        0: "+",
-        1: "-",
-        2: "*",
-        3: "/",
-        4: "mod",
-        5: "^",
-        6: "less",
-        20: "or",
-        21: "and",
-        22: "<",
-        23: "<=",
-        24: "=",
-        28: ">=",
-        29: ">",
-        30: "<>",
-        48: "atan2",
-        55: "div",
-        56: "precision",
-        57: "round",
-        58: "trunc",
-        62: "atleast",
-        63: "atmost",
-        66: "exactly",
-        67: "not atleast",
-        68: "not atmost",
-        69: "not exactly",
-        73: "<==>",
-        76: "^",
-        78: "^",
-    },
-    3: {35: "if", 65: "if", 72: "==>"},
-    NARY: {
-        11: "min",
-        12: "max",
-        54: "+",
-        59: "count",
-        60: "numberof",
-        61: "numberof",
-        70: "forall",
-        71: "exists",
-        74: "alldiff",
-        75: "not alldiff",
-    },
-    PIECEWISE: {64: "piecewise-linear term"},
+    1: _table(
+        "13 floor, 14 ceil, 15 abs, 16 unary -, 34 not, 37 tanh, 38 tan, 39 sqrt, 40 sinh, "
+        "41 sin, 42 log10, 43 log, 44 exp, 45 cosh, 46 cos, 47 atanh, 49 atan, 50 asinh, 51 "
+        "asin, 52 acosh, 53 acos, 77 square"
+    ),
+    2: _table(
+        "0 +, 1 -, 2 *, 3 /, 4 mod, 5 ^, 6 less, 20 or, 21 and, 22 <, 23 <=, 24 =, 28 >=, "
+        "29 >, 30 <>, 48 atan2, 55 div, 56 precision, 57 round, 58 trunc, 62 atleast, 63 "
+        "atmost, 66 exactly, 67 not atleast, 68 not atmost, 69 not exactly, 73 <==>, 76 ^, "
+        "78 ^"
+    ),
+    3: _table("35 if, 65 if, 72 ==>"),
+    NARY: _table(
+        "11 min, 12 max, 54 +, 59 count, 60 numberof, 61 numberof, 70 forall, 71 exists, 74 "
+        "alldiff, 75 not alldiff"
+    ),
+    PIECEWISE: _table("64 piecewise-linear term"),
 }
 ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
 SUFFIX_IS_REAL = 4  # a bit of the first number of an S segment

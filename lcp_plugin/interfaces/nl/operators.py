@@ -42,23 +42,25 @@ RULES: dict[str, Arithmetic | Function] = {
     **{one.value: one for one in Arithmetic},
     "sqrt": functions.power(0.5),
     **{
-        one.name: one
-        for one in (
-            functions.ACOS,
-            functions.ACOSH,
-            functions.ASIN,
-            functions.ASINH,
-            functions.ATAN,
-            functions.ATANH,
-            functions.COS,
-            functions.COSH,
-            functions.EXP,
-            functions.LOG,
-            functions.LOG10,
-            functions.SIN,
-            functions.SINH,
-            functions.TAN,
-            functions.TANH,
+        name: getattr(functions, name.upper())
+        for name in (
+            [
+                "acos",
+                "acosh",
+                "asin",
+                "asinh",
+                "atan",
+                "atanh",
+                "cos",
+                "cosh",
+                "exp",
+                "log",
+                "log10",
+                "sin",
+                "sinh",
+                "tan",
+                "tanh",
+            ]
         )
     },
 }

@@ -10,24 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyomo import core
 from pyomo.common.errors import InvalidValueError
-from pyomo.core import (
-    Block,
-    ConcreteModel,
-    Constraint,
-    ConstraintList,
-    Expression,
-    ExternalFunction,
-    Objective,
-    Param,
-    RangeSet,
-    Reference,
-    Set,
-    SortComponents,
-    Suffix,
-    Var,
-    VarList,
-)
 from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.mpec import Complementarity
@@ -41,19 +25,20 @@ from ..nl.content import NLContent, Token, Trees
 from ..nl.reading import read_content
 from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of
 
-KNOWN = {
-    Block,
-    Complementarity,
-    Constraint,
-    Expression,
-    ExternalFunction,
-    Objective,
-    Param,
-    Port,
-    RangeSet,
-    Set,
-    Suffix,
-    Var,
+KNOWN = {Complementarity, Port} | {
+    getattr(core, name)
+    for name in [
+        "Block",
+        "Constraint",
+        "Expression",
+        "ExternalFunction",
+        "Objective",
+        "Param",
+        "RangeSet",
+        "Set",
+        "Suffix",
+        "Var",
+    ]
 }
 INTEGERS = (
     "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as complementarities"
@@ -132,15 +117,15 @@ def stated(model: Any, path: Path) -> PyomoStatement:
             "the model is abstract and holds no data yet; solve model.create_instance(…)"
         )
     _require_known(model)
-    in_order = SortComponents.deterministic
+    in_order = core.SortComponents.deterministic
     conditions = list(
         model.component_data_objects(Complementarity, active=True, descend_into=True, sort=in_order)
     )
     constraints = list(
-        model.component_data_objects(Constraint, active=True, descend_into=True, sort=in_order)
+        model.component_data_objects(core.Constraint, active=True, descend_into=True, sort=in_order)
     )
     objectives = list(
-        model.component_data_objects(Objective, active=True, descend_into=True, sort=in_order)
+        model.component_data_objects(core.Objective, active=True, descend_into=True, sort=in_order)
     )
     sides = [sides_of(condition) for condition in conditions]
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
@@ -153,7 +138,7 @@ def stated(model: Any, path: Path) -> PyomoStatement:
         )
     is_whole = any(
         not one.is_continuous()
-        for one in model.component_data_objects(Var, active=True, descend_into=True)
+        for one in model.component_data_objects(core.Var, active=True, descend_into=True)
     )
     draft = _Draft(is_search=bool(objectives) or is_whole)
     for row in constraints:
@@ -164,7 +149,7 @@ def stated(model: Any, path: Path) -> PyomoStatement:
 
 def _require_known(model: Any) -> None:
     unknown = categorize_valid_components(
-        model, active=True, sort=SortComponents.deterministic, valid=KNOWN
+        model, active=True, sort=core.SortComponents.deterministic, valid=KNOWN
     )[1]
     for kind in model.collect_ctypes(active=True):
         if kind.__name__ in DISCRETISED:  # these never report as active
@@ -190,9 +175,9 @@ class _Draft:
 
     def __init__(self, *, is_search: bool) -> None:
         self.is_search = is_search
-        self.model = ConcreteModel()
-        self.model.rows = ConstraintList()
-        self.model.added, self.model.zero = VarList(), Var(initialize=0.0)
+        self.model = core.ConcreteModel()
+        self.model.rows = core.ConstraintList()
+        self.model.added, self.model.zero = core.VarList(), core.Var(initialize=0.0)
         self.model.zero.fix()
         self.given: list[Any] = []
         self.states: dict[int, Any] = {}  # by the row's id
@@ -270,9 +255,9 @@ class _Draft:
     def written(self, objectives: Sequence[Any], has_pairs: bool, path: Path) -> PyomoStatement:
         """Return the statement, through a file written by Pyomo."""
         if self.given:
-            self.model.given = Reference(self.given, ctype=Constraint)
+            self.model.given = core.Reference(self.given, ctype=core.Constraint)
         if objectives:
-            self.model.objective = Reference(list(objectives), ctype=Objective)
+            self.model.objective = core.Reference(list(objectives), ctype=core.Objective)
         content, variables, rows = self._through(path)
         if not variables:
             raise UnsupportedModel(

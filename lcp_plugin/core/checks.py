@@ -65,20 +65,20 @@ def assembled(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> s
 
 
 def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
-    """Return (CSR, None), or (None, ndarray) where the matrix is small and dense."""
-    if sp.issparse(M):
+    """Return (CSR, None), or (None, ndarray) if the matrix is small and dense."""
+    is_sparse = sp.issparse(M)
+    if is_sparse:
         check_kind(M.dtype, "M must hold real numbers")
-        _check_square(M.shape)
-        return canonical_csr(M, "M"), None
-    dense = real_array(M, "M must hold real numbers")
-    _check_square(dense.shape)
-    _check_finite(dense, "M")
-    n = dense.shape[0]
-    if n <= DENSE_UP_TO_SIZE and np.count_nonzero(dense) > DENSE_ABOVE_DENSITY * n * n:
-        return None, read_only(
-            np.array(dense, order="C")
-        )  # its own: verdicts and bounds outlive a caller's changes
-    return frozen(sp.csr_array(dense)), None
+    matrix = M if is_sparse else real_array(M, "M must hold real numbers")
+    if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}")
+    if is_sparse:
+        return canonical_csr(matrix, "M"), None
+    _check_finite(matrix, "M")
+    n = matrix.shape[0]
+    if n <= DENSE_UP_TO_SIZE and np.count_nonzero(matrix) > DENSE_ABOVE_DENSITY * n * n:
+        return None, read_only(np.array(matrix, order="C"))  # the caller may change her own
+    return frozen(sp.csr_array(matrix)), None
 
 
 def rectangular_matrix(
@@ -136,7 +136,7 @@ def rectangular_matrix(
 
 def _check_finite(dense: NDArray[np.float64], name: str) -> None:
     is_finite = np.isfinite(dense)
-    if not all_hold(is_finite):
+    if not is_finite.all():
         row, column = np.argwhere(~is_finite)[0]
         raise _not_finite(name, f"{row}, {column}", dense[row, column])
 
@@ -199,11 +199,6 @@ def check_kind(dtype: np.dtype[Any], need: str) -> None:
         )
 
 
-def _check_square(shape: tuple[int, ...]) -> None:
-    if len(shape) != 2 or shape[0] != shape[1]:
-        raise InvalidProblem(f"M must be a square matrix (n×n), got shape {shape}")
-
-
 def real_array(values: Any, need: str) -> NDArray[np.float64]:
     """Return the values as float64; refuse what is not an array of real numbers, saying what is needed."""
     if type(values) is np.ndarray and values.dtype == DOUBLE:
@@ -227,16 +222,6 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     check_kind(array.dtype, need)
     with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
         return array.astype(np.float64)
-
-
-def all_hold(claims: BoolVector) -> bool:
-    """Return ``claims.all()``, of few in a quarter of the time."""
-    return not claims.size or bool(claims.item(claims.argmin()))
-
-
-def are_finite(vector: FloatVector) -> bool:
-    """Return whether all entries are finite."""
-    return all_hold(np.isfinite(vector))
 
 
 def real_vector(
@@ -304,8 +289,8 @@ def checked_vector(
         For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
     """
     vector = real_vector(values, name, length, may_be_number=may_be_number, need=need)
-    if not are_finite(vector):
-        is_valid = np.isfinite(vector)
+    is_valid = np.isfinite(vector)
+    if not is_valid.all():
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
         if not is_valid.all():
             at = int(np.argmin(is_valid))
@@ -359,7 +344,7 @@ def checked_right_side(
         values, name, length, allow_plus_infinity=True, may_be_number=may_be_number
     )
     says_something = right < INFINITE_LIMIT
-    return right if all_hold(says_something) else read_only(np.where(says_something, right, np.inf))
+    return right if says_something.all() else read_only(np.where(says_something, right, np.inf))
 
 
 def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -371,7 +356,7 @@ def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, F
 def check_order(lower: FloatVector, upper: FloatVector) -> None:
     """Raise where lower ≤ upper fails or admits no number."""
     is_right = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
-    if not all_hold(is_right):
+    if not is_right.all():
         i = int(np.argmin(is_right))
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and admit a number, "

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector, all_hold
+from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix.structure import row_numbers
 from ..core.tuning import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
@@ -89,7 +89,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     False
     """
     diagonal: FloatVector = P.diagonal()
-    if not all_hold(diagonal >= 0.0):
+    if not (diagonal >= 0.0).all():
         return False
     if sp.issparse(P):
         if is_diagonal(P):
@@ -106,7 +106,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
             diagonal = diagonal[filled]
     # The backward error of a Cholesky factor is as small beside √(p_ii p_jj) as that of the scaled matrix (Demmel).
     if isinstance(P, np.ndarray):
-        if all_hold(diagonal >= SMALLEST_PIVOT) and positive_triangle(P) is not None:
+        if (diagonal >= SMALLEST_PIVOT).all() and positive_triangle(P) is not None:
             return True
         if is_diagonal(P):
             return True

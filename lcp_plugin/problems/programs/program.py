@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
-    all_hold,
     assembled,
     check_order,
     checked_limit,
@@ -415,6 +414,6 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j that is worst relative to its rows, or None if it is at rounding level."""
-    if all_hold(M == M.T) if isinstance(M, np.ndarray) else is_its_mirror(M):
+    if bool((M == M.T).all()) if isinstance(M, np.ndarray) else is_its_mirror(M):
         return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

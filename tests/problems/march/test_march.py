@@ -24,7 +24,6 @@ from lcp_plugin import (
     march,
     solve,
 )
-from lcp_plugin.problems import march as marching
 from lcp_plugin.problems.march import March
 from lcp_plugin.problems.march.march_derivative import MarchDerivative
 from lcp_plugin.problems.sensitivity import Derivative
@@ -495,17 +494,16 @@ def test_time_that_runs_out_keeps_the_steps_before() -> None:
     assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
 
 
-def test_ctrl_c_keeps_the_steps_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An interruption in the fourth step leaves three, all of them SOLVED."""
-    steps, asked = SMALL["basket"](), []
+def test_ctrl_c_keeps_the_steps_before() -> None:
+    """An interruption by a callback in the fourth step leaves three, all of them SOLVED."""
+    steps, begun = SMALL["basket"](), []
 
-    def interrupted(*_: object) -> None:
-        asked.append(0)
-        if len(asked) == 4:
+    def interrupts(sample: Any, z: Any) -> None:
+        begun.append(sample.iteration == 0)
+        if sum(begun) == 4:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(marching, "beginning_of_next", interrupted)
-    done = marched_beginnings(steps)
+    done = marched_beginnings(steps, callback=interrupts)
     assert not done.all_solved
     assert [step.is_solved for step in done] == [True] * 3 + [False] * (len(done) - 3)
 

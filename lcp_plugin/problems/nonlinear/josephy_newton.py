@@ -63,10 +63,11 @@ class JosephyNewton(Algorithm):
     -----
     The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
     here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
-    A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points. A full step is taken also
-    if its residual is at most ten times the least of these: on traffic networks the residual rises before it falls. If
-    no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual scale (proximal steps); then
-    small problems start elsewhere. A large linearisation is given up after 12 active sets without half the residual.
+    A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points. A full Newton step is
+    taken also if its residual is at most ten times the least of these: on traffic networks the residual rises before it
+    falls. If no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual scale (proximal
+    steps); then small problems start elsewhere. A large linearisation is given up after 12 active sets without half the
+    residual.
 
     References
     ----------
@@ -170,7 +171,7 @@ class _NewtonRun:
         for k in range(SHORTER):
             x = target if k == 0 else here.x + 0.5**k * (target - here.x)
             point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
-            is_better = self._merit(point) <= least or (k == 0 and self._is_within(point))
+            is_better = self._merit(point) <= least or (is_newton and k == 0 and self._is_within(point))
             if is_better and point.is_defined and not np.array_equal(x, here.x):
                 return point
         return None

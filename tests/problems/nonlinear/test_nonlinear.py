@@ -302,7 +302,6 @@ def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start:
     assert "an affine F" in str(result.certificate)
 
 
-@pytest.mark.xfail(strict=False, reason="open: 190 iterations, full steps go on without gain")
 @pytest.mark.full
 @pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
 def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) -> None:

@@ -171,7 +171,9 @@ class _NewtonRun:
         for k in range(SHORTER):
             x = target if k == 0 else here.x + 0.5**k * (target - here.x)
             point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
-            is_better = self._merit(point) <= least or (is_newton and k == 0 and self._is_within(point))
+            is_better = self._merit(point) <= least or (
+                is_newton and k == 0 and self._is_within(point)
+            )
             if is_better and point.is_defined and not np.array_equal(x, here.x):
                 return point
         return None

@@ -92,15 +92,17 @@ class Path:
         """The worst status of each piece, in its midst and just inside its two ends."""
         found = []
         for piece in self.pieces:
-            known = [self._inside(piece, end) for end in (piece.begin, piece.end)]
+            middle = piece.begin + MIDST * (piece.end - piece.begin)
+            known = [self.at(middle, piece).status]
+            if known[0] is Status.SOLVED:
+                known = [self._inside(piece, end, middle) for end in (piece.begin, piece.end)]
             found.append(next(one for one in WORST_FIRST if one in known))
         return found
 
-    def _inside(self, piece: Piece, end: float) -> Status:
-        """Return the status in the midst, or just inside an end, at the first place that is not left to rounding."""
-        middle = piece.begin + MIDST * (piece.end - piece.begin)
-        status = self.at(middle, piece).status
-        for share in INSIDE if status is Status.SOLVED else ():
+    def _inside(self, piece: Piece, end: float, middle: float) -> Status:
+        """Return the status just inside an end, at the first place that is not left to rounding."""
+        status = Status.SOLVED
+        for share in INSIDE:
             status = self.at(end + share * (middle - end), piece).status
             if status is Status.SOLVED:
                 break

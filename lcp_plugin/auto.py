@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .algorithms import create, refusal_of_engine
-from .core.algorithm import Algorithm, in_driven_sweeps
+from .core.algorithm import Algorithm, count_driven_sweeps
 from .core.certificates.residuals import Certificate
 from .core.checks import FloatVector, checked_start, read_only
 from .core.deadline import Clock
@@ -125,7 +125,7 @@ def _quick_stages(problem: LCP) -> Iterator[Stage]:
     """Yield the methods for M that are seen to be quick."""
     from .methods.banded import Banded, banded_passes
 
-    passes = in_driven_sweeps(problem, banded_passes(problem.matrix))
+    passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
     order = _triangle(problem) if has_positive_diagonal(problem.matrix).all() else None
     is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
     narrow = Stage(Banded(), f"M is a narrow band, solved in about the time of {passes:.0f} sweeps")
@@ -212,7 +212,7 @@ def _direct_passes(problem: LCP) -> float:
     if problem.n > DIRECT_UP_TO:
         return math.inf
     entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
-    return max(DIRECT_PASSES, in_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
+    return max(DIRECT_PASSES, count_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
 
 
 def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
@@ -477,7 +477,7 @@ def _header(matrix: Matrix) -> tuple[str, str]:
     return classes_in_words(matrix), sign_remark(matrix)
 
 
-def asked_of_solve(
+def parse_call(
     algorithm: str | Algorithm, wishes: dict[str, Any]
 ) -> tuple[Algorithm | None, Settings]:
     """Return the method, None for auto, and the settings of a call; a start and a callback may be among the options."""

@@ -202,7 +202,7 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
         )
 
 
-def in_driven_sweeps(problem: LCP, passes: float) -> float:
+def count_driven_sweeps(problem: LCP, passes: float) -> float:
     """Return the number of sweeps, with the calls around each, that take as long as `passes` compiled passes over M."""
     return passes * problem.nonzeros / (problem.nonzeros + SWEEP_ENTRIES)
 

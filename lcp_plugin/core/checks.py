@@ -27,7 +27,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def restored(thing: Any, state: dict[str, Any]) -> None:
+def restore_state(thing: Any, state: dict[str, Any]) -> None:
     """Give a copied or unpickled object its state: unpickled arrays are writable again, and must not be."""
     vars(thing).update(state)
     for value in state.values():
@@ -39,7 +39,7 @@ def restored(thing: Any, state: dict[str, Any]) -> None:
                 array.flags.writeable = False
 
 
-def frozen(matrix: sp.csr_array) -> sp.csr_array:
+def freeze_csr(matrix: sp.csr_array) -> sp.csr_array:
     """Return the CSR array itself, on read-only views of its arrays, canonical flags set."""
     index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64
     matrix.data = read_only(matrix.data)
@@ -53,7 +53,7 @@ def frozen(matrix: sp.csr_array) -> sp.csr_array:
 _EMPTY = sp.csr_array((1, 1))
 
 
-def assembled(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> sp.csr_array:
+def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> sp.csr_array:
     """Return the canonical CSR array of these arrays, read-only, unchecked.
 
     scipy's own constructor would search the arrays for what is known here, which takes longer than a product.
@@ -61,7 +61,7 @@ def assembled(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> s
     matrix = object.__new__(sp.csr_array)
     matrix.__dict__.update(_EMPTY.__dict__)
     matrix._shape, matrix.data, matrix.indices, matrix.indptr = shape, data, indices, indptr
-    return frozen(matrix)
+    return freeze_csr(matrix)
 
 
 def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
@@ -180,7 +180,7 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
     if np.count_nonzero(matrix.data) != matrix.nnz:
         matrix = matrix.copy()
         matrix.eliminate_zeros()
-    return frozen(matrix)
+    return freeze_csr(matrix)
 
 
 def check_kind(dtype: np.dtype[Any], need: str) -> None:
@@ -255,11 +255,13 @@ def real_vector(
     if may_be_number and vector.ndim == 0 and length in (None, 1):
         vector = vector.reshape(1)
     if vector.ndim != 1 or length not in (None, vector.size):
-        raise InvalidProblem(f"{need}, got shape {vector.shape}{_flattened(vector, name, length)}")
+        raise InvalidProblem(
+            f"{need}, got shape {vector.shape}{_hint_at_vector(vector, name, length)}"
+        )
     return read_only(vector.copy())
 
 
-def _flattened(array: FloatVector, name: str, length: int | None) -> str:
+def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
     """Return what to write for a vector that came as a row or a column."""
     is_one = array.ndim == 2 and 1 in array.shape and length in (None, array.size)
     return f"; write np.ravel({name})" if is_one else ""
@@ -316,7 +318,7 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(values, need)
     if array.shape not in ((), (n,)):
-        raise InvalidProblem(f"{need}, got shape {array.shape}{_flattened(array, name, n)}")
+        raise InvalidProblem(f"{need}, got shape {array.shape}{_hint_at_vector(array, name, n)}")
     is_nan = np.isnan(array)
     if is_nan.any():
         where = int(np.argmax(is_nan))
@@ -328,10 +330,10 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound that callers state; ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
-    return read_only(as_stated(checked_bound(values, name, n)))
+    return read_only(copy_limits(checked_bound(values, name, n)))
 
 
-def as_stated(limits: NDArray[Any]) -> FloatVector:
+def copy_limits(limits: NDArray[Any]) -> FloatVector:
     """Return a copy of the limits, with ±∞ where ±1e20 and beyond says that there is none."""
     return np.where(np.abs(limits) >= INFINITE_LIMIT, np.copysign(np.inf, limits), limits)
 

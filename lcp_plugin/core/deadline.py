@@ -50,7 +50,7 @@ def compilation() -> Compilation:
 
 
 @contextmanager
-def compiling() -> Iterator[None]:
+def pause_for_compilation() -> Iterator[None]:
     """Stop the clocks of all runs around, and their limits, inside a ``with`` statement."""
     own = compilation()
     own.begin()
@@ -82,7 +82,7 @@ class Clock:
         return self.elapsed - self._paused
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
+    def pause(self) -> Iterator[None]:
         """Take off what happens inside a ``with`` statement: the algorithm did not need it."""
         own = self._compilation
         began = time.perf_counter() - own.seconds

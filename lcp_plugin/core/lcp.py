@@ -18,11 +18,11 @@ from .checks import (
     finite_vector,
     read_only,
     real_vector,
-    restored,
+    restore_state,
     without_huge,
 )
 from .matrix.matrix import Matrix
-from .representation import described_lcp
+from .representation import describe_lcp
 
 if TYPE_CHECKING:
     pass
@@ -357,11 +357,11 @@ class LCP:
 
         return load_lcp(path)
 
-    __repr__ = described_lcp
+    __repr__ = describe_lcp
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without cached properties."""
         computed = {name for name, value in vars(LCP).items() if isinstance(value, cached_property)}
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
-    __setstate__ = restored
+    __setstate__ = restore_state

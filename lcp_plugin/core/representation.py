@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 
-def in_words(count: int, what: str) -> str:
+def format_count(count: int, what: str) -> str:
     """Return how many there are.
 
     Examples
     --------
-    >>> in_words(1, "iteration"), in_words(12, "iteration")
+    >>> format_count(1, "iteration"), format_count(12, "iteration")
     ('1 iteration', '12 iterations')
     """
     return f"{count} {what}" + "s" * (count != 1)
 
 
-def described_lcp(problem: Any) -> str:
+def describe_lcp(problem: Any) -> str:
     """Return how large an LCP is, and which bounds it has."""
     return f"LCP(n={problem.n}, nonzeros={problem.nonzeros}, bounds {_bounds_in_words(problem)})"
 
@@ -33,12 +33,12 @@ def _bounds_in_words(problem: Any) -> str:
     return ", ".join(f"{count} {kind}" for count, kind in parts if count)
 
 
-def within(radius: float, what: str) -> str:
+def describe_radius(radius: float, what: str) -> str:
     """Return the words for the radius of a proof; none where it is ∞.
 
     Examples
     --------
-    >>> within(2.5e12, "x"), within(math.inf, "x")
+    >>> describe_radius(2.5e12, "x"), describe_radius(math.inf, "x")
     ('; of all x up to 2e+12', '')
     """
     digits, exponent = f"{radius:.15e}".split("e") if radius < math.inf else ("", "")

@@ -69,7 +69,7 @@ def compensated_product(
     >>> bool(0.0 < radius[1] < 1e-16)
     True
     """
-    return rounded(*compensated_pair(M, x, q))
+    return round_sums(*compensated_pair(M, x, q))
 
 
 def compensated_pair(
@@ -116,7 +116,7 @@ def upper_end(value: FloatVector, radius: FloatVector) -> FloatVector:
     return np.where(np.isfinite(radius) & np.isfinite(value), end, np.inf)
 
 
-def rounded(
+def round_sums(
     high: FloatVector, low: FloatVector, radius: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
     """Return the value and the radius of such sums: what rounding took from the value is an error of it."""

@@ -16,7 +16,7 @@ from .engine import (
     Limits,
     Multipliers,
     ProgramData,
-    beside_bounds,
+    split_bound_multipliers,
 )
 
 EQUATION = 5  # of daqp's `sense`
@@ -71,7 +71,7 @@ class DAQP(Engine):
         if p:
             sense[bounds + m :], below[bounds + m :] = EQUATION, program.b
         # Copies: daqp takes no arrays that are read-only. Some entry of a semidefinite P is positive, or all are 0.
-        x, y, flag, steps = _answered(
+        x, y, flag, steps = _call_daqp(
             np.array(P) if P.item(P.argmax()) > 0.0 else None,
             np.array(program.c),
             np.concatenate((G, A)) if p else np.array(G),
@@ -82,7 +82,9 @@ class DAQP(Engine):
         )
         inequality, equality = np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :]
         none = np.zeros(n)
-        of_bounds = beside_bounds(y[:n], program.lower, program.upper) if bounds else (none, none)
+        of_bounds = (
+            split_bound_multipliers(y[:n], program.lower, program.upper) if bounds else (none, none)
+        )
         return EngineAnswer(
             x,
             Multipliers(inequality, equality, *of_bounds),
@@ -123,12 +125,12 @@ class DAQP(Engine):
         of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in matrices)
         for k in items:
             hessian = matrices[0][of_P[k]] if has_P else None
-            yield _answered(
+            yield _call_daqp(
                 hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, settings
             )
 
 
-def _answered(
+def _call_daqp(
     P: Any, c: Any, C: Any, above: Any, below: Any, sense: Any, settings: dict[str, Any]
 ) -> tuple[FloatVector, FloatVector, int, int]:
     """Return x, all multipliers, daqp's exit flag and its steps."""

@@ -126,14 +126,14 @@ class Engine(ABC):
         """Return the point that the engine ends at."""
 
 
-def beside_bounds(
+def split_bound_multipliers(
     slack: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
     """Return the multipliers of lower and upper bounds that signed ones mean, 0 where a bound is infinite.
 
     Examples
     --------
-    >>> beside_bounds(np.array([-2.0, 3.0]), np.zeros(2), np.array([np.inf, 1.0]))
+    >>> split_bound_multipliers(np.array([-2.0, 3.0]), np.zeros(2), np.array([np.inf, 1.0]))
     (array([2., 0.]), array([0., 3.]))
     """
     return np.maximum(-slack, 0.0) * np.isfinite(lower), np.maximum(slack, 0.0) * np.isfinite(upper)

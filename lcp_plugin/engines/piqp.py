@@ -51,12 +51,12 @@ class PIQP(Engine):
         columns = (
             sp.csc_matrix((P.data, P.indices, P.indptr), P.shape, copy=True)
             if sp.issparse(P)
-            else _by_columns(P)
+            else _to_csc(P)
         )
-        equations = (_by_columns(A), program.b) if p else (None, None)
+        equations = (_to_csc(A), program.b) if p else (None, None)
         is_limit = program.h < INFINITE
         G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
-        rows = (_by_columns(G), None, h) if h.size else (None, None, None)
+        rows = (_to_csc(G), None, h) if h.size else (None, None, None)
         solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
         if limits.seconds < math.inf:  # PIQP has no limit of seconds: one step shows how many fit
             steps, begun = solver.settings.max_iter, time.perf_counter()
@@ -82,5 +82,5 @@ class PIQP(Engine):
         )
 
 
-def _by_columns(A: Any) -> Any:
+def _to_csc(A: Any) -> Any:
     return sp.csc_matrix(A) if sp.issparse(A) else np.asfortranarray(A)

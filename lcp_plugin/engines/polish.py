@@ -25,7 +25,7 @@ STEPS, ROUNDS = 15, 2
 SHIFTS = 2.0**-26, 2.0**-50  # δ relative to the largest entry of its row
 
 
-def polished(
+def polish_steps(
     program: ProgramData, point: EngineAnswer, rounds: int = ROUNDS
 ) -> Iterator[EngineAnswer]:
     """Yield the point after the steps, one of Newton's on min(multiplier, slack) = 0, and again with a smaller δ.
@@ -45,7 +45,7 @@ def polished(
     >>> none = np.zeros((0, 1)), np.zeros(0)
     >>> program = ProgramData(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
     >>> near = Multipliers(np.zeros(0), np.zeros(0), np.zeros(1), np.array([0.9]))
-    >>> found, *_ = polished(program, EngineAnswer(np.array([1.99]), near, 0, None))
+    >>> found, *_ = polish_steps(program, EngineAnswer(np.array([1.99]), near, 0, None))
     >>> found.x, found.multipliers.upper
     (array([2.]), array([1.]))
     """

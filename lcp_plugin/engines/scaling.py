@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector, assembled
+from ..core.checks import FloatVector, assemble_csr
 from ..core.matrix.matrix import largest_in_rows
 from .engine import EngineAnswer, Multipliers, ProgramData
 
@@ -39,17 +39,17 @@ class ScaledProgram(NamedTuple):
     objective: float
 
     @classmethod
-    def of(
+    def from_units(
         cls, given: ProgramData, units: FloatVector, rows: FloatVector, objective: float = 1.0
     ) -> ScaledProgram:
         """Return the statement in these units, powers of two."""
         of_G, of_A = np.split(rows, [given.h.size])
         statement = ProgramData(
-            _scaled(given.P, units * objective, units),
+            _scale_rows_and_columns(given.P, units * objective, units),
             given.c * units * objective,
-            _scaled(given.G, of_G, units),
+            _scale_rows_and_columns(given.G, of_G, units),
             given.h * of_G,
-            _scaled(given.A, of_A, units),
+            _scale_rows_and_columns(given.A, of_A, units),
             given.b * of_A,
             given.lower / units,
             given.upper / units,
@@ -67,15 +67,21 @@ class ScaledProgram(NamedTuple):
         return point._replace(x=point.x * self.units, multipliers=multipliers)
 
 
-def in_units(given: ProgramData, units: FloatVector) -> ScaledProgram:
+def scale_program(given: ProgramData, units: FloatVector) -> ScaledProgram:
     """Return a statement with x in these units, rows whose largest coefficient is from 1 to 2, and costs about 1."""
     sizes = (
         largest_in_rows(one)
-        for one in (_scaled(A, np.ones(A.shape[0]), units) for A in (given.G, given.A))
+        for one in (
+            _scale_rows_and_columns(A, np.ones(A.shape[0]), units) for A in (given.G, given.A)
+        )
     )
     rows = 1.0 / _power_below(np.concatenate(list(sizes)))
-    costs = np.append(np.abs(given.c * units), largest_in_rows(_scaled(given.P, units, units)))
-    return ScaledProgram.of(given, units, rows, float(1.0 / _power_below(costs.max(initial=0.0))))
+    costs = np.append(
+        np.abs(given.c * units), largest_in_rows(_scale_rows_and_columns(given.P, units, units))
+    )
+    return ScaledProgram.from_units(
+        given, units, rows, float(1.0 / _power_below(costs.max(initial=0.0)))
+    )
 
 
 def _power_below(sizes: Any) -> Any:
@@ -86,8 +92,10 @@ def _power_below(sizes: Any) -> Any:
 def with_sides_about_one(fitted: ScaledProgram, given: ProgramData) -> ScaledProgram:
     """Return the statement in units in which most limits and most costs are at most about 1."""
     one = fitted.statement
-    t = _most(one.h, one.b, one.lower, one.upper)
-    return ScaledProgram.of(given, fitted.units * t, fitted.rows / t, 1.0 / _most(one.c * t))
+    t = _typical_size(one.h, one.b, one.lower, one.upper)
+    return ScaledProgram.from_units(
+        given, fitted.units * t, fitted.rows / t, 1.0 / _typical_size(one.c * t)
+    )
 
 
 def without_far_limits(given: ProgramData) -> ProgramData:
@@ -114,16 +122,16 @@ def without_far_limits(given: ProgramData) -> ProgramData:
     return given._replace(h=h, lower=lower, upper=upper)
 
 
-def _most(*values: FloatVector) -> float:
+def _typical_size(*values: FloatVector) -> float:
     """Return the power of two near the size that most of the values do not exceed; 1 of none."""
     sizes = np.abs(np.concatenate(values))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
     return float(np.exp2(np.round(np.log2(np.quantile(sizes, MOST))))) if sizes.size else 1.0
 
 
-def _scaled(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
+def _scale_rows_and_columns(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
     """Return A with rows and columns multiplied by these."""
     if not sp.issparse(A):
         return rows[:, np.newaxis] * A * columns
     data = A.data * np.repeat(rows, np.diff(A.indptr)) * columns[A.indices]
-    return assembled(data, A.indices, A.indptr, A.shape)
+    return assemble_csr(data, A.indices, A.indptr, A.shape)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsuitableProblem
-from ..core.representation import in_words
+from ..core.representation import format_count
 from ..core.solving.answer import Answer
 from ..core.solving.result import Result
 from ..gallery.scene import Scene
@@ -149,7 +149,7 @@ def _plotted(answer: Any, frame: Frame, axes: Any, new: Callable[..., Any]) -> A
         draw_first(every[0], answer, frame)
         if run is not None:
             _draw_residuals(every[1], run)
-        steps = in_words(answer.iterations, "iteration")
+        steps = format_count(answer.iterations, "iteration")
         said = f"n = {len(answer.x)}: {answer.status.name} by {answer.algorithm} in {steps}"
         figure.suptitle(frame.title + said, fontsize=10, x=0.01, ha="left")
     return every[0]

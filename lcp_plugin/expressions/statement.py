@@ -15,7 +15,7 @@ from ..core.certificates.row_residuals import magnitude
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.representation import in_words
+from ..core.representation import format_count
 from ..core.solving.result import Result
 from ..problems.cones.data import Blocks
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
@@ -286,8 +286,8 @@ class Statement:
             )
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         return (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
-            f"the model has {in_words(equations, 'equation')}{counted} and {in_words(free.size, 'unknown')} without a "
-            f"complementarity ({', '.join(names) or 'none'}); it needs as many equations as such unknowns{way_out}"
+            f"the model has {format_count(equations, 'equation')}{counted} and {format_count(free.size, 'unknown')} "
+            f"without a complementarity ({', '.join(names) or 'none'}); it needs as many equations as such unknowns{way_out}"
         )
 
     def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:

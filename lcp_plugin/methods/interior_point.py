@@ -20,7 +20,7 @@ from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import Engine, Limits, Multipliers, ProgramData
 from ..engines.piqp import PIQP
-from ..engines.scaling import in_units
+from ..engines.scaling import scale_program
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
 from .newton.active_set import classify, is_near, signature, solve_active_set
@@ -176,7 +176,7 @@ class MonotoneProgram:
             return z, 0
         sizes = _largest(given.c, given.h, given.b), _largest(given.P, given.G, given.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
-        prepared = in_units(given, np.full(given.c.size, unit))
+        prepared = scale_program(given, np.full(given.c.size, unit))
         point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Arrays, FloatVector, frozen
+from ..core.checks import Arrays, FloatVector, freeze_csr
 from .collective import Ranks
 
 Integers = NDArray[Any]
@@ -300,7 +300,7 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
     if ghosts.size:
         rows.data = rows.data.copy()  # the caller's stay in their order
         rows.sort_indices()
-    return frozen(rows), Halo(ranks.comm, ranks.own, ghosts, starts=ranks.starts)
+    return freeze_csr(rows), Halo(ranks.comm, ranks.own, ghosts, starts=ranks.starts)
 
 
 def numbered_over_all(rows: sp.csr_array, halo: Halo) -> sp.csr_array:

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
-from ..core.kernels.compilation import inlined, kernel, uintp
+from ..core.kernels.compilation import inline, kernel, uintp
 from ..systems.factors import Factor, dense_lu
 from ..systems.hierarchy import coarsening, galerkin, sweeps, vectors
 from ..systems.hierarchy.coarsening import COARSE
@@ -248,7 +248,7 @@ def _restriction(grid: GridOnRanks, count: int, prolongation: Arrays) -> Arrays:
     return galerkin.transposed(count, *Operator(p_indptr, p_indices, p_data).arrays)
 
 
-@inlined
+@inline
 def _least_strong(indptr, indices, data, strength, i):  # type: ignore[no-untyped-def]
     """Return the least −m_ij of a strong coupling of row i; ∞ if it has none."""
     largest = 0.0

@@ -14,7 +14,12 @@ import numpy as np
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
-from ..core.kernels.splitting_sweeps import packed, relaxation_sweep, row_splits, splitting_sweep
+from ..core.kernels.splitting_sweeps import (
+    pack_vectors,
+    relaxation_sweep,
+    row_splits,
+    splitting_sweep,
+)
 from ..core.rounding import read_only_views
 from ..systems.hierarchy import sweeps
 from ..systems.hierarchy.vectors import prolong, restrict
@@ -44,7 +49,7 @@ def sweep(problem: RowsOnRanks, z: FloatVector, relaxation: float = 1.0) -> Iter
     pivots = _positive_diagonal(problem)
     if problem.is_symmetric and not halo.is_empty:
         pivots = pivots + pivot_weight(M, halo, relaxation)
-    rows = packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
+    rows = pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / pivots)
     split, x = row_splits(M, backward=False), halo.whole(z)
     yield x[: problem.own], 0.0
     while True:
@@ -60,7 +65,7 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: flo
     pivot = step * problem.diagonal * (1.0 / alpha + 1.0) + 2.0
     if not halo.everywhere(pivot > 0.0):
         raise UnsuitableMatrix("an NP sweep needs m_ii/(α d_i) + m_ii/d_i + 2 > 0 in every row")
-    rows = packed(problem.q, problem.lower, problem.upper, step, step, 1.0 / pivot)
+    rows = pack_vectors(problem.q, problem.lower, problem.upper, step, step, 1.0 / pivot)
     split, x = row_splits(M, backward=False), halo.whole(z)
     yield x[: problem.own], 0.0
     new = x.copy()

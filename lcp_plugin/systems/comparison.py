@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.scaling import Exponents, scaled, times_power
+from ..core.matrix.scaling import Exponents, scale_matrix, times_power
 from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import is_symmetric_to_rounding
 from ..core.rounding import compensated_product, lower_end, upper_end
@@ -60,7 +60,7 @@ class ComparisonMatrix:
     def __init__(self, M: Any) -> None:
         self.is_symmetric = is_symmetric_to_rounding(M)
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
-        self.matrix = scaled(comparison_of(M), self.exponents)
+        self.matrix = scale_matrix(comparison_of(M), self.exponents)
         self.diagonal: FloatVector = self.matrix.diagonal()
         self._multigrid_failed = False
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from ..core.checks import FloatVector
-from ..core.rounding import compensated_pair, rounded
+from ..core.rounding import compensated_pair, round_sums
 
 
 @cache
@@ -43,7 +43,7 @@ def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector
     >>> value, radius
     (array([1., 0.]), array([0., 0.]))
     """
-    return rounded(*compensated_pair(M, v, kernel=_comparison_row_sums()))
+    return round_sums(*compensated_pair(M, v, kernel=_comparison_row_sums()))
 
 
 def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:

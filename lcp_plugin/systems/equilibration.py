@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import FloatVector
-from ..core.matrix.scaling import Exponents, fitted
+from ..core.matrix.scaling import Exponents, fit_scaling
 from ..core.matrix.structure import IntVector, row_numbers
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
@@ -101,7 +101,7 @@ def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) 
     First the least squares fit of ratio_ij + s_j − s_i ≈ 0, which undoes any diagonal similarity at once, then
     sweeps of Osborne's balancing.
     """
-    position: Any = fitted(ratios, rows, columns, n)
+    position: Any = fit_scaling(ratios, rows, columns, n)
     for _ in range(BALANCING_SWEEPS):
         magnitude = np.exp2(
             np.clip(

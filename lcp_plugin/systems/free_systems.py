@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.scaling import Exponents, scaled, times_power
+from ..core.matrix.scaling import Exponents, scale_matrix, times_power
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import equilibrating_exponents, unit_diagonal
@@ -149,7 +149,7 @@ class FreeSystem:
         by = Exponents(*np.zeros((2, self.rows.size), np.int64))
         if self._is_badly_scaled:
             by = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES)
-        block = scaled(self._dense_block, by)
+        block = scale_matrix(self._dense_block, by)
         return block, pseudo_inverses(block[np.newaxis])[0][0], by
 
     @cached_property
@@ -158,7 +158,7 @@ class FreeSystem:
         if self.rows.size > LEAST_SQUARES_UP_TO:
             return None
         _, inverse, by = self._equilibrated_inverse
-        return scaled(inverse, Exponents(by.column, by.row))
+        return scale_matrix(inverse, Exponents(by.column, by.row))
 
     @cached_property
     def determined_slack(self) -> BoolVector | None:
@@ -259,7 +259,7 @@ class FreeSystem:
             by = unit_diagonal(block.diagonal())
         else:
             by = equilibrating_exponents(sp.csr_array(block), EQUILIBRATING_PASSES)
-        balanced = factorise(scaled(block, by), is_symmetric=is_symmetric, bandwidth=band)
+        balanced = factorise(scale_matrix(block, by), is_symmetric=is_symmetric, bandwidth=band)
         if balanced is None:
             return None
         solve, solve_transposed = balanced.solve, balanced.solve_transposed

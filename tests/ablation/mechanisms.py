@@ -257,8 +257,8 @@ MECHANISMS = (
     Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
-        {"core.solving.run:Run._polished": given_back(1)},
-        "core/solving/run.py:Run._polished methods/newton/active_set.py:solve_case",
+        {"core.solving.run:Run._polish": given_back(1)},
+        "core/solving/run.py:Run._polish methods/newton/active_set.py:solve_case",
     ),
     # --- LCPs: the direct methods
     Mechanism(
@@ -378,7 +378,7 @@ MECHANISMS = (
     Mechanism(
         "engine polish",
         "the linear system of the case that an engine's point names",
-        {"engines.polish:polished": nothing()},
+        {"engines.polish:polish_steps": nothing()},
         "engines/polish.py",
     ),
     Mechanism(

@@ -44,7 +44,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
 def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one NPGS sweep with its residual norm."""
     M, split, new = problem.csr, row_splits(problem.matrix, backward), np.empty(problem.n)
-    rows = kernels.packed(
+    rows = kernels.pack_vectors(
         problem.q,
         problem.lower,
         problem.upper,
@@ -60,7 +60,7 @@ def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], 
 def pgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one projected Gauss–Seidel sweep in place, on a copy of z."""
     M, split, own = problem.csr, row_splits(problem.matrix, backward), z.copy()
-    rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
+    rows = kernels.pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
     return lambda: kernels.relaxation_sweep(
         M.indptr, split, M.indices, M.data, rows, 1.0, backward, own
     )
@@ -70,7 +70,7 @@ def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
     """Return a call that does one modulus Gauss–Seidel sweep with its residual norm."""
     M, split = problem.csr, row_splits(problem.matrix, False)
     new, answer = np.empty(problem.n), np.empty(problem.n)
-    rows = kernels.packed(
+    rows = kernels.pack_vectors(
         problem.q,
         problem.lower,
         inverse_residual_scale(problem.matrix),

@@ -13,7 +13,7 @@ from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.auto import plan
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.symmetry import mean_coupling
-from lcp_plugin.core.representation import in_words
+from lcp_plugin.core.representation import format_count
 from lcp_plugin.gallery.stencil import stencil_matrix
 
 TARGET = 1e-8
@@ -190,5 +190,5 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
         0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work
     )  # the rest: measuring
     for stage in result.stages:
-        assert f"  {stage.name}, {in_words(stage.iterations, 'iteration')}" in result.explain()
+        assert f"  {stage.name}, {format_count(stage.iterations, 'iteration')}" in result.explain()
         assert stage.because in result.explain()

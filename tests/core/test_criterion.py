@@ -33,7 +33,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import snapped
+from lcp_plugin.core.certificates.criterion import snap_to_bounds
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.symmetry import is_nearly_symmetric
@@ -548,7 +548,7 @@ def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
         M, q, z = answered(kind, seed)
         rows, of_z = random_scaling(seed, z.size)[0], np.ones(z.size)
         problem = measured(M, q, rows, of_z)
-        right = snapped(problem, np.where(z > 0.0, z, 1e-12) * of_z)
+        right = snap_to_bounds(problem, np.where(z > 0.0, z, 1e-12) * of_z)
         assert Certificate.of(problem, right).term_residual <= 1e-8, seed
 
 

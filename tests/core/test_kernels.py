@@ -111,7 +111,7 @@ def vectors(n: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 def packed(n: int, *names: str, seed: int = 0) -> np.ndarray:
     values = vectors(n, seed)
-    return kernels.packed(*(values[name] for name in names))
+    return kernels.pack_vectors(*(values[name] for name in names))
 
 
 def close(actual: object, expected: object) -> None:

@@ -22,8 +22,8 @@ from lcp_plugin.engines import (
     ProgramData,
     engine_class,
 )
-from lcp_plugin.engines.polish import polished
-from lcp_plugin.engines.scaling import ScaledProgram, in_units
+from lcp_plugin.engines.polish import polish_steps
+from lcp_plugin.engines.scaling import ScaledProgram, scale_program
 from lcp_plugin.problems.programs.engine_calls import GIVEN, run_engine
 
 INF = np.inf
@@ -219,8 +219,8 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
     given_ = ProgramData(F @ F.T, rng.normal(size=n), G, rng.normal(size=m), *none, *bounds)
     units, rows = (2.0 ** rng.integers(-30, 30, size) for size in (n, m))
     for scaled in (
-        ScaledProgram.of(given_, units, rows, 2.0 ** rng.integers(-9, 9)),
-        in_units(given_, units),
+        ScaledProgram.from_units(given_, units, rows, 2.0 ** rng.integers(-9, 9)),
+        scale_program(given_, units),
     ):
         inside, x, y = scaled.statement, rng.normal(size=n), rng.random(m)
         zeros = np.zeros(n)
@@ -248,5 +248,7 @@ def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
     )
     rough = run_engine(program, engine_class("daqp")(), 1e-9, GIVEN).solution
     multipliers = Multipliers(rough.inequality, rough.equality, rough.lower, rough.upper)
-    found, *_ = polished(statement, EngineAnswer(x + 1e-4, multipliers, 0, EngineStatus.GAVE_UP))
+    found, *_ = polish_steps(
+        statement, EngineAnswer(x + 1e-4, multipliers, 0, EngineStatus.GAVE_UP)
+    )
     assert np.abs(found.x - x).max() <= 1e-12

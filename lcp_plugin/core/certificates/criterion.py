@@ -20,7 +20,7 @@ rounding errors included, and if every row i satisfies the componentwise test
   Underflow excuses v_i as well.
 
 Where the active set is known, after a linear solve, the exponent 1 takes the place of 3/4. A run first moves each z_i
-to a bound that is nearer than w_i asks for (:meth:`RowData.snapped`); the moved point is measured and returned.
+to a bound that is nearer than w_i asks for (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
 
 Units of rows change neither test; units of unknowns change the first one. A residual is not an error: see
 ``help("lcp_plugin.proofs")``.
@@ -39,7 +39,7 @@ from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact, largest_in_rows
 from ..matrix.structure import connected_components
 from ..rounding import compensated_product
-from .row_residuals import at_rounding_level, rounding_floor
+from .row_residuals import find_rounding_rows, rounding_floor
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
@@ -217,7 +217,7 @@ class RowData:
         grid = np.where((z != 0.0) & (np.abs(z) < NORMAL), TINY, 0.0)
         return times(self.absolute, grid) + (self._counts + 2) * TINY if grid.any() else 0.0
 
-    def snapped(self, z: FloatVector, w: FloatVector) -> FloatVector:
+    def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
         """Return z with each z_i at a bound that is nearer than w_i asks for."""
         step = w / self.scale
         moved = np.where(-step >= self.upper - z, self.upper, z)
@@ -246,7 +246,7 @@ def row_data(problem: LCP) -> RowData:
     ...     print(data.term_residuals(z, data.rows(z)).round(3))
     [0. 0.]
     [0.053 0.   ]
-    >>> data.snapped(np.array([2.5, 1e-9]), np.array([0.0, 3.5]))
+    >>> data.snap_to_bounds(np.array([2.5, 1e-9]), np.array([0.0, 3.5]))
     array([2.5, 0. ])
     """
     several = connected_components(problem.matrix)
@@ -267,12 +267,12 @@ def absolute(matrix: Matrix) -> Any:
     return abs(matrix.array)
 
 
-def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
+def is_within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
     """Return whether two measures are within the tolerance; a NaN is not.
 
     Examples
     --------
-    >>> within(np.array([1e-9, 1e-9, np.nan]), np.array([0.0, 1e-3, 0.0]), 1e-8)
+    >>> is_within(np.array([1e-9, 1e-9, np.nan]), np.array([0.0, 1e-3, 0.0]), 1e-8)
     array([ True, False, False])
     """
     return (relative_residual <= tolerance) & (term_residual <= tolerance)
@@ -291,7 +291,7 @@ def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
     return np.array([float(values.max()) if values.size else 0.0])  # values may be negative
 
 
-def for_each_row(problem: LCP, values: Any) -> Any:
+def spread_to_rows(problem: LCP, values: Any) -> Any:
     """Return the value of each row's component, shape (n,), or (1,) if there is one component."""
     several = connected_components(problem.matrix)
     return values if several is None else values[several.labels]
@@ -355,15 +355,15 @@ def rows_near_start(problem: LCP) -> Any:
         with np.errstate(all="ignore"):
             at = data.rows(z)
             floor = rounding_floor(problem, at.terms, data.scale)
-            is_rounding = at_rounding_level(np.abs(at.w) / data.scale, floor)
+            is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
             is_open = (data.residual_ends(z, at.w, at.slip)[1] > 0.0) & ~is_rounding
         is_solved = largest_of_components(problem, is_open.astype(np.float64)) == 0.0
-    return np.broadcast_to(for_each_row(problem, is_solved), z.shape)
+    return np.broadcast_to(spread_to_rows(problem, is_solved), z.shape)
 
 
-def snapped(problem: LCP, z: FloatVector) -> FloatVector:
+def snap_to_bounds(problem: LCP, z: FloatVector) -> FloatVector:
     """Return z with each z_i at a bound that is nearer than w_i asks for, and z° in components that it solves."""
     with np.errstate(all="ignore"):
-        moved = row_data(problem).snapped(z, problem.slack(z))
+        moved = row_data(problem).snap_to_bounds(z, problem.slack(z))
     is_solved = rows_solved_at_start(problem)
     return np.where(is_solved, problem.nearest_to_zero, moved) if is_solved.any() else moved

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import BoolVector, FloatVector, read_only, real_vector, restored
+from ..checks import BoolVector, FloatVector, read_only, real_vector, restore_state
 from ..errors import InvalidProblem
 from ..lcp import LCP
 from ..matrix.structure import connected_components
@@ -19,18 +19,18 @@ from .criterion import (
     POWER,
     RowsAtPoint,
     VectorEnds,
-    for_each_row,
     largest_of_components,
     references_of_components,
     row_data,
     rows_near_start,
     sharp_residual_ends,
+    spread_to_rows,
 )
 from .row_residuals import (
-    at_rounding_level,
+    divide_nonnegative,
     euclidean_norm,
+    find_rounding_rows,
     largest_ratio,
-    over,
     rounding_floor,
     scaled_residual,
 )
@@ -89,7 +89,7 @@ class Certificate:
         False  # whether `problem` is the linearization of a nonlinear problem at z
     )
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
     @classmethod
     def of(cls, problem: LCP, z: ArrayLike) -> Certificate:
@@ -130,7 +130,7 @@ class Certificate:
         with np.errstate(all="ignore"):
             residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
             if several is not None:  # the component with the largest relative residual
-                relative = over(self._proved_rows, self.references[0][several.labels])
+                relative = divide_nonnegative(self._proved_rows, self.references[0][several.labels])
                 relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         return (float(residual[worst]), worst) if relative.size else (0.0, -1)
@@ -204,7 +204,7 @@ class Certificate:
     @cached_property
     def _proved_rows(self) -> FloatVector:
         """An upper bound of every |r_i|, sharp in components that z° solves: there only an exact 0 passes."""
-        ends, of_rows = self._scaled_ends[1], for_each_row(self.problem, self.references[0])
+        ends, of_rows = self._scaled_ends[1], spread_to_rows(self.problem, self.references[0])
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
         return np.where(is_exact, self._sharp_ends(), ends) if is_exact.any() else ends
 
@@ -235,7 +235,7 @@ class Certificate:
             at = self._rows
             low, high = row_data(self.problem).residual_ends(self.z, at.w, at.slip, scale)
             if scale is self._scale:
-                of_rows = for_each_row(self.problem, self.references[0])
+                of_rows = spread_to_rows(self.problem, self.references[0])
                 is_open = (high > DECIDED * of_rows) & (low < 0.99 * high) & (high < np.inf)
                 if is_open.any():  # rounding counts: compensated sums are sharper
                     return sharp_residual_ends(self.problem, self.z)
@@ -292,7 +292,7 @@ class Certificate:
         if not self.is_linearised:
             with np.errstate(all="ignore"):
                 residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-        return bool(at_rounding_level(residual, self.rounding_floor).all())
+        return bool(find_rounding_rows(residual, self.rounding_floor).all())
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
@@ -302,7 +302,9 @@ class Certificate:
         """
         if not self.is_at_rounding_level:
             return False
-        is_large = for_each_row(self.problem, ~(over(*self.residuals_of_components) <= GAINED))
+        is_large = spread_to_rows(
+            self.problem, ~(divide_nonnegative(*self.residuals_of_components) <= GAINED)
+        )
         return not (is_large & ~rows_near_start(self.problem)).any()
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
@@ -313,7 +315,7 @@ class Certificate:
         if not least and answered is None:
             return self.relative_residual
         rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
-        references = np.maximum(for_each_row(self.problem, self.references[0]), least)
+        references = np.maximum(spread_to_rows(self.problem, self.references[0]), least)
         return largest_ratio(rows, np.broadcast_to(references, rows.shape))
 
     def __str__(self) -> str:

@@ -69,7 +69,7 @@ def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> 
     return floor
 
 
-def at_rounding_level(residual: FloatVector, floor: FloatVector) -> BoolVector:
+def find_rounding_rows(residual: FloatVector, floor: FloatVector) -> BoolVector:
     """Return where a residual is no more than four times that."""
     with np.errstate(over="ignore"):
         return (residual <= 4.0 * floor) & np.isfinite(floor)
@@ -113,7 +113,7 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
     """
     if numerators.size == 1:
         return ratio_upwards(float(numerators[0]), float(denominators[0]))
-    quotients = over(numerators, denominators)
+    quotients = divide_nonnegative(numerators, denominators)
     largest = float(quotients.max(initial=0.0))
     if not 0.0 < largest < np.inf:
         return largest
@@ -123,7 +123,7 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
     return max(ratio_upwards(float(numerators[k]), float(denominators[k])) for k in near)
 
 
-def over(numerators: FloatVector, denominators: FloatVector) -> FloatVector:
+def divide_nonnegative(numerators: FloatVector, denominators: FloatVector) -> FloatVector:
     """Return the quotients of numbers that are ≥ 0, with 0/0 = 0; NaN stays NaN."""
     with np.errstate(all="ignore"):
         quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)

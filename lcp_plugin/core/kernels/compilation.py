@@ -1,6 +1,6 @@
 """How kernels are compiled: by numba at their first call, and kept in numba's own cache.
 
-Python calls a `kernel`. Kernels call helpers: a `helper` stays a function of its own, an `inlined` one becomes a part
+Python calls a `kernel`. Kernels call helpers: a `helper` stays a function of its own, an `inline` one becomes a part
 of its callers. All of them divide as numpy does, and hold no lock of the interpreter. numba's names come from here.
 
 numba compiles a kernel again if the kernel's own file has changed. After a change of a helper or of a constant in
@@ -13,9 +13,9 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from ..deadline import compilation, compiling
+from ..deadline import compilation, pause_for_compilation
 
-with compiling():  # most of a second
+with pause_for_compilation():  # most of a second
     from numba import float64, njit, types, uintp
     from numba.core import event
     from numba.extending import lower_builtin, overload, type_callable
@@ -24,7 +24,7 @@ __all__ = [
     "IN_ANY_ORDER",
     "float64",
     "helper",
-    "inlined",
+    "inline",
     "kernel",
     "lower_builtin",
     "overload",
@@ -81,6 +81,6 @@ def helper(function: Any = None, **options: Any) -> Any:
     return njit(**(OF_HELPERS | options))(function) if function else partial(helper, **options)
 
 
-def inlined(function: Any) -> Any:
+def inline(function: Any) -> Any:
     """Compile a short function that kernels call line by line as if it stood there."""
     return helper(function, inline="always")

@@ -16,7 +16,7 @@ import numpy as np
 from .compilation import (
     float64,
     helper,
-    inlined,
+    inline,
     kernel,
     lower_builtin,
     type_callable,
@@ -30,7 +30,7 @@ MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROUNDINGS = 2.0**-50  # of a few operations
 
 
-def fused(a: Any, b: Any, c: Any) -> Any:
+def multiply_add(a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, rounded once."""
     if math.isfinite(a) and math.isfinite(b) and not math.isinf(c):
         with suppress(OverflowError, ValueError):  # the latter where c is not a number
@@ -40,33 +40,33 @@ def fused(a: Any, b: Any, c: Any) -> Any:
     return c if math.isfinite(a) and math.isfinite(b) else a * b + c
 
 
-@type_callable(fused)
+@type_callable(multiply_add)
 def _fused_type(context):  # type: ignore[no-untyped-def]
     return lambda a, b, c: float64
 
 
-@lower_builtin(fused, float64, float64, float64)  # type: ignore[no-untyped-call]
+@lower_builtin(multiply_add, float64, float64, float64)  # type: ignore[no-untyped-call]
 def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
     """One instruction, or a function of the C library."""
     return builder.fma(*arguments)
 
 
-def unsigned(value: Any) -> int:
+def to_unsigned(value: Any) -> int:
     """Return an index that is known not to be negative: a Python integer where kernels are interpreted."""
     return int(value)
 
 
-@type_callable(unsigned)
+@type_callable(to_unsigned)
 def _unsigned_type(context):  # type: ignore[no-untyped-def]
     return lambda value: uintp
 
 
-@lower_builtin(unsigned, types.Integer)  # type: ignore[no-untyped-call]
+@lower_builtin(to_unsigned, types.Integer)  # type: ignore[no-untyped-call]
 def _unsigned_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
     return context.cast(builder, arguments[0], signature.args[0], signature.return_type)
 
 
-@inlined
+@inline
 def split_sum(a, b):  # type: ignore[no-untyped-def]
     """(s, e) with s = fl(a + b) and s + e = a + b, exactly."""
     s = a + b
@@ -79,7 +79,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
     """Return a bound of what underflow takes from the products of a row and from their rounding errors."""
     lost = 0.0
     for k in range(first, end):
-        a, b = data[k], x[unsigned(indices[k - shift])]
+        a, b = data[k], x[to_unsigned(indices[k - shift])]
         h = a * b
         if abs(h) < MAY_UNDERFLOW and a != 0.0 and b != 0.0:
             small, other = (a, b) if abs(a) < abs(b) else (b, a)
@@ -88,7 +88,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
             is_exact = (
                 scaled == h * 2.0**960
                 and abs(scaled) > MAY_UNDERFLOW
-                and fused(small, other, -scaled) == 0.0
+                and multiply_add(small, other, -scaled) == 0.0
             )
             lost += 0.0 if is_exact else 4.0 * TINY
     return lost
@@ -100,19 +100,19 @@ def summing_rows(comparison: bool) -> Any:
     @kernel
     def row_sums(indptr, indices, data, x, q, high, low, radius):  # type: ignore[no-untyped-def]
         """Sum the rounded terms, beside them their rounding errors, beside them what that second sum loses."""
-        one = unsigned(1)
-        for i in range(unsigned(high.size)):
-            first, end = unsigned(indptr[i]), unsigned(indptr[i + one])
+        one = to_unsigned(1)
+        for i in range(to_unsigned(high.size)):
+            first, end = to_unsigned(indptr[i]), to_unsigned(indptr[i + one])
             total, errors, lost, is_small = q[i], 0.0, 0.0, False
             for k in range(first, end):
-                j = unsigned(indices[k])
+                j = to_unsigned(indices[k])
                 a, b = data[k], x[j]
                 if comparison:
                     a = abs(a) if i == j else -abs(a)
                 h = a * b
                 is_small |= (abs(h) < MAY_UNDERFLOW) & (b != 0.0)
                 total, f = split_sum(total, h)
-                s, t = split_sum(fused(a, b, -h), f)
+                s, t = split_sum(multiply_add(a, b, -h), f)
                 errors, u = split_sum(errors, s)
                 lost += abs(t) + abs(u)
             high[i], low[i] = split_sum(total, errors)
@@ -121,7 +121,7 @@ def summing_rows(comparison: bool) -> Any:
             if not (abs(high[i]) < np.inf and abs(errors) < np.inf and lost < np.inf):
                 low[i], radius[i] = 0.0, np.inf
             elif is_small:
-                radius[i] += _underflow(indices, data, x, first, end, unsigned(0))
+                radius[i] += _underflow(indices, data, x, first, end, to_unsigned(0))
 
     return row_sums
 
@@ -129,7 +129,7 @@ def summing_rows(comparison: bool) -> Any:
 row_sums = summing_rows(False)
 
 
-@inlined
+@inline
 def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-def]
     """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip.
 
@@ -144,7 +144,7 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     )
     is_exact = (
         (slip == 0.0)
-        & (fused(step, scale, -slack) == 0.0)
+        & (multiply_add(step, scale, -slack) == 0.0)
         & ((abs(slack) > MAY_UNDERFLOW) | (slack == 0.0))
     )
     size = abs(step) if abs(step) < LARGEST else LARGEST

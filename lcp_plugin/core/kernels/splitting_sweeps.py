@@ -8,7 +8,7 @@ Four things make the passes fast, each measured on the five-point matrix with n 
 unsigned row positions (no wrap-around test at each access); pivots inverted beforehand; the updated neighbour
 nearest to the diagonal taken out of the inner loop, because its value is still in a register and it is the
 only one the next row has to wait for; and the vectors that are read once a row packed side by side in `rows`
-(:func:`packed`), because a processor prefetches one wide stream better than six narrow ones.
+(:func:`pack_vectors`), because a processor prefetches one wide stream better than six narrow ones.
 
 A comparison with NaN is false; every maximum below is written so that a NaN survives it.
 """
@@ -160,7 +160,7 @@ def row_splits(matrix: Any, *, backward: bool) -> Any:
     return split
 
 
-def packed(*columns: Any) -> Any:
+def pack_vectors(*columns: Any) -> Any:
     """Return the vectors, each of shape (n,), side by side in an array of shape (n, number of vectors)."""
     rows = np.empty((columns[0].size, len(columns)))
     for first in range(0, len(rows), ROWS_AT_ONCE):

@@ -10,7 +10,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
+from ..checks import FloatVector, checked_matrix, freeze_csr, read_only, restore_state
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
 
 P = ParamSpec("P")
@@ -155,10 +155,10 @@ class Matrix:
         return {"n": self.n, "_dense": self._dense, "_csr": csr}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        restored(self, state)
+        restore_state(self, state)
         self._begin()
         if self._csr is not None:
-            self._csr = frozen(self._csr)
+            self._csr = freeze_csr(self._csr)
 
 
 @fact
@@ -166,12 +166,12 @@ def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
     """Return a dense matrix as CSR; where it has no zeros, its entries are used as they are."""
     dense, n = matrix.array, matrix.n
     if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
-        return frozen(sp.csr_array(dense))
+        return freeze_csr(sp.csr_array(dense))
     columns = np.tile(np.arange(n, dtype=np.int32), n)
     rows = np.arange(0, n * n + 1, n, dtype=np.int32) if n else np.zeros(1, np.int32)
     compressed = sp.csr_array((dense.reshape(-1), columns, rows), shape=dense.shape)
     compressed.has_sorted_indices = compressed.has_canonical_format = True
-    return frozen(compressed)
+    return freeze_csr(compressed)
 
 
 def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:

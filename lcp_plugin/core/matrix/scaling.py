@@ -41,7 +41,7 @@ def are_well_scaled(matrices: Any) -> BoolVector:
     return are
 
 
-def scaled(M: Any, exponents: Exponents | None) -> Any:
+def scale_matrix(M: Any, exponents: Exponents | None) -> Any:
     """Return the array or CSR array with entries m_ij 2^(row_i + column_j)."""
     if exponents is None:
         return M
@@ -58,7 +58,7 @@ def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
         return x if exponent is None else np.asarray(np.ldexp(x, exponent))
 
 
-def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
+def fit_scaling(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
     """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense.
 
     By conjugate gradients, preconditioned with the diagonal, on the Laplacian of the graph of all k.

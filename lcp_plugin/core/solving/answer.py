@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ..errors import NotConverged
-from ..representation import in_words, within
+from ..representation import describe_radius, format_count
 from ..settings import PROVEN, Status
 
 NEXT = "; next: "  # between what happened and what to do
@@ -85,14 +85,16 @@ class Answer:
         """Meaning of the status for this run, and the recommended next step after ``next:``."""
         return self.status.value
 
-    def _of_which(self, what: str) -> list[str]:
+    def _describe_scope(self, what: str) -> list[str]:
         """Return the restriction of a proof of infeasibility to points of bounded norm, if it has one."""
         words = (
-            within(getattr(self.proof, "radius", math.inf), what) if self.has_no_solution else ""
+            describe_radius(getattr(self.proof, "radius", math.inf), what)
+            if self.has_no_solution
+            else ""
         )
         return [f"{words[2:]}: a larger one is not excluded"] if words else []
 
-    def reached(self) -> str:
+    def describe_accuracy(self) -> str:
         """Return the achieved accuracy next to the required one."""
         raise NotImplementedError
 
@@ -105,7 +107,7 @@ class Answer:
         """Return lines with the event, its certainty, the next step, and further facts."""
         happened, _, to_do = self.advice.partition(NEXT)
         what, *why = happened.split("; ")
-        sure, *more = self.reached().splitlines()
+        sure, *more = self.describe_accuracy().splitlines()
         return [
             f"{self.status.name}: {what}",
             sure,
@@ -120,7 +122,9 @@ class Answer:
 
     def _effort(self) -> str:
         """Return the name of the algorithm, its iterations and seconds."""
-        return f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s"
+        return (
+            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s"
+        )
 
     def require_solved(self) -> Self:
         """Return this result, or raise NotConverged if the status is not SOLVED.
@@ -133,7 +137,7 @@ class Answer:
         if not self.is_solved:
             raise NotConverged(
                 f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: "
-                f"{'; '.join([*self.reached().splitlines(), self.advice])}"
+                f"{'; '.join([*self.describe_accuracy().splitlines(), self.advice])}"
             )
         return self
 

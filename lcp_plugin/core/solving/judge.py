@@ -14,14 +14,19 @@ import numpy as np
 from ..algorithm import Algorithm, Step
 from ..certificates.criterion import (
     POWER,
-    for_each_row,
     references_of_components,
     rounding_of_data,
     rows_solved_at_start,
-    snapped,
+    snap_to_bounds,
+    spread_to_rows,
 )
 from ..certificates.residuals import GAINED, Certificate
-from ..certificates.row_residuals import measured_residual, over, ratio, scaled_residual
+from ..certificates.row_residuals import (
+    divide_nonnegative,
+    measured_residual,
+    ratio,
+    scaled_residual,
+)
 from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
@@ -65,9 +70,9 @@ class Judge:
     """Measures, certifies and names the end of a run on the user's own data; this one judges an LCP.
 
     A problem of another class brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run`
-    asks: at each step `residual_of` (the residual that the algorithm knows), `measure`, `certified` and
+    asks: at each step `residual_of` (the residual that the algorithm knows), `measure`, `certify` and
     `meets_tolerance`; if nothing falls `is_at_floor`; of a proof `accept_proof` and `misses_by_rounding`; at the end
-    `final`, whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.result`` makes the
+    `final`, whose certificate `verdict` names the status of. ``Run.conclude`` returns both, ``Run.result`` makes the
     Result of an LCP of them.
 
     Attributes
@@ -97,7 +102,7 @@ class Judge:
         answered = rows_solved_at_start(problem)
         self.answered = answered if answered.any() else None
         most = references_of_components(problem)[1]
-        self._references = np.broadcast_to(for_each_row(problem, most), (problem.n,))
+        self._references = np.broadcast_to(spread_to_rows(problem, most), (problem.n,))
         open_references = self._references[~answered]
         self.reference = float(open_references.max(initial=0.0))
         self._is_uniform = self.answered is None and bool(
@@ -109,11 +114,14 @@ class Judge:
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z, its entries near bounds moved onto them; the latest one is kept."""
         if self._certificate is None or not np.array_equal(self._certificate[0], z):
-            self._certificate = z.copy(), Certificate.of(self.problem, snapped(self.problem, z))
+            self._certificate = (
+                z.copy(),
+                Certificate.of(self.problem, snap_to_bounds(self.problem, z)),
+            )
         latest: Certificate = self._certificate[1]
         return latest
 
-    def started(self, start: FloatVector) -> FloatVector:
+    def snap_start(self, start: FloatVector) -> FloatVector:
         """Return the start with z° in components that it solves: no other point can be measured there."""
         if self.reference == 0.0:
             return self.problem.nearest_to_zero
@@ -135,9 +143,9 @@ class Judge:
             residual = np.abs(scaled_residual(self.problem, z, self.problem.slack(z)))
         if self.answered is not None:
             residual[self.answered] = 0.0
-        return float(over(residual, self._references).max(initial=0.0))
+        return float(divide_nonnegative(residual, self._references).max(initial=0.0))
 
-    def certified(self, z: FloatVector) -> float:
+    def certify(self, z: FloatVector) -> float:
         """Return an upper bound of the relative residual of z, without the components that z° solves."""
         return self._relative_in_open_components(self.certificate_of(z))
 

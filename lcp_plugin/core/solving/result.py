@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, restored
+from ..checks import FloatVector, restore_state
 from ..errors import UnsuitableMatrix
 from ..lcp import LCP
-from ..representation import in_words
+from ..representation import format_count
 from ..settings import Status
 from .answer import NEXT, Answer
 
@@ -53,7 +53,7 @@ def stage_lines(stages: Sequence[StageRecord]) -> list[str]:
         return [f"  {stages[0].name}: {stages[0].because}"] if stages[0].because else []
     total = sum(stage.work for stage in stages) or 1.0
     return [
-        f"  {stage.name}, {in_words(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
+        f"  {stage.name}, {format_count(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
         + (stage.because and f": {stage.because}")
         for stage in stages
     ]
@@ -136,7 +136,7 @@ class Result(Answer):
         default_factory=dict, repr=False
     )  # advice of a status that replaces its default
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
     @property
     def error_bound(self) -> ErrorBound | None:
@@ -186,7 +186,7 @@ class Result(Answer):
         advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.has_no_solution:
             happened, begins, to_do = advice.partition(NEXT)
-            return "; ".join([happened, *self._of_which("z")]) + begins + to_do
+            return "; ".join([happened, *self._describe_scope("z")]) + begins + to_do
         remarks = [stage.remark for stage in self.stages if stage.remark]
         happened, begins, to_do = advice.partition(NEXT)
         return "; ".join([happened, *remarks]) + begins + to_do
@@ -207,11 +207,11 @@ class Result(Answer):
     def _effort(self) -> str:
         matrix = "F′" if self.certificate.is_linearised else "M"
         return (
-            f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
+            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
             f"{self.setup_seconds:.3g} s), the work of {self.work:.1f} products of {matrix} with a vector"
         )
 
-    def reached(self) -> str:
+    def describe_accuracy(self) -> str:
         """Return the relative residual next to the tolerance, or the proof that no solution exists."""
         if self.has_no_solution:
             return str(self.infeasibility)

@@ -75,14 +75,14 @@ class Run:
         self.best: FloatVector | None = None
         self.residual = self.start_residual = math.inf
         self.unmeasured: FloatVector | None = None  # the latest iterate
-        with clock.paused():
+        with clock.pause():
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
         self._next_sample = 0
 
     def follow_all(self, plan: Iterable[Stage], start: FloatVector) -> End:
         """Follow the stages until one of them ends the run, within the time that is left; return why it ended."""
         left = self.settings.max_seconds - self.clock.read()
-        start, end = self.judge.started(start), End.NOTHING_LEFT
+        start, end = self.judge.snap_start(start), End.NOTHING_LEFT
         try:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
                 for stage in plan:
@@ -135,7 +135,7 @@ class Run:
         self.iteration = max(self.iteration + (not is_first), 0)
         if is_first and self.iteration == 0:
             self.setup_seconds = self.seconds
-        residual = self._measured(stage, step, is_first)
+        residual = self._measure(stage, step, is_first)
         end = self._end_of(stage, step, residual)
         if self._report(stage, step, residual, is_last=end is not None):
             end = end or End.INTERRUPTED
@@ -145,7 +145,7 @@ class Run:
             return End.NO_SOLUTION
         return End.AT_FLOOR if self.judge.misses_by_rounding(self.best) else None
 
-    def _measured(self, stage: Stage, step: Step, is_first: bool) -> float | None:
+    def _measure(self, stage: Stage, step: Step, is_first: bool) -> float | None:
         """Return the residual of a step if it is known or due, proved if it may be small enough; keep the best z."""
         judge, self.unmeasured = self.judge, step.z
         change = step.residual if step.increment is None else step.increment
@@ -157,7 +157,7 @@ class Run:
             residual = judge.measure(step.z)
             self.work += 1.0 if self.iteration > 0 else 0.0  # the start is always measured
         if residual <= judge.goal:
-            residual = judge.certified(step.z)
+            residual = judge.certify(step.z)
         if known is None and increment is not None:
             stage.learn(increment, residual)
         self._offer(step.z, residual)
@@ -211,7 +211,7 @@ class Run:
         settings, log, callback = self.settings, self.log, self.callback
         if not (settings.record or log is not None or callback is not None):
             return False
-        with self.clock.paused():
+        with self.clock.pause():
             sample = Sample(self.iteration, self.work, self.seconds, residual, stage.algorithm.name)
             wants_to_stop = callback is not None and bool(callback(sample, read_only(step.z)))
             is_due = self.iteration >= self._next_sample or is_last or wants_to_stop
@@ -230,7 +230,7 @@ class Run:
 
     # --- the end ----------------------------------------------------------------------------------------
 
-    def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
+    def conclude(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
         """Return the certificate of the best iterate, polished, and the status."""
         judge = self.judge
         self._measure_last()
@@ -244,10 +244,10 @@ class Run:
             and has_active_set
             and isinstance(judge.asked, LCP)
         ):
-            certificate = self._polished(certificate, last)
+            certificate = self._polish(certificate, last)
         return certificate, judge.verdict(certificate, end, is_chain=len(self.stages) > 1)
 
-    def _polished(self, certificate: Certificate, last: Stage) -> Certificate:
+    def _polish(self, certificate: Certificate, last: Stage) -> Certificate:
         """Return the certificate of the solution of the linear system on the active set of z, if it is no worse.
 
         A residual is not an error: if M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
@@ -271,7 +271,7 @@ class Run:
     def result(self, start: FloatVector, end: End) -> Result:
         """Return the result, whose status the certificate names."""
         settings = self.settings
-        certificate, status = self.ended(start, end)
+        certificate, status = self.conclude(start, end)
         stages = tuple(record for stage in self.stages for record in stage.records())
         if status is Status.SOLVED and self.iteration <= 0 and self.best is not None:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)

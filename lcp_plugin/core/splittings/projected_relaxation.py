@@ -65,7 +65,7 @@ class _InPlace(_Relaxation):
         fixed, _ = self.weights()
         adaptive = AdaptiveRelaxation(1.0) if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
-        rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
+        rows = kernels.pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
         splits = {backward: row_splits(matrix, backward) for backward in passes}
         z = z0
@@ -86,7 +86,7 @@ class _InPlace(_Relaxation):
                 is_settling=is_settling,
             )
             if adaptive:
-                relaxation = adaptive.after(total, z)
+                relaxation = adaptive.next_relaxation(total, z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,12 +145,12 @@ class _Simultaneous(_Relaxation):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        from ..kernels.splitting_sweeps import packed, splitting_sweep
+        from ..kernels.splitting_sweeps import pack_vectors, splitting_sweep
 
         omega, beta = self.splitting()
         with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
             step = omega / require_positive_diagonal(problem, self.name)
-        rows = packed(
+        rows = pack_vectors(
             problem.q,
             problem.lower,
             problem.upper,
@@ -260,7 +260,7 @@ class AdaptiveRelaxation:
         """Whether a trial is running: a rising residual is then not a sign of divergence."""
         return self._checkpoint is not None
 
-    def after(self, size: float, z: FloatVector) -> float:
+    def next_relaxation(self, size: float, z: FloatVector) -> float:
         """Return ω for the next sweep, given Σ|z⁺ − z| of the last one; z is put back where a trial failed."""
         self._sizes.append(size)
         if self._first > 1.0:  # one sweep of Gauss–Seidel is there to compare with

@@ -74,10 +74,10 @@ class ScaledByRows(Algorithm):
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
-        from ..kernels.splitting_sweeps import packed, relaxation_sweep
+        from ..kernels.splitting_sweeps import pack_vectors, relaxation_sweep
 
         M = problem.matrix.csr
-        rows = packed(
+        rows = pack_vectors(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix)
         )
         cleaned = z.copy()
@@ -125,11 +125,11 @@ class ProjectedType(ScaledByRows, Splitting):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        from ..kernels.splitting_sweeps import packed, splitting_sweep
+        from ..kernels.splitting_sweeps import pack_vectors, splitting_sweep
 
         alpha, beta = self.splitting()
         step = self._step(problem)
-        rows = packed(
+        rows = pack_vectors(
             problem.q,
             problem.lower,
             problem.upper,

@@ -15,7 +15,7 @@ from ... import __version__
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
-from ...core.representation import in_words
+from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
 from ...expressions.statement import SquareModel, mismatches, solve_from
@@ -138,7 +138,7 @@ class NLModel(ABC):
         return f"{type(self).__name__}({self.problem})"
 
     def _message(self, words: str, residual: float, iterations: int) -> str:
-        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {in_words(iterations, 'iteration')}"
+        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {format_count(iterations, 'iteration')}"
 
 
 @dataclass(eq=False, repr=False)
@@ -396,7 +396,7 @@ class EquilibriumModel(NLModel):
             else status.name.lower()
         )
         of = "" if self.sign > 0.0 else " (of minus the objective)"
-        reached = "" if result.has_no_solution else f"{result.reached()}{of}, "
+        reached = "" if result.has_no_solution else f"{result.describe_accuracy()}{of}, "
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
         advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
         message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"

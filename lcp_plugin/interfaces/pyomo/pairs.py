@@ -17,7 +17,7 @@ from pyomo.core.expr import (
 from pyomo.core.expr.numvalue import is_potentially_variable
 
 from ...core.errors import UnsupportedModel
-from ...core.representation import in_words
+from ...core.representation import format_count
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
                 "both; write the equation as a Constraint and the bound at the variable"
             )
     elif first.bounds + second.bounds != 2:
-        bounds = in_words(first.bounds + second.bounds, "finite bound")
+        bounds = format_count(first.bounds + second.bounds, "finite bound")
         raise UnsupportedModel(
             f"{stated.name} has {bounds} on its two sides together, and needs two: "
             "complements(x >= 0, F >= 0), or complements(inequality(lower, x, upper), F)"

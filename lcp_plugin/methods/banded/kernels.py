@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import helper, inlined, kernel
+from ...core.kernels.compilation import helper, inline, kernel
 
 NEGLIGIBLE_PIVOT = 1e-14  # relative to the diagonal entry; a smaller one makes the block singular
 EMPTY = (
@@ -25,7 +25,7 @@ EMPTY = (
 )  # the first row is the row right of no row, the last row the one left of it
 
 
-@inlined
+@inline
 def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     """Return the block that two blocks and the free row between them make, and the pivot of that row.
 

@@ -99,7 +99,7 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
     return outcome, driven, value, direction, made
 
 
-@inlined
+@inline
 def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
     """Add what is held back of a row to the tableau; OWN_BOUND is none."""
     for k in range(held):
@@ -110,7 +110,7 @@ def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-u
             factors[k, row] = 0.0
 
 
-@inlined
+@inline
 def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
     """Take the product that an exchange of `row` and `column` adds to the tableau, and clear these in it."""
     p = matrix[row, column]
@@ -124,7 +124,7 @@ def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
     factor[row] = 1.0
 
 
-@inlined
+@inline
 def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
     """Add all that is held back to the tableau: HELD products at once."""
     for i in range(n):
@@ -142,7 +142,7 @@ def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
             )
 
 
-@inlined
+@inline
 def _move(real, whole, matrix, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
     """Move the driven variable by a step, at whose end `row` blocks it; return the leaving and the driven variable.
 
@@ -165,7 +165,7 @@ def _move(real, whole, matrix, n, driven, value, direction, row, column, step): 
     return leaving, driven, value, direction
 
 
-@inlined
+@inline
 def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
     """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
     leaving, entering = whole[BASIC, row], whole[OTHER, column]
@@ -180,7 +180,7 @@ def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
     return leaving
 
 
-@inlined
+@inline
 def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped-def]
     """Return the complement of a variable that left the basis, the value it has, and the direction it moves in."""
     if leaving >= n:  # w_i reached 0: z_i leaves its bound
@@ -191,7 +191,7 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
     return n + leaving, 0.0, 1.0 if is_falling else -1.0
 
 
-@inlined
+@inline
 def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
     """Return the row that blocks the driven variable, OWN_BOUND or NOTHING, the distance, and how many CANDIDATES do.
 
@@ -221,7 +221,7 @@ def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  
     return whole[CANDIDATE, 0], nearest, count
 
 
-@inlined
+@inline
 def _share(whole, matrix, n, column, direction, c, j):  # type: ignore[no-untyped-def]
     """Return by how much later candidate c blocks when q_j grows; 0 for the driven variable's own bound."""
     row, at = whole[CANDIDATE, c], whole[PLACE, n + j]

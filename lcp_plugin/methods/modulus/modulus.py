@@ -73,7 +73,7 @@ class ModulusBased(Splitting):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from ...core.kernels.splitting_sweeps import packed
+        from ...core.kernels.splitting_sweeps import pack_vectors
         from .kernels.modulus_sweep import modulus_sweep
 
         _require_lower_bounds_only(problem, self.name)
@@ -83,7 +83,7 @@ class ModulusBased(Splitting):
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow shows in the residual
             inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
             q = problem.slack(problem.lower)
-        rows = packed(
+        rows = pack_vectors(
             q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot
         )
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)

@@ -177,7 +177,7 @@ def judged(stack: RowData, z: FloatVector, reference: FloatVector, tolerance: fl
         size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
     )
     z = np.where(reference == 0.0, stack.start, np.clip(z, stack.lower, stack.upper))
-    z = stack.snapped(z, times(stack.M, z) + stack.q)
+    z = stack.snap_to_bounds(z, times(stack.M, z) + stack.q)
     at = stack.rows(z)
     high = stack.residual_ends(z, at.w, at.slip)[1]
     limit = np.minimum(reference, stack.acting_reference(z, at))

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...auto import asked_of_solve
+from ...auto import parse_call
 from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
@@ -201,7 +201,7 @@ def solve_batch(
         upper = (np.inf if held is None else held.upper) if upper is None else upper
         stated = Stacked(M, q, lower, upper, z0)
     if not are_problems or stated.are_lcps:
-        asked_of_solve(algorithm, options)
+        parse_call(algorithm, options)
     return BatchRun(stated, asked, stated.errors).run()
 
 

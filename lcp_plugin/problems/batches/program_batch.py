@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...auto import asked_of_solve
+from ...auto import parse_call
 from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
-from ...engines.engine import beside_bounds
+from ...engines.engine import split_bound_multipliers
 from ..many.chunks import in_chunks
 from ..programs.criterion import errors_of_each
 from ..programs.program import CANCELS
@@ -39,7 +39,7 @@ class ProgramBatchRun(BatchRun):
 
     def __init__(self, programs: QuadraticProgramBatch, asked: Asked) -> None:
         if not (isinstance(asked.algorithm, str) and asked.algorithm in ENGINES):
-            asked_of_solve(asked.algorithm, {})
+            parse_call(asked.algorithm, {})
         super().__init__(programs, asked, {})
         programs.refuse_nonconvex()
         count, (m, p, n, _) = len(programs), programs.sizes
@@ -88,7 +88,7 @@ class ProgramBatchRun(BatchRun):
             x[k], signed[k], steps[k] = at, multipliers, count
         y = signed[:, n:]
         y[:, :m] = np.maximum(y[:, :m], 0.0)
-        of_bounds = beside_bounds(signed[:, :n], lower, upper)
+        of_bounds = split_bound_multipliers(signed[:, :n], lower, upper)
         x = np.clip(x, lower, upper)
         together = blocks(P, c, C, d, m, lower, upper)
         of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])

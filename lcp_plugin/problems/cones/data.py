@@ -26,7 +26,7 @@ from ...core.checks import (
 )
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.lcp import LCP
-from ...core.representation import in_words
+from ...core.representation import format_count
 from .stack import ConeStack
 
 CONES = ("free", "nonnegative", "box", "second_order")
@@ -260,7 +260,7 @@ class ConeProblem(Blocks):
         return {**of_cones, "lower": self.lower, "upper": self.upper}
 
     def _words(self) -> str:
-        return f"n={self.n}, {in_words(int((self.sizes > 1).sum()), 'second-order cone')}"
+        return f"n={self.n}, {format_count(int((self.sizes > 1).sum()), 'second-order cone')}"
 
 
 def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:

@@ -17,11 +17,11 @@ from ...core.checks import (
     read_only,
     real_array,
     rectangular_matrix,
-    restored,
+    restore_state,
 )
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
-from ...core.representation import in_words
+from ...core.representation import format_count
 from ..contact import (
     Bodies,
     check_symmetric,
@@ -189,7 +189,7 @@ class FrictionalContact(Blocks):
         return {"mu": self.friction}
 
     def _words(self) -> str:
-        return f"{in_words(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
+        return f"{format_count(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
 
 
 class FrictionalContactBatch:
@@ -284,7 +284,7 @@ class FrictionalContactBatch:
             path, {**arrays, "dimension": np.array(self.dimension)}, "a batch of contact problems"
         )
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
     def __len__(self) -> int:
         return len(self.b)

@@ -14,7 +14,7 @@ from ...core.checks import FloatVector, checked_vector
 from ...core.deadline import Clock, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
-from ...core.representation import in_words
+from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ..contact import ContactMotion, motion_of
@@ -223,7 +223,7 @@ class Log:
 
     def show(self, residual: float | None, z: Callable[[], FloatVector]) -> None:
         """Record, print and call back, the clock stopped; raise Ended if the user wants to stop."""
-        with self.clock.paused():
+        with self.clock.pause():
             name = self.stages[-1].name
             sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
             wants_to_stop = self.callback is not None and bool(self.callback(sample, z()))
@@ -601,7 +601,7 @@ class ConeResult(Result):
 
     def _effort(self) -> str:
         return (
-            f"{self.algorithm}: {in_words(self.iterations, 'iteration')}, {self.seconds:.3g} s, the work of "
+            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s, the work of "
             f"{self.work:.1f} products of M with a vector"
         )
 
@@ -619,7 +619,7 @@ class ConeResult(Result):
         motion, problem = self.motion, self.problem
         slides = motion.touches & ~motion.sticks
         lines = [
-            f"{in_words(problem.slope.size, 'contact')}: {int((~motion.touches).sum())} open, "
+            f"{format_count(problem.slope.size, 'contact')}: {int((~motion.touches).sum())} open, "
             f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
             f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
         ]

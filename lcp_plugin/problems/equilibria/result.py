@@ -268,7 +268,7 @@ class EquilibriumResult(Answer):
         }
         return {**super()._numbers(), **own}
 
-    def reached(self) -> str:
+    def describe_accuracy(self) -> str:
         """Return the value and the bound."""
         if self.has_no_solution:
             return "no least objective" if self.status is Status.UNBOUNDED else "no solution"

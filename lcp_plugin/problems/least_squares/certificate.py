@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import within
+from ...core.certificates.criterion import is_within
 from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import TINY
@@ -110,7 +110,7 @@ class Optimality:
 
     def meets(self, tolerance: float) -> bool:
         """Return whether x is SOLVED."""
-        return bool(within(self.value, 0.0, tolerance))
+        return bool(is_within(self.value, 0.0, tolerance))
 
     def is_better(self, other: Optimality) -> bool:
         """Return whether this is more optimal than another."""

@@ -23,7 +23,7 @@ from ...core.kernels.floats import EPSILON, UNIT
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import EngineAnswer, Limits, ProgramData
 from ...engines.piqp import PIQP
-from ...engines.polish import polished
+from ...engines.polish import polish_steps
 from ...systems.factors import lapack
 from .data import BoundedLeastSquares, ScaledLeastSquares
 from .enclosures import OUTWARD, clipped, shortest_solution
@@ -209,7 +209,7 @@ class Split(NamedTuple):
             np.append(self.upper, np.full(m, np.inf)),
         )
         if np.isfinite(answer.x).all():
-            for found in (*polished(program, answer), answer):
+            for found in (*polish_steps(program, answer), answer):
                 yield self.joined(found.x[:k])
 
     def by_dual(self, b: FloatVector) -> FloatVector:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, read_only, restored
+from ...core.checks import FloatVector, read_only, restore_state
 from ...core.deadline import Clock, OutOfTimeError, is_over, time_limit
 from ...core.settings import Settings, Status
 from ...core.solving.answer import NEXT, Answer
@@ -334,7 +334,7 @@ class LeastSquaresResult(Answer):
     problem: BoundedLeastSquares = field(repr=False)
     _dual: FloatVector = field(repr=False)
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
     @cached_property
     def gap(self) -> float:
@@ -368,7 +368,7 @@ class LeastSquaresResult(Answer):
     def _numbers(self) -> dict[str, float]:
         return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
 
-    def reached(self) -> str:
+    def describe_accuracy(self) -> str:
         """Return the optimality beside what was asked for."""
         above = f", at most {self.gap:.1e} above the least" if self.is_solved else ""
         return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"

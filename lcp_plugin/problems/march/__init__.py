@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...api import solve
-from ...auto import asked_of_solve, run_on, solve_lcp, stages_of
+from ...auto import parse_call, run_on, solve_lcp, stages_of
 from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector, check_kind, checked_start, is_number, real_array
 from ...core.deadline import Clock
@@ -108,7 +108,7 @@ def take_steps_together(
     problem, clock = marches[0].problem, Clock()
     if not isinstance(problem, LCP) or not problem.n:
         return
-    method, settings = asked_of_solve(algorithm, wishes)
+    method, settings = parse_call(algorithm, wishes)
     begin = next(stages_of(problem, method, settings.goal))
     if (
         not settings.is_unobserved
@@ -159,7 +159,7 @@ def take_steps(
                 stated = problem.with_q(done.forcing[step] + propagator @ state)
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
             if is_lcp and begin is not None:
-                within = asked_of_solve("auto", {**wishes, **left})[1]
+                within = parse_call("auto", {**wishes, **left})[1]
                 near = checked_start(stated, state)
                 found = run_on(
                     stated, None, within, near, Clock(), wishes.get("callback"), begin=begin

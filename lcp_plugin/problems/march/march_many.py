@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...auto import asked_of_solve
+from ...auto import parse_call
 from ...core.algorithm import Algorithm
 from ...core.checks import checked_vector, is_number
 from ...core.deadline import Clock
@@ -191,7 +191,7 @@ def _begin(
     for name, values in states.items():
         several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
     if isinstance(problems[0], LCP):
-        asked_of_solve(algorithm, wishes)
+        parse_call(algorithm, wishes)
     lengths = {name: len(one) for name, one in several.items() if len(one) != 1}
     marches: list[March] = []
     for j in range(length_of_all(lengths)):

@@ -29,7 +29,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components, row_data
+from ...core.certificates.criterion import (
+    VectorEnds,
+    largest_of_components,
+    row_data,
+    spread_to_rows,
+)
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import (
     largest_ratio,
@@ -118,7 +123,7 @@ class Reference:
             largest_of_components(problem, np.abs(point - self.x)) for point in (x, self.start)
         )
         is_reached = (most == 0.0) & (left <= NEARLY_THERE * way)
-        return np.where(for_each_row(problem, is_reached), self.x, x)
+        return np.where(spread_to_rows(problem, is_reached), self.x, x)
 
     def _ends_of_f(self, problem: LCP) -> VectorEnds:
         """Return bounds of ‖r_P(x°)‖∞ of each component; ∞ where F is not defined there."""
@@ -207,7 +212,7 @@ class NonlinearCertificate(Certificate):
         if not is_faint.any() or not own.any():
             return own
         strict = term_residuals(
-            *at, for_each_row(self.problem, -largest_of_components(self.problem, -shares))
+            *at, spread_to_rows(self.problem, -largest_of_components(self.problem, -shares))
         )
         without = Linearisation(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
         if not without.is_defined:
@@ -215,7 +220,7 @@ class NonlinearCertificate(Certificate):
         there = largest_of_components(
             self.problem, term_residuals(without.lcp, without.x, without.value)
         )
-        errors: FloatVector = np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
+        errors: FloatVector = np.fmin(strict, np.fmax(own, spread_to_rows(self.problem, there)))
         return errors
 
     @cached_property
@@ -310,7 +315,7 @@ def term_residuals(
         terms = magnitude(problem, x)
         tells = (distance > 0.0) & (wrong <= VANISHING * terms)
         unit = largest_of_components(problem, np.where(tells, terms / problem.residual_scale, 0.0))
-        unit = for_each_row(problem, np.minimum(unit, largest_of_components(problem, np.abs(x))))
+        unit = spread_to_rows(problem, np.minimum(unit, largest_of_components(problem, np.abs(x))))
         rows = problem.matrix.csr
         unknowns = largest_in_rows(
             rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector, is_number
 from ...core.errors import InvalidOption, NotConverged
-from ...core.representation import in_words
+from ...core.representation import format_count
 from ...core.settings import PROVEN, Status
 from .families import Family, PathPoint, Piece
 
@@ -207,7 +207,7 @@ class Path:
         count = len(self.pieces)
         if self.is_solved:
             first = (
-                f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, each of which is "
+                f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {format_count(count, 'piece')}, each of which is "
                 "certified at both ends and linear in the parameter."
             )
         elif self.beyond is not None or self.crossed:
@@ -232,7 +232,7 @@ class Path:
             values = ", ".join(f"{value:.6g}" for value in self.segments[:SHOWN])
             lines.append(f"at {values} all points between two solutions are solutions")
         lines.append(
-            f"{in_words(self.starts, 'solve')}, then a factorization per breakpoint; {self.seconds:.3g} s"
+            f"{format_count(self.starts, 'solve')}, then a factorization per breakpoint; {self.seconds:.3g} s"
         )
         return "\n".join(lines)
 
@@ -264,7 +264,7 @@ class Path:
 
     def __repr__(self) -> str:
         return (
-            f"Path({self.status.name}, {in_words(len(self.pieces), 'piece')}, "
+            f"Path({self.status.name}, {format_count(len(self.pieces), 'piece')}, "
             f"{self.start:.6g} to {self.reached:.6g}, {self.seconds:.3g} s)"
         )
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, checked_vector, is_number, restored
+from ...core.checks import FloatVector, checked_vector, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
@@ -228,7 +228,7 @@ class Certification:
     reason: str = ""
     distance: float | None = None
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
     def __str__(self) -> str:
         numbers = (

@@ -21,7 +21,7 @@ from ...engines import (
     ProgramData,
     engine_class,
 )
-from ...engines.polish import ROUNDS, polished
+from ...engines.polish import ROUNDS, polish_steps
 from ...engines.scaling import (
     ScaledProgram,
     with_sides_about_one,
@@ -170,7 +170,7 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
     yield clean._replace(multipliers=none)
     yield clean
     yield point._replace(x=np.clip(0.0, lower, upper), multipliers=none)
-    for one in () if is_over() else polished(statement, point, rounds):
+    for one in () if is_over() else polish_steps(statement, point, rounds):
         clean = quiet(one)
         yield clean._replace(multipliers=none)
         yield one
@@ -200,7 +200,7 @@ def _statements(given: ProgramData) -> Iterator[ProgramData]:
 
 def _scaled(reduced: QuadraticProgram, statement: ProgramData, units: str) -> ScaledProgram:
     """Return the statement in the units of an attempt."""
-    fitted = ScaledProgram.of(statement, *reduced.matrices.engine_units)
+    fitted = ScaledProgram.from_units(statement, *reduced.matrices.engine_units)
     return fitted if units is FITTED else with_sides_about_one(fitted, statement)
 
 

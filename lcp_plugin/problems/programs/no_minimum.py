@@ -22,7 +22,7 @@ from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.matrix.matrix import largest_in_rows
-from ...core.representation import within
+from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
 from ...proofs.exact.linear_systems import solved_nearby
@@ -155,7 +155,7 @@ class QPInfeasibility:
         return self.margin > ROWS
 
     def __str__(self) -> str:
-        how = f"multipliers checked exactly{within(self.radius, 'x')}"
+        how = f"multipliers checked exactly{describe_radius(self.radius, 'x')}"
         return f"infeasible: {len(self._found.y)} of its constraints are inconsistent, {self._named()} ({how})"
 
     def _named(self) -> str:
@@ -321,7 +321,7 @@ class QPUnboundedness:
         return all(abs(float(value)) <= limit[j] for j, value in curved if j < limit.size)
 
     def __str__(self) -> str:
-        how = f"checked exactly{within(self.radius, 'x and multipliers')}"
+        how = f"checked exactly{describe_radius(self.radius, 'x and multipliers')}"
         missed = f"point that misses constraints by {self.violation:.1e} of their terms, at most"
         along = f"a direction from a {missed if self.violation else 'feasible point'}"
         if self.is_free_motion:

@@ -20,7 +20,7 @@ from ...core.checks import (
     checked_vector,
     read_only,
     rectangular_matrix,
-    restored,
+    restore_state,
 )
 from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
@@ -173,7 +173,7 @@ class QuadraticProgram:
         places = np.arange(ends[-1]) + np.repeat(begins - ends[:-1], counts)
         data, columns = rows.data[places] * np.repeat(signs, counts), rows.indices[places]
         G, equations = (
-            assembled(
+            assemble_csr(
                 data[ends[first] : ends[last]],
                 columns[ends[first] : ends[last]],
                 ends[first : last + 1] - ends[first],
@@ -320,7 +320,7 @@ class QuadraticProgram:
         data = {one.name for one in fields(self)}
         return {name: value for name, value in self.__dict__.items() if name in data}
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
 
 class ProgramFacts:

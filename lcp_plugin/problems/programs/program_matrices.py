@@ -15,8 +15,8 @@ from ...core.checks import (
     DENSE_ABOVE_DENSITY,
     DENSE_UP_TO_SIZE,
     FloatVector,
-    assembled,
-    frozen,
+    assemble_csr,
+    freeze_csr,
     read_only,
 )
 from ...core.matrix.matrix import Matrix, largest_in_rows
@@ -280,7 +280,7 @@ class ProgramMatrices:
             M[:n, n:] = C.toarray().T
             M[n:, :n] = 0.0 - M[:n, n:].T  # no negative zeros
             return Matrix(M)
-        minus = assembled(-C.data, C.indices, C.indptr, (size - n, size))
+        minus = assemble_csr(-C.data, C.indices, C.indptr, (size - n, size))
         M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
         return Matrix(M)
 
@@ -444,13 +444,13 @@ def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
     before = np.zeros(matrix.nnz + 1, dtype=matrix.indptr.dtype)
     np.cumsum(is_inside, out=before[1:])
     starts = np.append(before[matrix.indptr[:-1][stays]], before[-1:])
-    return assembled(matrix.data[is_inside], moved[is_inside], starts, (len(rows), len(columns)))
+    return assemble_csr(matrix.data[is_inside], moved[is_inside], starts, (len(rows), len(columns)))
 
 
 @lru_cache(maxsize=64)
 def no_rows(n: int) -> sp.csr_array:
     """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
-    return frozen(sp.csr_array((0, n)))
+    return freeze_csr(sp.csr_array((0, n)))
 
 
 def as_csr(matrix: Any) -> sp.csr_array:
@@ -467,10 +467,10 @@ def as_csr(matrix: Any) -> sp.csr_array:
     (m, n), is_entry = matrix.shape, matrix != 0.0
     if is_entry.all():
         starts, columns = n * np.arange(m + 1), np.tile(np.arange(n, dtype=index_type), m)
-        return assembled(matrix.reshape(-1), columns, starts.astype(index_type), matrix.shape)
+        return assemble_csr(matrix.reshape(-1), columns, starts.astype(index_type), matrix.shape)
     starts = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))]).astype(index_type)
     columns = np.nonzero(is_entry)[1].astype(index_type)
-    return assembled(matrix[is_entry], columns, starts, matrix.shape)
+    return assemble_csr(matrix[is_entry], columns, starts, matrix.shape)
 
 
 def vertically(*blocks: sp.csr_array) -> sp.csr_array:
@@ -492,7 +492,7 @@ def vertically(*blocks: sp.csr_array) -> sp.csr_array:
     indices, data = (
         np.concatenate([getattr(block, part) for block in filled]) for part in ("indices", "data")
     )
-    return assembled(data, indices, starts, (starts.size - 1, blocks[0].shape[1]))
+    return assemble_csr(data, indices, starts, (starts.size - 1, blocks[0].shape[1]))
 
 
 def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
@@ -510,7 +510,7 @@ def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
     for block, shift, first in shifts:
         places = np.arange(block.nnz) + np.repeat(shift, np.diff(block.indptr))
         indices[places], data[places] = block.indices + first, block.data
-    return assembled(data, indices, starts, (left.shape[0], left.shape[1] + right.shape[1]))
+    return assemble_csr(data, indices, starts, (left.shape[0], left.shape[1] + right.shape[1]))
 
 
 def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
@@ -522,4 +522,4 @@ def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
     array([[-1.,  0.],
            [ 0., -1.]])
     """
-    return assembled(np.full(n, entries), np.arange(n), np.arange(n + 1), (n, n))
+    return assemble_csr(np.full(n, entries), np.arange(n), np.arange(n + 1), (n, n))

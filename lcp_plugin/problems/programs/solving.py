@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...auto import asked_of_solve, solve_lcp
-from ...core.checks import FloatVector, checked_vector, restored
+from ...auto import parse_call, solve_lcp
+from ...core.checks import FloatVector, checked_vector, restore_state
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
     InvalidOption,
@@ -100,7 +100,7 @@ class QuadraticProgramResult(Answer):
     begun: str = ""
     contradiction: str = ""
 
-    __setstate__ = restored
+    __setstate__ = restore_state
 
     @property
     def program(self) -> QuadraticProgram:
@@ -129,7 +129,7 @@ class QuadraticProgramResult(Answer):
     def advice(self) -> str:
         """What the status means for this program, and behind ``next:`` what to do."""
         happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
-        words = [happened, *self._of_which("x")]
+        words = [happened, *self._describe_scope("x")]
         if self.status is Status.PRECISION_LIMIT and self.program.facts.contradicts_by_rounding:
             words.append(
                 "the constraints contradict one another by what is rounding relative to their coefficients"
@@ -147,7 +147,7 @@ class QuadraticProgramResult(Answer):
         residuals = {name: float(getattr(self.solution, name)) for name in names}
         return {**super()._numbers(), **residuals, "tolerance": self.tolerance}
 
-    def reached(self) -> str:
+    def describe_accuracy(self) -> str:
         """Return the measures and what was asked of them, or what proves that there is no minimum."""
         if self.proof is None:
             found = self.solution
@@ -211,7 +211,7 @@ def solve_program(
     if is_point or (isinstance(algorithm, str) and algorithm == InteriorPoint.name):
         algorithm = "piqp"
     engine = _engine(algorithm, options)
-    settings = asked_of_solve(
+    settings = parse_call(
         "auto" if engine else algorithm,
         {**({} if engine else options), "tolerance": tolerance, **wishes},
     )[1]

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ...core.checks import (
     INFINITE_LIMIT,
     BoolVector,
-    as_stated,
-    assembled,
+    assemble_csr,
+    copy_limits,
     read_only,
     real_array,
 )
@@ -92,7 +92,7 @@ class QuadraticProgramBatch:
             name: rows_of_a_batch(values, name, size) for name, (values, size) in right.items()
         }
         h_rows = self.vectors["h"]
-        self.vectors |= {name: as_stated(self.vectors[name]) for name in ("lower", "upper")}
+        self.vectors |= {name: copy_limits(self.vectors[name]) for name in ("lower", "upper")}
         h_rows[h_rows >= INFINITE_LIMIT] = np.inf
         stacks = {name: values for name, values in matrices.items() if values.ndim == 3}
         stacks |= {
@@ -257,7 +257,7 @@ def block_diagonal(stack: Any) -> sp.csr_array:
     starts = np.zeros(count * m + 1, np.int64)
     np.cumsum(is_entry.sum(axis=2).ravel(), out=starts[1:])
     columns = np.broadcast_to(np.arange(count * n).reshape(count, 1, n), stack.shape)[is_entry]
-    return assembled(stack[is_entry], columns, starts, (count * m, count * n))
+    return assemble_csr(stack[is_entry], columns, starts, (count * m, count * n))
 
 
 def _of(rows: Any, k: int) -> Any:

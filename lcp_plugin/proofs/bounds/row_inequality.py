@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.certificates.criterion import for_each_row, largest_of_components
+from ...core.certificates.criterion import largest_of_components, spread_to_rows
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...core.rounding import compensated_pair, compensated_product
@@ -100,7 +100,7 @@ class RowInequality:
             side(self.under, self.below, self.negative_slack),
         )
         largest = largest_of_components(self.problem, np.maximum(np.maximum(*sides), 0.0))
-        inflated: FloatVector = for_each_row(
+        inflated: FloatVector = spread_to_rows(
             self.problem, np.where(np.isnan(largest), np.inf, largest)
         )
         return inflated

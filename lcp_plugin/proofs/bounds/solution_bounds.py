@@ -22,7 +22,7 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import TINY, UNIT
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.scaling import Exponents, scaled
+from ...core.matrix.scaling import Exponents, scale_matrix
 from ...core.matrix.structure import Components, connected_components
 from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
@@ -185,7 +185,7 @@ def absolute_transpose(matrix: Matrix) -> sp.csr_array:
 
 def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:
     """Return C (M + Mᵀ)/2 C and how far rounding moved its eigenvalues at most, ∞ where it overflows."""
-    even = scaled(M, exponents)
+    even = scale_matrix(M, exponents)
     part = 0.5 * (even + even.T)
     size = float(abs(part).sum(axis=1).max())
     return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
-from ...core.matrix.scaling import scaled
+from ...core.matrix.scaling import scale_matrix
 from ...systems.equilibration import equilibrating_exponents, power_of_two
 from ..exact.linear_systems import MOST_UNKNOWNS, solved_nearby
 from ..exact.rational import ZERO, Rational, rational_rows, short
@@ -103,7 +103,7 @@ class FarkasProgram:
         for name, value in (
             ("rows", rows),
             ("columns", columns),
-            ("matrix", scaled(matrix, exponents)),
+            ("matrix", scale_matrix(matrix, exponents)),
         ):
             object.__setattr__(self, name, value)
 

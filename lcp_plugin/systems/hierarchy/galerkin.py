@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector
-from ...core.kernels.compilation import inlined, kernel, uintp
+from ...core.kernels.compilation import inline, kernel, uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 from .grids import SMALLEST_PIECE, joined
@@ -35,7 +35,7 @@ def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVecto
     return by_column.indptr, by_column.indices, by_column.data
 
 
-@inlined
+@inline
 def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
     """Sort by insertion: the rows are short."""
     one = uintp(1)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.kernels.compilation import inlined, kernel, uintp
+from ...core.kernels.compilation import inline, kernel, uintp
 from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
@@ -184,7 +184,7 @@ def _swept_piece(
     _sweep(indptr, indptr[1:], *operands, colour, seams, block_ends, first, last)
 
 
-@inlined
+@inline
 def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-untyped-def]
     """Return total + Σ data_k x_j over the entries first ≤ k < last of a row."""
     for k in range(first, last):
@@ -237,7 +237,7 @@ def _sweep(  # type: ignore[no-untyped-def]
             x[i] = value
 
 
-@inlined
+@inline
 def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: ignore[no-untyped-def]
     """Return total + (M x)_i, the neighbor that was swept last added last: the sum has waited for nothing else."""
     first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import helper, inlined, kernel
+from ...core.kernels.compilation import helper, inline, kernel
 
 KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
 SIDE, BASIC, PLACE, OTHER, CANDIDATE = range(5)  # rows of `whole`

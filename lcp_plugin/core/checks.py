@@ -78,7 +78,7 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
     n = matrix.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(matrix) > DENSE_ABOVE_DENSITY * n * n:
         return None, read_only(np.array(matrix, order="C"))  # the caller may change her own
-    return frozen(sp.csr_array(matrix)), None
+    return freeze_csr(sp.csr_array(matrix)), None
 
 
 def rectangular_matrix(

@@ -287,8 +287,8 @@ class Statement:
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         return (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
             f"the model has {format_count(equations, 'equation')}{counted} and "
-            f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs as "
-            f"many equations as such unknowns{way_out}"
+            f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs "
+            f"as many equations as such unknowns{way_out}"
         )
 
     def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:

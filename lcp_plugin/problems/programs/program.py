@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
-    assembled,
+    assemble_csr,
     check_order,
     checked_limit,
     checked_right_side,

@@ -170,7 +170,9 @@ class Run:
         """Keep a copy of z if its residual is smaller than the best, or if it is taken; NaN counts as ∞."""
         self.unmeasured = None
         if self.best is None or residual < self.residual or is_taken:
-            self.best = z.copy()
+            if self.best is None:
+                self.best = z.copy()
+            np.copyto(self.best, z)
             self.residual = math.inf if math.isnan(residual) else residual
 
     def _measure_last(self) -> None:

@@ -427,7 +427,7 @@ class ConeRun:
 
     def judge(self, z: Any) -> None:
         """Raise Ended if the point passes, or misses only by rounding."""
-        if self.residual <= self.goal:
+        if EXACT < self.residual <= self.goal:
             self._polish()
             z = self.best
         self.measures = self.measured(z)

@@ -433,12 +433,6 @@ MECHANISMS = (
         "problems/cones/systems.py:Arms",
     ),
     Mechanism(
-        "cone sweeps",
-        "sweeps before a factorization of many unknowns, as long as they halve the residual",
-        {f"{CONES}.solving:ConeRun._sweep_while_fast": skipped()},
-        "problems/cones/solving.py:ConeRun._sweep_while_fast",
-    ),
-    Mechanism(
         "late stages",
         "sweeps until nothing changes, and Newton's method from points nearby, at the end",
         {f"{CONES}.solving:ConeRun._to_the_end": skipped()},

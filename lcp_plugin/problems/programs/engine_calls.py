@@ -27,7 +27,7 @@ from ...engines.scaling import (
     with_sides_about_one,
     without_far_limits,
 )
-from .criterion import Errors
+from .criterion import MATTERS, ROWS, Errors
 from .program import QuadraticProgram
 from .program_matrices import as_csr
 from .reductions import FoldedRows
@@ -160,33 +160,60 @@ def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
 
 
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
-    """Yield what may be the solution that a point is near: the point, and polished, each with noise set to 0.
+    """Yield points that may be the solution near a point: the point, and polished, each with noise set to 0.
 
-    If x fits the rows exactly, multipliers are noise, and if x is 0, all of x is, with multipliers or without.
+    If the objective vanishes, multipliers may be noise, and if 0 meets all rows, all of x may be.
     """
     yield point
     none = Multipliers(*(np.zeros_like(one) for one in point.multipliers))
-    lower, upper, clean = statement.lower, statement.upper, quiet(point)
-    yield clean._replace(multipliers=none)
-    yield clean
-    yield point._replace(x=np.clip(0.0, lower, upper), multipliers=none)
+    zero, clean = np.clip(0.0, statement.lower, statement.upper), quiet(point)
+    may_be_zero = _is_feasible(statement, zero)
+    if _has_noisy_multipliers(statement, clean):
+        yield clean._replace(multipliers=none)
+    if clean is not point:
+        yield clean
+    if may_be_zero:
+        yield point._replace(x=zero, multipliers=none)
     for one in () if is_over() else polish_steps(statement, point, rounds):
         clean = quiet(one)
-        yield clean._replace(multipliers=none)
+        if _has_noisy_multipliers(statement, clean):
+            yield clean._replace(multipliers=none)
         yield one
-        yield clean
-        yield clean._replace(x=np.clip(0.0, lower, upper))
+        if clean is not one:
+            yield clean
+        if may_be_zero:
+            yield clean._replace(x=zero)
+
+
+def _is_feasible(statement: ProgramData, x: FloatVector) -> bool:
+    """Return whether x meets the rows to their tolerance, relative to their right-hand sides."""
+    over, off = statement.G @ x - statement.h, np.abs(statement.A @ x - statement.b)
+    limits = ROWS * np.abs(statement.h), ROWS * np.abs(statement.b)
+    return bool((over <= limits[0]).all() and (off <= limits[1]).all())
+
+
+def _has_noisy_multipliers(statement: ProgramData, point: EngineAnswer) -> bool:
+    """Return whether the objective's terms and those of the rows with their multipliers are of very different sizes."""
+    x, sides = point.x, np.concatenate([statement.h, statement.b])
+    y = np.concatenate(point.multipliers[:2])
+    of_rows = np.abs(y[y != 0.0]) @ np.abs(sides[y != 0.0])
+    objective = np.abs(statement.c) @ np.abs(x) + abs(x @ (statement.P @ x))
+    return bool(min(of_rows, objective) <= MATTERS * max(of_rows, objective))
 
 
 def quiet(point: EngineAnswer) -> EngineAnswer:
-    """Return the point with 0 in place of x and multipliers of rows that are rounding relative to the largest."""
+    """Return the point with 0 in place of x and multipliers of rows at rounding level of the largest, if any."""
     inequality, equality, *of_bounds = point.multipliers
     y, x = np.concatenate([inequality, equality]), np.abs(point.x)
     of_y = np.abs(y)
-    y = np.where(of_y <= NOISE * of_y.max(initial=0.0), 0.0, y)
+    is_noise = of_y <= NOISE * of_y.max(initial=0.0), x <= NOISE * x.max(initial=0.0)
+    if not (y[is_noise[0]].any() or x[is_noise[1]].any()):
+        return point
     return point._replace(
-        x=np.where(x <= NOISE * x.max(initial=0.0), 0.0, point.x),
-        multipliers=Multipliers(*np.split(y, [inequality.size]), *of_bounds),
+        x=np.where(is_noise[1], 0.0, point.x),
+        multipliers=Multipliers(
+            *np.split(np.where(is_noise[0], 0.0, y), [inequality.size]), *of_bounds
+        ),
     )
 
 

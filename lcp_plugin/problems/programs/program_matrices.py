@@ -328,17 +328,30 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     (array([0.5, 0.5]), array([0.5]))
     """
     n, m = P.shape[0], C.shape[0]
-    from scipy.sparse.linalg import cg
-
     K = sp.csr_array(sp.block_array([[P, C.T], [C, None]])) if m else P
     entries, twice = row_numbers(K), 1.0 + (row_numbers(K) == K.indices)
     right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
     counts = np.bincount(entries, twice, n + m) + SINGULAR
     normal = sp.csr_array((twice, K.indices, K.indptr), shape=K.shape) + sp.diags_array(counts)
-    inverse = sp.diags_array(1.0 / normal.diagonal())
-    exponents = cg(normal, -right, rtol=FIT_TO, maxiter=FIT_STEPS, M=inverse)[0]
-    units = _powers(exponents)
+    units = _powers(_conjugate_gradients(normal, -right))
     return units[:n], units[n:]
+
+
+def _conjugate_gradients(A: sp.csr_array, b: FloatVector) -> FloatVector:
+    """Return about A⁻¹b; scipy's loop takes ten times as long for some hundred unknowns."""
+    x, rest, inverse = np.zeros(b.size), b, 1.0 / A.diagonal()
+    direction = inverse * rest
+    size = rest @ direction
+    for _ in range(FIT_STEPS):
+        if not rest @ rest > (FIT_TO * FIT_TO) * (b @ b):
+            break
+        product = A @ direction
+        step = size / (direction @ product)
+        x, rest = x + step * direction, rest - step * product
+        steepest = inverse * rest
+        size, before = rest @ steepest, size
+        direction = steepest + (size / before) * direction
+    return x
 
 
 @np.errstate(all="ignore")  # numbers that are not finite have no units

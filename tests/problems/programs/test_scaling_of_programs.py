@@ -42,9 +42,13 @@ def test_a_small_slope_is_followed_to_its_bound() -> None:
     assert answers.x.tolist() == [[1.0], [1.0]]
 
 
-@pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit of program 12")
+OPEN = pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit")
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize("case", range(15))
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[OPEN] * (case == 12)) for case in range(15)]
+)
 def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     """Dense, sparse, degenerate, rank deficient, linear; with a minimum, infeasible, unbounded; units of 10^±12."""
     bad, lines = scaled_programs.one(5, False, case)

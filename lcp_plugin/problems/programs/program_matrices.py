@@ -333,7 +333,7 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
     counts = np.bincount(entries, twice, n + m) + SINGULAR
     normal = sp.csr_array((twice, K.indices, K.indptr), shape=K.shape) + sp.diags_array(counts)
-    units = _powers(_conjugate_gradients(normal, -right))
+    units = _powers(_conjugate_gradients(normal, np.asarray(-right, np.float64)))
     return units[:n], units[n:]
 
 

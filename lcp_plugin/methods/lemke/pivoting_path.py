@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
+from ...core.deadline import is_over
 from . import tableau
 from .games import bimatrix_players
 from .tableau import (
@@ -179,12 +180,12 @@ class LemkePath:
             inverse = np.linalg.inv(core)
         except np.linalg.LinAlgError:
             return False
-        if not np.isfinite(inverse).all():
+        if is_over() or not np.isfinite(inverse).all():
             return False
         absolute = np.abs(inverse)
         # What is zero in exact arithmetic must be zero here, or a pivot could stand on it.
         inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
-        if not inverse.any(axis=1).all():  # a row of nothing but rounding
+        if is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
             return False
         beyond = D[np.ix_(slack_rows, columns)]
         if inner.size:

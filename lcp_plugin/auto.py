@@ -178,17 +178,16 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
         from .methods.direct import factor_passes
         from .methods.multigrid import Multigrid
 
-        passes = factor_passes(problem)
-
         def is_no_grid(stage: Stage) -> bool:
-            least = max(BROKEN_PROMISE * MULTIGRID_PASSES, 0.5 * passes)
-            if stage.iterations % ASKED_EVERY or stage.work <= least:
+            is_asked = stage.iterations % ASKED_EVERY == 0
+            if not is_asked or stage.work <= BROKEN_PROMISE * MULTIGRID_PASSES:
                 return False
-            return stage.steps_to_go(goal) * stage.work / stage.iterations > passes
+            needed = stage.steps_to_go(goal) * stage.work / stage.iterations
+            return needed > (passes := factor_passes(problem)) and stage.work > 0.5 * passes
 
         why = "a sparse M with many rows: work in proportion to them"
-        yield Stage(Multigrid(hands_over=True), why, is_no_grid if passes < math.inf else None)
-        if passes == math.inf:
+        yield Stage(Multigrid(hands_over=True), why, is_no_grid)
+        if factor_passes(problem) == math.inf:
             yield Stage(PSOR(), "a factorization of M is predicted to be too large")
 
 

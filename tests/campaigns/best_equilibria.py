@@ -29,7 +29,6 @@ from lcp_plugin.problems.equilibria.equilibrium_program import BETWEEN, CASES, L
 INF = np.inf
 ACCURACY = 1e-6
 MOST_PIECES = 4096
-MOST_OPEN = 0.01
 Generator = np.random.Generator
 
 

@@ -12,8 +12,7 @@ by ``solve(lcp_from_qp(program))`` with ``recover``. Counted are
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -450,47 +449,6 @@ def finished(
     return program, value
 
 
-@dataclass
-class Tally:
-    """What happened in a family."""
-
-    count: int = 0
-    unsolved: list[int] = field(default_factory=lambda: [0, 0])
-    wrong: int = 0
-    at_odds: int = 0
-    seconds: list[list[float]] = field(default_factory=lambda: [[], []])
-    steps: list[int] = field(default_factory=list)
-
-    def add(self, other: Tally) -> None:
-        """Add what happened elsewhere."""
-        self.count, self.wrong, self.at_odds = (
-            mine + theirs
-            for mine, theirs in (
-                (self.count, other.count),
-                (self.wrong, other.wrong),
-                (self.at_odds, other.at_odds),
-            )
-        )
-        for way in (0, 1):
-            self.unsolved[way] += other.unsolved[way]
-            self.seconds[way] += other.seconds[way]
-        self.steps += other.steps
-
-    def __str__(self) -> str:
-        slow = [max(part, default=0.0) for part in self.seconds]
-        return (
-            f"{self.count:>6}{self.unsolved[0]:>6}{self.unsolved[1]:>6}{self.wrong:>7}{self.at_odds:>8}"
-            f"{np.median(self.steps):>7.0f}{sum(self.seconds[0]):>9.1f}{sum(self.seconds[1]):>8.1f}"
-            f"{slow[0]:>8.2f}{slow[1]:>7.2f}"
-        )
-
-
-HEAD = (
-    f"{'family':<22}{'count':>6}{'QP':>6}{'LCP':>6}{'wrong':>7}{'at odds':>8}{'steps':>7}{'s QP':>9}{'s LCP':>8}"
-    f"{'slowest':>8}"
-)
-
-
 def holds(program: QuadraticProgram, answer: Any) -> bool:
     """Return whether the conditions, measured here and row by row, hold to 1e-5."""
     x, y, v = answer.x, answer.inequality, answer.equality
@@ -534,40 +492,34 @@ def said(
     return status == "SOLVED", status == "SOLVED" and (off or not holds(program, answer))
 
 
-def judged(
-    family: str, program: QuadraticProgram, value: float, seconds: float = 60.0
-) -> tuple[Tally, str]:
-    """Return what happened to one program both ways, and words on what went wrong."""
-    tally, words, spoilt = Tally(1), [], FAMILIES[family].spoilt
-    for way in (0, 1):
+def judged(family: str, program: QuadraticProgram, value: float) -> tuple[list[str], list[str]]:
+    """Return false statements about one program, as a program and as an LCP, and what is left unsolved."""
+    wrong, left, spoilt = list[str](), list[str](), FAMILIES[family].spoilt
+    for way in ("QP", "LCP"):
         fresh = afresh(program)
-        start = time.perf_counter()
-        if way == 0:
-            result = solve_program(fresh, max_seconds=seconds)
+        if way == "QP":
+            result = solve_program(fresh, max_seconds=60.0)
             answer = result.solution
         else:
             problem = lcp_from_qp(fresh)
-            result = solve(problem, max_seconds=seconds)
+            result = solve(problem, max_seconds=60.0)
             answer = problem.origin.recover(result)
         status = result.status.name
-        tally.seconds[way].append(time.perf_counter() - start)
-        settled, wrong = said(program, answer, status, value, spoilt)
-        tally.unsolved[way] += not (
-            settled or (spoilt and status not in ("SOLVED", "INFEASIBLE", "UNBOUNDED"))
+        if way == "LCP" and spoilt and result.has_no_solution:  # its status has no UNBOUNDED
+            status = spoilt.upper()
+        is_settled, is_wrong = said(program, answer, status, value, spoilt)
+        is_odd = way == "LCP" and result.is_solved != answer.is_optimal()
+        text = (
+            f"{way}: {status}, objective {answer.objective:.8g} of {value:.8g}, residual "
+            f"{answer.primal_residual:.0e}, gap {answer.duality_gap:.0e}, {result.iterations} steps"
         )
-        tally.wrong += wrong
-        odd = way == 1 and result.is_solved != answer.is_optimal()
-        tally.at_odds += odd
-        tally.steps.append(result.iterations)
-        if wrong or odd or not settled:
-            kind = "wrong" if wrong else "unsolved" if not settled else "at odds"
-            words.append(
-                f"{('QP', 'LCP')[way]} {kind}: {status}, objective {answer.objective:.8g}"
-                f" of {value:.8g}, residual {answer.primal_residual:.0e}"
-                f" gap {answer.duality_gap:.0e}, {result.iterations} steps,"
-                f" {[stage.name for stage in result.stages]}, {tally.seconds[way][-1]:.2f} s"
-            )
-    return tally, "; ".join(words)
+        if is_wrong:
+            wrong.append(text)
+        elif is_odd or not (
+            is_settled or (spoilt and status not in ("SOLVED", "INFEASIBLE", "UNBOUNDED"))
+        ):
+            left.append(text)
+    return wrong, left
 
 
 def afresh(program: QuadraticProgram) -> QuadraticProgram:

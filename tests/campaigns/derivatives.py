@@ -94,7 +94,6 @@ FAMILIES: dict[str, Callable[[int, Generator], np.ndarray]] = {
         nearly_degenerate,
     )
 }
-PROVEN_H_PLUS = ("h_plus", "chain", "scaled")
 
 
 def rows(

@@ -7,8 +7,6 @@ with a positive definite symmetric part instead, symmetric or not.
 
 from __future__ import annotations
 
-import time
-from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
 
@@ -113,100 +111,17 @@ def violations(problem: LCP, z: np.ndarray, exact: Exact, bound: ErrorBound) -> 
     return outside + (np.isfinite(bound.infinity) and error > Fraction(bound.infinity)), wrong
 
 
-def ratios(z: np.ndarray, exact: Exact, bound: ErrorBound) -> tuple[float, float]:
-    """Return bound over error in the maximum norm and in the worst component; NaN where z is exact."""
-    errors = [abs(Fraction(float(a)) - b) for a, b in zip(z, exact.z, strict=True)]
-    if not max(errors) or not np.isfinite(bound.infinity):
-        return np.nan, np.nan
-    parts = [Fraction(float(b)) / e for b, e in zip(bound.componentwise, errors, strict=True) if e]
-    return float(Fraction(bound.infinity) / max(errors)), float(min(max(parts), 10**300))
-
-
-class Tally:
-    """What the campaign has counted."""
-
-    def __init__(self) -> None:
-        self.outside = self.wrong = self.enumerated = self.infinite = self.refused = (
-            self.exact_points
-        ) = 0
-        self.norm: dict[tuple[float | str, str, bool], list[float]] = defaultdict(list)
-        self.part: dict[tuple[float | str, str, bool], list[float]] = defaultdict(list)
-        self.proven: dict[str, list[bool]] = defaultdict(list)
-
-    def count(
-        self, kind: float | str, quality: str, problem: LCP, z: np.ndarray, exact: Exact
-    ) -> None:
-        """Judge the bounds of one point."""
+def judged(kind: float | str, rng: np.random.Generator) -> list[tuple[int, int] | None]:
+    """Return violations of the bounds, sharp and not, of several points of one problem; None if a bound is refused."""
+    problem = random_problem(rng, kind)
+    exact = exact_solution(problem)
+    found: list[tuple[int, int] | None] = []
+    for _, z in points(rng, problem, exact):
         for sharp in (True, False):
             try:
                 bound = error_bound(problem, z, sharp=sharp)
             except UnsuitableMatrix:
-                self.refused += 1
-                continue
-            bad, misplaced = violations(problem, z, exact, bound)
-            self.outside, self.wrong = self.outside + bad, self.wrong + misplaced
-            self.infinite += not np.isfinite(bound.infinity)
-            norm, part = ratios(z, exact, bound)
-            if np.isnan(norm):
-                self.exact_points += sharp
+                found.append(None)
             else:
-                self.norm[kind, quality, sharp].append(norm)
-                self.part[kind, quality, sharp].append(part)
-            if sharp:
-                self.proven[quality].append((bound.proven_active | bound.proven_inactive).all())
-
-    def judge(self, kind: float | str, generator: np.random.Generator) -> None:
-        """Draw one problem of that kind and judge the bounds of several points."""
-        problem = random_problem(generator, kind)
-        exact = exact_solution(problem)
-        self.enumerated += exact.was_enumerated
-        for quality, z in points(generator, problem, exact):
-            self.count(kind, quality, problem, z, exact)
-
-    def show(self) -> None:
-        """Print the tables."""
-        print(
-            f"bound violated: {self.outside}   classified wrongly: {self.wrong}   infinite: {self.infinite}   "
-            f"refused: {self.refused}   z exact: {self.exact_points}   enumeration: {self.enumerated}"
-        )
-        for table, sharp, title in (
-            (self.norm, True, "sharp, maximum norm"),
-            (self.part, True, "sharp, worst component"),
-            (self.norm, False, "sharp=False, maximum norm"),
-        ):
-            print(f"\nbound/error, {title}: median (95 % quantile)")
-            print(f"{'ρ(J)':>6} " + "".join(f"{quality:>24}" for quality in QUALITIES))
-            for kind in CLASSES:
-                pairs = [
-                    np.quantile(table[kind, q, sharp] or [np.nan], [0.5, 0.95]) for q in QUALITIES
-                ]
-                print(f"{kind:>6} " + "".join(f"{f'{a:.4g} ({b:.3g})':>24}" for a, b in pairs))
-        shares = ", ".join(
-            f"{quality} {np.mean(self.proven[quality]):.0%}" for quality in QUALITIES
-        )
-        print(f"\nactive set proven: {shares}")
-
-    @property
-    def worst_median(self) -> float:
-        """The largest median of the sharp bound for H₊-matrices at convergence."""
-        return max(
-            float(np.median(self.norm[kind, q, True] or [np.nan]))
-            for kind in RADII
-            for q in QUALITIES[1:]
-        )
-
-
-def run(cases: int, seed: int) -> int:
-    """Run the campaign, print its tables, return the exit code."""
-    generator = np.random.default_rng(seed)
-    began = time.perf_counter()
-    tally = Tally()
-    kinds = [RADII[case % len(RADII)] for case in range(cases)] + [DEFINITE] * (cases // 10)
-    for kind in kinds:
-        tally.judge(kind, generator)
-    print(
-        f"{cases} H₊ and {cases // 10} definite problems, seed {seed}, {time.perf_counter() - began:.0f} s"
-    )
-    tally.show()
-    print(f"largest median at convergence, H₊: {tally.worst_median:.4g} (must be ≤ 10)")
-    return int(tally.outside > 0 or tally.wrong > 0 or not tally.worst_median <= 10.0)
+                found.append(violations(problem, z, exact, bound))
+    return found

@@ -295,12 +295,11 @@ def verdicts(rng: Generator, kind: str) -> Found:
 
 def bounds(rng: Generator, kind: float | str) -> Found:
     """Bounds of eight points, sharp and not, against the exact distance."""
-    tally = error_bounds.Tally()
-    tally.judge(kind, rng)
-    if tally.outside or tally.wrong:
-        yield Finding(BOUND, f"violated {tally.outside}, classified wrongly {tally.wrong}")
-    if tally.refused:
-        yield Finding(OPEN, f"{tally.refused} bounds refused")
+    for found in error_bounds.judged(kind, rng):
+        if found is None:
+            yield Finding(OPEN, "a bound is refused")
+        elif any(found):
+            yield Finding(BOUND, f"violated {found[0]}, classified wrongly {found[1]}")
 
 
 def searched(rng: Generator, kind: str) -> Found:
@@ -319,11 +318,9 @@ def programs(rng: Generator, kind: str) -> Found:
     """A convex program with a planted answer, judged by its own conditions."""
     case, value = convex_programs.planted(kind, rng, 12)
     before = bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
-    outcome, words = convex_programs.judged(kind, case, value)
-    if outcome.wrong:
-        yield Finding(CLAIM, f"{case}: {words}")
-    elif any(outcome.unsolved):
-        yield Finding(OPEN, f"{case}: {words}")
+    wrong, left = convex_programs.judged(kind, case, value)
+    yield from (Finding(CLAIM, f"{case}: {text}") for text in wrong)
+    yield from (Finding(OPEN, f"{case}: {text}") for text in left)
     if bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper) != before:
         yield Finding(MODIFIED, "the program")
 
@@ -419,7 +416,7 @@ def path(rng: Generator, kind: str) -> Found:
 def rescaled_program(rng: Generator, kind: str) -> Found:
     """The same program in euros and in millions."""
     judge = module("scaled_programs")
-    for text in judge.one(int(rng.integers(2**31)), False, int(rng.integers(10**6)))[0]:
+    for text in judge.one(int(rng.integers(2**31)), int(rng.integers(10**6))):
         yield Finding(CLAIM, text)
 
 

@@ -18,7 +18,6 @@ from . import convex_programs
 
 KINDS = ("degenerate", "redundant", "linear", "fixed", "decimal")
 MOST = 1e3  # times the multipliers of HiGHS
-NOTHING = 1e-6  # multipliers that are none
 HIGHS_SECONDS = 2.0  # some semidefinite programs it goes on with for ever
 
 

@@ -21,7 +21,6 @@ Generator = np.random.Generator
 ALGORITHMS = ("auto", *REGISTRY)
 TOLERANCE = 1e-8
 STEPS = 120  # of a named algorithm
-CHUNK = 50
 
 
 # --- The problems ---------------------------------------------------------------------------------------------------

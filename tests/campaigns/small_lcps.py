@@ -20,7 +20,6 @@ Matrix = np.ndarray
 Generator = np.random.Generator
 
 LARGEST = 6
-NEEDED = 0.999
 
 
 # --- The problems ---------------------------------------------------------------------------------------------------

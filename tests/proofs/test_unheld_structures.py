@@ -35,6 +35,7 @@ HELD = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", UNHELD)
 def test_a_program_of_a_structure_that_nothing_holds_is_unbounded(name: str) -> None:
     """UNBOUNDED with a proof that verifies; it names unknowns if its direction strains nothing."""
@@ -46,6 +47,7 @@ def test_a_program_of_a_structure_that_nothing_holds_is_unbounded(name: str) -> 
     assert str(result.proof) in result.explain()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", [name for name in UNHELD if name != "chain of 5000"])
 def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name: str) -> None:
     """INFEASIBLE with a proof that verifies, where a linear program finds it; never SOLVED."""

@@ -45,13 +45,6 @@ def scaled_symmetric(draw: st.DrawFn, matrices: st.SearchStrategy[Any], largest:
 
 
 @st.composite
-def scaled_lcps(draw: st.DrawFn, lcps: st.SearchStrategy[LCP], row: int, column: int = 0) -> LCP:
-    """Rows of (M, q) multiplied, components of z measured, in powers of two."""
-    problem = draw(lcps)
-    return _moved(problem, _exponents(draw, problem.n, row), _exponents(draw, problem.n, column))
-
-
-@st.composite
 def scaled_solved(
     draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int, column: int = 0
 ) -> Solved:

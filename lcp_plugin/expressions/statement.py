@@ -111,7 +111,7 @@ class SquareModel:
         left = left[self.places]
         expected[left] = self.signs * w
         if isinstance(self.problem, NonlinearProblem):
-            terms[left] = magnitude(self.problem.linearised(z), z)
+            terms[left] = magnitude(self.problem.linearize(z), z)
         else:
             unknowns = np.abs(self.elimination.expand(z))
             terms = np.concatenate([abs(matrix) @ unknowns for matrix in self.stored])

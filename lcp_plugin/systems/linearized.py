@@ -26,7 +26,7 @@ class LinearizedSystem:
         """Return R_w x, or R_wᵀx, of which only the free rows are looked at."""
         return x
 
-    def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
+    def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
         """Return the solution of J_FF x = right_F, or of the transposed system, 0 in the other rows."""
         raise NotImplementedError
 
@@ -47,12 +47,12 @@ class LinearizedSystem:
             What else changes of R, as by friction.
         """
         if held is not None and self._acts(held):
-            return held + self._on_free(-(self._by_slack(h + self._product(held)) + more))
-        return self._on_free(-(self._by_slack(h) + more))
+            return held + self._solve_free(-(self._by_slack(h + self._product(held)) + more))
+        return self._solve_free(-(self._by_slack(h) + more))
 
     def adjoint(self, g: Any, by_w: Any) -> tuple[Any, Any, Any]:
         """Return ∂L/∂q, ∂L/∂b, to be read where a bound holds, and λ, of L with these gradients by z and w."""
         by_z = g + self._product(by_w, transposed=True) if self._acts(by_w) else g
-        multiplier = self._on_free(by_z, transposed=True)
+        multiplier = self._solve_free(by_z, transposed=True)
         change = self._by_slack(multiplier, transposed=True)
         return by_w - change, by_z - self._product(change, transposed=True), multiplier

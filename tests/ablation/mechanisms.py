@@ -390,8 +390,8 @@ MECHANISMS = (
     Mechanism(
         "nnls",
         "scipy's nnls on dense problems with bounds on one side",
-        {f"{LEAST}.engines:_by_nnls": Instead(nothing_found)},
-        "problems/least_squares/engines.py:_by_nnls",
+        {f"{LEAST}.engines:_solve_by_nnls": Instead(nothing_found)},
+        "problems/least_squares/engines.py:_solve_by_nnls",
     ),
     Mechanism(
         "nnls as given",
@@ -408,8 +408,8 @@ MECHANISMS = (
     Mechanism(
         "face of an engine's point",
         "an engine's point solved on the face that it names",
-        {f"{LEAST}.engines:on_its_face": Instead(lambda old: lambda point, A, b: point)},
-        "problems/least_squares/engines.py:on_its_face problems/least_squares/engines.py:_towards_minimum",
+        {f"{LEAST}.engines:minimize_on_face": Instead(lambda old: lambda point, A, b: point)},
+        "problems/least_squares/engines.py:minimize_on_face problems/least_squares/engines.py:_step_to_minimum",
         "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls",
     ),
     Mechanism(
@@ -422,8 +422,8 @@ MECHANISMS = (
     Mechanism(
         "repaired duals",
         "dual points repaired for the certificate of least squares",
-        {f"{LEAST}.certificate:_repaired": nothing()},
-        "problems/least_squares/certificate.py:_repaired problems/least_squares/certificate.py:_pushes",
+        {f"{LEAST}.certificate:_repair": nothing()},
+        "problems/least_squares/certificate.py:_repair problems/least_squares/certificate.py:_pushes",
     ),
     # --- cones
     Mechanism(
@@ -461,11 +461,11 @@ MECHANISMS = (
         "last step of cones",
         "the linear system of the active set that a run found",
         {
-            f"{CONES}.solving:polished": Instead(
-                lambda old: lambda stack, z: (z, stack.measured(z)[2])
+            f"{CONES}.solving:polish_points": Instead(
+                lambda old: lambda stack, z: (z, stack.measure(z)[2])
             )
         },
-        "problems/cones/newton.py:polished",
+        "problems/cones/newton.py:polish_points",
     ),
     # --- nonlinear
     Mechanism(

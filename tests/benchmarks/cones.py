@@ -122,10 +122,10 @@ def _walls(sizes: Sequence[int]) -> str:
 def fifty_sweeps(problem: FrictionalContact, start: Any, clock: Any) -> tuple[float, float]:
     """Return the seconds of 50 sweeps from a start, and the residual that they leave."""
     stack = ConeStack.of(problem)
-    z = stack.pattern.wide(problem.projected(start)[None])
+    z = stack.pattern.wide(problem.project(start)[None])
     began = clock()
     *_, z = sweeps(stack, z, 50, 0.0)
-    return clock() - began, float(stack.measured(z)[2][0])
+    return clock() - began, float(stack.measure(z)[2][0])
 
 
 class Pile:

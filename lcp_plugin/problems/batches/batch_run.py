@@ -19,7 +19,7 @@ from ...core.solving.result import Result, StageRecord
 from ..cones.data import Blocks
 from ..cones.solving import result_of
 from ..many.answers import AnswerSequence
-from ..many.chunks import in_chunks
+from ..many.chunks import run_in_chunks
 
 MOST_ITERATIONS = 200  # that a stack takes
 
@@ -105,7 +105,7 @@ class BatchRun:
                     good = np.flatnonzero(is_solved & self.is_open[items])
                     self.write(items[good], z[good], residual[good], iterations[good])
 
-        in_chunks(take, len(stacks), self.asked.threads)
+        run_in_chunks(take, len(stacks), self.asked.threads)
 
     def write(self, items: Any, z: Any, residual: Any, iterations: Any) -> None:
         """Write solved problems."""

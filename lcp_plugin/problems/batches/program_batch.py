@@ -12,7 +12,7 @@ from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
 from ...engines.engine import split_bound_multipliers
-from ..many.chunks import in_chunks
+from ..many.chunks import run_in_chunks
 from ..programs.criterion import errors_of_each
 from ..programs.program import CANCELS
 from ..programs.program_matrices import may_be_small
@@ -75,7 +75,7 @@ class ProgramBatchRun(BatchRun):
                     items = slice(k * size, min((k + 1) * size, count))
                     self._answer_together(data, engine, may, items)
 
-        in_chunks(solve_blocks, -(-count // size), threads)
+        run_in_chunks(solve_blocks, -(-count // size), threads)
 
     def _answer_together(self, data: tuple[Any, ...], engine: Any, may: Any, items: slice) -> None:
         """Ask the engine for each of these programs, and judge what it says of all."""

@@ -45,7 +45,7 @@ class Group(NamedTuple):
     upper: Any
     starts: Any
 
-    def chosen(self, rows: Any) -> Group:
+    def select(self, rows: Any) -> Group:
         """Return the problems in these rows."""
         of_rows = (one if len(one) == 1 else one[rows] for one in self[1:])
         return Group(self.items[rows], *of_rows)
@@ -59,7 +59,7 @@ class Group(NamedTuple):
         """Yield stacks whose matrices stay in the cache."""
         size = max(1, CHUNK // self.M.shape[1] ** 2)
         for first in range(0, self.items.size, size):
-            part = self.chosen(slice(first, first + size))
+            part = self.select(slice(first, first + size))
             yield part.items, partial(_solve, part, tolerance)
 
 
@@ -261,7 +261,7 @@ class Stacked:
         if "z0" in self.rows:
             starts = np.clip(self.rows["z0"], self.rows["lower"], self.rows["upper"])
         whole = Group(np.arange(self.count), *map(read_only, (M, *vectors, starts)))
-        yield whole if items.size == self.count else whole.chosen(items)
+        yield whole if items.size == self.count else whole.select(items)
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
         """Yield stacks of small problems."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from .newton import factorized
+from .newton import factorize_blocks
 from .stack import TINY, ConeStack, length
 
 Cones = NDArray[np.float64]  # shape (k, d)
@@ -54,12 +54,12 @@ class CentralPath:
     @property
     def point(self) -> Any:
         """Impulses in the user's cones, shape (1, k, d)."""
-        return self.stack.projected((self.x / self.scale)[None])
+        return self.stack.project((self.x / self.scale)[None])
 
     def step(self) -> float:
         """Take a step; return its work in products with M, 0 if none is possible."""
         x, y, scale, stack = self.x, self.y, self.scale, self.stack
-        H, root = scaling(x, y)
+        H, root = nesterov_todd_scaling(x, y)
         eye = np.eye(stack.m)
         G = np.tile(eye, (stack.k, 1, 1))
         G[:, 0, 1:] -= self.slope[:, None] * y[:, 1:] / np.maximum(length(y[:, 1:]), TINY)[:, None]
@@ -68,7 +68,7 @@ class CentralPath:
         if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
             return 0.0
         try:
-            factors = factorized(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
+            factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
             def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
                 """Return the changes of x and y with H dx + dy = c that take a share of what is left."""
@@ -121,7 +121,7 @@ def quotient(b: Cones, a: Cones) -> Cones:
     return np.column_stack([normal, (b[:, 1:] - normal * a[:, 1:]) / a[:, :1]])
 
 
-def scaling(x: Cones, y: Cones) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def nesterov_todd_scaling(x: Cones, y: Cones) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the symmetric H with H x = y, a quadratic representation, and its root, shape (k, d, d) each."""
     mirror = np.diag(np.r_[1.0, -np.ones(x.shape[1] - 1)])
     of_x, of_y = np.sqrt(determinant(x))[:, None], np.sqrt(determinant(y))[:, None]

@@ -132,7 +132,7 @@ def _ratio(values: Array, sizes: Array) -> Array:
     return np.where(np.isnan(found), np.inf, found)
 
 
-def measured(stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> Measures:
+def measure_points(stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> Measures:
     """Return the measures of points of the cones; of one problem with sums of twice the precision if that decides."""
     with np.errstate(all="ignore"):
         found = Measures(stack, z)
@@ -174,7 +174,7 @@ class ConeCertificate:
     def at(cls, problem: Blocks, z: FloatVector, tolerance: float = 1e-8) -> ConeCertificate:
         """Return the certificate of a point of the cones, shape (n,)."""
         stack = ConeStack.of(problem)
-        return cls(problem, measured(stack, stack.pattern.wide(np.array(z)[None]), tolerance))
+        return cls(problem, measure_points(stack, stack.pattern.wide(np.array(z)[None]), tolerance))
 
     @property
     def relative_residual(self) -> float:

@@ -134,11 +134,11 @@ class Blocks:
             R, case, *_ = stack.residual(wide(z[None]), wide(w[None]))
         return stack.pattern.flat(R)[0], case[0]
 
-    def projected(self, z: FloatVector) -> FloatVector:
+    def project(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, shape (n,)."""
         stack = ConeStack.of(self)
         with np.errstate(all="ignore"):
-            found: FloatVector = stack.pattern.flat(stack.projected(stack.pattern.wide(z[None])))[0]
+            found: FloatVector = stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0]
         return found
 
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:

@@ -22,7 +22,7 @@ from ...core.matrix.structure import row_numbers
 from ...systems.free_systems import FreeSystem
 from ...systems.linearized import LinearizedSystem
 from .data import Blocks
-from .newton import factorized, system_of_free_rows
+from .newton import factorize_blocks, system_of_free_rows
 from .stack import ON, WITHIN, Array, ConeStack, length
 
 REFINEMENTS = 5  # steps of Newton towards the solution before it is differentiated
@@ -89,7 +89,7 @@ class StackDerivative(LinearizedSystem):
             by_z, by_w = stack.derivative(w, *found[1:])
             shift = (REFINING * stack.d)[..., None, None]
             try:
-                new = z + factorized(stack, by_z + shift * by_w, by_w).solve(-found[0])
+                new = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found[0])
             except np.linalg.LinAlgError:
                 break
             w_new = stack.slack(new)
@@ -128,7 +128,7 @@ class StackDerivative(LinearizedSystem):
         terms[terms == 0.0] = 1.0  # nothing acts: any size will do
         return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
 
-    def towards(self, dz: Array, dw: Array) -> StackDerivative:
+    def branch_towards(self, dz: Array, dw: Array) -> StackDerivative:
         """Return the derivative of the piece that begins in this direction from the blocks on the edge of two cases."""
         wide = self.stack.pattern.wide
         dz, dw = wide(dz), wide(dw)
@@ -173,7 +173,7 @@ class StackDerivative(LinearizedSystem):
         blocks = self.by_w.swapaxes(-1, -2) if transposed else self.by_w
         return self.stack.pattern.flat((blocks @ self.stack.pattern.wide(x)[..., None])[..., 0])
 
-    def _on_free(self, right: Array, *, transposed: bool = False) -> Array:
+    def _solve_free(self, right: Array, *, transposed: bool = False) -> Array:
         x, rows = np.zeros(right.shape), self.is_free[0][self.stack.pattern.of_row]
         if rows.any():
             x[0, rows] = self._solved(right[0, rows], transposed=transposed)
@@ -263,7 +263,7 @@ class ConeDerivative:
             ):
                 if change is not None:
                     of_bound[is_there] = np.asarray(change)[is_there]
-            piece = self._of.towards((dz - of_bound)[None], self.dw(dz, dq=dq, dM=dM)[None])
+            piece = self._of.branch_towards((dz - of_bound)[None], self.dw(dz, dq=dq, dM=dM)[None])
             last, dz = dz, self._change(piece, *changes)
             if np.abs(dz - last).max(initial=0.0) <= ALIKE * np.abs(dz).max(initial=0.0):
                 break

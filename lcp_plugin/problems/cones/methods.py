@@ -45,7 +45,7 @@ def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
         if since > NO_GAIN or not (work := path.step()):
             break
         new = path.point
-        size = float(stack.measured(new)[2][0])
+        size = float(stack.measure(new)[2][0])
         yield new, size, work
         best, least, since = (new, size, 0) if size < least else (best, least, since + 1)
         if size <= near:
@@ -57,11 +57,11 @@ def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
     yield from newton_points(stack, best, 40, goal)
 
 
-def moved_at_random(stack: ConeStack, z: Any, seed: int) -> Any:
+def move_at_random(stack: ConeStack, z: Any, seed: int) -> Any:
     """Return a point of the cones near z, the same for the same seed."""
     size = max(float(np.abs(z).mean()), float(stack.reference.mean()))
     way = np.random.default_rng(seed).standard_normal(z.shape)
-    return stack.projected(z + SPREADS[seed % 2] * size * way)
+    return stack.project(z + SPREADS[seed % 2] * size * way)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,12 +114,12 @@ class ConeNPGS(ConeAlgorithm):
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point every few sweeps."""
-        least = float(stack.measured(z)[2][0])
+        least = float(stack.measure(z)[2][0])
         yield z, least, 1.0
         since = count = 0
         while least > goal and since <= max(STANDSTILL, SLOW * count):
             *_, z = sweeps(stack, z, self.sweeps, 0.0, each=self.sweeps)
-            residual = float(stack.measured(z)[2][0])
+            residual = float(stack.measure(z)[2][0])
             least, since = (residual, 0) if residual < GAIN * least else (least, since + 1)
             count += 1
             yield z, residual, self.sweeps + 1.0
@@ -155,7 +155,7 @@ class ConeNewton(ConeAlgorithm):
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per linear system; end where none gains any more."""
         if self.seed:
-            z = moved_at_random(stack, z, self.seed)
+            z = move_at_random(stack, z, self.seed)
         options = {"patience": PATIENCE, "proximal": self.proximal}
         yield from newton_points(stack, z, NEWTON_STEPS, goal, **options)
 
@@ -173,7 +173,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per factorization."""
         self.require_friction(problem)
-        residual = float(stack.measured(z)[2][0])
+        residual = float(stack.measure(z)[2][0])
         yield z, residual, 1.0
         if residual > goal:
             yield from path_points(stack, np.zeros_like(z), 1.0, goal)
@@ -196,14 +196,14 @@ class FixedPoint(ConeAlgorithm):
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per program until five gain nothing, then Newton's from the best."""
         engine, pattern = ConvexProgram(problem), stack.pattern
-        best, least, since = z, float(stack.measured(z)[2][0]), 0
+        best, least, since = z, float(stack.measure(z)[2][0]), 0
         yield z, least, 1.0
         while least > goal and since < PROGRAMS:
-            found = engine.minimised(pattern.flat(z)[0])
+            found = engine.minimize(pattern.flat(z)[0])
             if found is None:
                 break
             z = pattern.wide(found[None])
-            residual = float(stack.measured(z)[2][0])
+            residual = float(stack.measure(z)[2][0])
             is_gain = residual < GAIN * least
             best, least, since = (z, residual, 0) if is_gain else (best, least, since + 1)
             yield z, residual, PROGRAM_WORK

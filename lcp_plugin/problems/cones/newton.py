@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from ...systems.least_norm import solved
 from .stack import ConeStack
-from .systems import Factors, factorized_matrix
+from .systems import Factors, factorize_matrix
 
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
 LEAST_OF_BODIES = 1e-8  # 1/ε stands in the system of the velocities
@@ -43,7 +43,7 @@ def newton_steps(
     Steps are found by a nonmonotone line search on ‖R‖₂; a problem whose residual is at most `goal` is left out.
     """
     open_ones, here, at = np.arange(stack.B), stack, z
-    w, found, largest, size = here.measured(at)
+    w, found, largest, size = here.measure(at)
     yield open_ones, at, largest, 1.0
     sizes, widest = np.repeat(size[:, None], MEMORY, 1), np.full(here.B, proximal)
     best, since, least = size.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
@@ -55,14 +55,14 @@ def newton_steps(
             kept = (open_ones, at, w, widest, sizes, largest, size, best, since)
             kept = tuple(one[going] for one in kept)
             open_ones, at, w, widest, sizes, largest, size, best, since = kept
-            here, found = here.taken(going), tuple(part[going] for part in found)
+            here, found = here.take(going), tuple(part[going] for part in found)
         by_z, by_w = here.derivative(w, *found[1:])
         epsilon = np.maximum(np.minimum(widest, 0.1 * largest), least)
         step = None
         while step is None and epsilon.min() <= 1.0:
             try:
                 shift = (epsilon[:, None] * here.d)[..., None, None]
-                factors = factorized(here, by_z + shift * by_w, by_w)
+                factors = factorize_blocks(here, by_z + shift * by_w, by_w)
                 step = factors.solve(-found[0])
             except np.linalg.LinAlgError:
                 epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
@@ -70,14 +70,14 @@ def newton_steps(
             return
         t, allowed, before, start = np.ones(here.B), sizes.max(1), size, at
         at = start + step
-        w, found, largest, size = here.measured(at)
+        w, found, largest, size = here.measure(at)
         for _ in range(HALVINGS):
             is_short = ~(size <= (1.0 - DECREASE * t) * allowed)
             if not is_short.any():
                 break
             t[is_short] *= 0.5
             at[is_short] = (start + t[:, None, None] * step)[is_short]
-            one, parts, *ends = here.taken(is_short).measured(at[is_short])
+            one, parts, *ends = here.take(is_short).measure(at[is_short])
             for whole, part in zip((w, *found, largest, size), (one, *parts, *ends), strict=True):
                 whole[is_short] = part
         widest = np.where(
@@ -98,30 +98,30 @@ def accuracy_of(stack: ConeStack) -> tuple[float, float]:
     return LEAST_PROXIMAL, EXACT
 
 
-def polished(stack: ConeStack, z: Any) -> tuple[Any, Any]:
+def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
     """Return points and residuals after the linear systems of two active sets, if these reduce the residual.
 
     If M is ill-conditioned, a small residual is no small error: a run that knows its active set ends with its system.
     """
     least, exact = accuracy_of(stack)
-    w, found, largest, _ = stack.measured(z)
+    w, found, largest, _ = stack.measure(z)
     best, smallest, shift = z, largest, least * stack.d[..., None, None]
     for _ in range(LAST_STEPS):
         if (largest <= exact).all():
             break
         by_z, by_w = stack.derivative(w, *found[1:])
         try:
-            z = z + factorized(stack, by_z + shift * by_w, by_w).solve(-found[0])
+            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found[0])
         except np.linalg.LinAlgError:
             break
-        w, found, largest, _ = stack.measured(z)
+        w, found, largest, _ = stack.measure(z)
         is_better = largest < smallest
         best = np.where(is_better[:, None, None], z, best)
         smallest = np.where(is_better, largest, smallest)
     return best, smallest
 
 
-def factorized(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
+def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     """Return what solves (mixed + by_w M) s = right, shape (B, k, m).
 
     Raises
@@ -140,10 +140,10 @@ def factorized(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     free = by_w[0].any((1, 2))
     arms = stack.arms
     if arms is not None and arms.are_fewer(pattern.sizes[free].sum()):
-        found: Factors = arms.factorized(mixed[0], by_w[0], np.flatnonzero(free))
+        found: Factors = arms.factorize(mixed[0], by_w[0], np.flatnonzero(free))
         return found
     J, rows = system_of_free_rows(stack, mixed[0], by_w[0], free)
-    inverse = factorized_matrix(J)
+    inverse = factorize_matrix(J)
 
     def solve(right: Any) -> Any:
         held = np.where(free[:, None], 0.0, right[0])[

@@ -35,7 +35,7 @@ class ConvexProgram:
         """Whether nothing is held: another program would be the same."""
         return not (self.problem.has_friction or self.rest.count_nonzero())
 
-    def minimised(self, z: FloatVector) -> FloatVector | None:
+    def minimize(self, z: FloatVector) -> FloatVector | None:
         """Return the minimiser where what depends on z is held; None where there is none."""
         problem = self.problem
         q = problem.q + self.rest @ z
@@ -47,7 +47,7 @@ class ConvexProgram:
             )
         found = self.solve(self.upper_half, q, self.rows, self.limits, self.cones)
         z = np.asarray(found.x)
-        return problem.projected(z) if z.size == problem.n and np.isfinite(z).all() else None
+        return problem.project(z) if z.size == problem.n and np.isfinite(z).all() else None
 
     def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
         """Return what Clarabel makes of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""

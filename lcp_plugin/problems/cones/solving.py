@@ -18,7 +18,7 @@ from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ..contact import ContactMotion, motion_of
-from .certificate import ConeCertificate, Measures, measured
+from .certificate import ConeCertificate, Measures, measure_points
 from .data import Blocks
 from .frictional_contact import FrictionalContact
 from .infeasibility import NoImpulse, infeasibility_proof
@@ -30,11 +30,11 @@ from .methods import (
     SWEEPS_A_STEP,
     ConeAlgorithm,
     FixedPoint,
-    moved_at_random,
+    move_at_random,
     newton_points,
     path_points,
 )
-from .newton import EXACT, newton_steps, polished
+from .newton import EXACT, newton_steps, polish_points
 from .stack import ConeStack
 from .sweeps import sweeps
 
@@ -129,7 +129,7 @@ def solve_cones(
     log = Log(problem, settings, checked_callback(callback), Clock())
     with np.errstate(all="ignore"):
         stack = ConeStack.of(problem)
-        z = None if z0 is None else stack.held(stack.pattern.wide(_start(problem, z0)[None]))
+        z = None if z0 is None else stack.snap(stack.pattern.wide(_start(problem, z0)[None]))
         run = ConeRun(problem, stack, log, z)
         with threads_for(settings.threads), time_limit(settings.max_seconds - log.clock.read()):
             run.solve(chosen)
@@ -151,7 +151,7 @@ def solve_cone_stack(
     """
     with np.errstate(all="ignore"):
         z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
-        found = measured(stack, z, tolerance)
+        found = measure_points(stack, z, tolerance)
         residual = found.worst()
         is_solved = found.pass_at(tolerance) & (is_warm | stack.is_answered.all(1))
         z[is_solved] = found.z[is_solved]
@@ -159,7 +159,7 @@ def solve_cone_stack(
             left = np.flatnonzero(~is_solved)
             if not left.size or not has_time():
                 break
-            here = stack.taken(~is_solved)
+            here = stack.take(~is_solved)
             for at in sweeps(here, swept[left], count, STOP * tolerance):
                 swept[left] = at
             iterations[left] += count // SWEEPS_A_STEP
@@ -174,8 +174,8 @@ def solve_cone_stack(
                 if not has_time():
                     break
             done = least <= goal
-            best[done] = polished(here.taken(done), best[done])[0] if done.any() else best[done]
-            found = measured(here, here.held(best), tolerance)
+            best[done] = polish_points(here.take(done), best[done])[0] if done.any() else best[done]
+            found = measure_points(here, here.snap(best), tolerance)
             passes, worst = found.pass_at(tolerance), found.worst()
             is_better = passes | (worst < residual[left])
             z[left[is_better]], residual[left[is_better]] = found.z[is_better], worst[is_better]
@@ -308,7 +308,7 @@ class ConeRun:
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
         if self.measures is None:
-            self.measures = self.measured(self.best)
+            self.measures = self.measure(self.best)
         if self.measures.pass_at(self.tolerance, self.absolute)[0]:
             self.status = Status.SOLVED
         if self.status is Status.STALLED and self.measures.are_limited(self.tolerance)[0]:
@@ -319,7 +319,7 @@ class ConeRun:
         stack, has_friction = self.stack, self.problem.has_friction
         self.log.begin("npgs", SWEPT)
         if self.is_warm or stack.is_answered.all():
-            self.residual = float(stack.measured(self.start)[2][0])
+            self.residual = float(stack.measure(self.start)[2][0])
             if self.residual <= self.tolerance:
                 self.judge(self.start)
         self._sweep_and_solve(*SCHEDULE[0])
@@ -354,16 +354,16 @@ class ConeRun:
     def _to_the_end(self) -> None:
         """Take sweeps until nothing changes, then Newton's method from points nearby."""
         self.swept = self.stack.origin
-        start, options = self.stack.held(self.best), {"patience": PATIENCE}
+        start, options = self.stack.snap(self.best), {"patience": PATIENCE}
         points = newton_points(self.stack, start, NEWTON_STEPS, self.goal, **options)
         self.take("newton", "from the best point so far", points)
         for number in range(ROUNDS):
             steps = NEWTON_STEPS if number in TRIED_AFTER else 0
             self._sweep_and_solve(LONG, steps, "until nothing changes", PATIENCE)
-        is_near = self.stack.measured(self.swept)[2][0] < 1.0
-        z = self.swept if is_near else self.stack.held(self.best)
+        is_near = self.stack.measure(self.swept)[2][0] < 1.0
+        z = self.swept if is_near else self.stack.snap(self.best)
         for seed in range(STARTS):
-            start = moved_at_random(self.stack, z, seed)
+            start = move_at_random(self.stack, z, seed)
             points = newton_points(self.stack, start, NEWTON_STEPS, self.goal, **options)
             self.take("newton", NEARBY, points)
 
@@ -388,7 +388,7 @@ class ConeRun:
 
     def _follow(self, share: float | None) -> None:
         """Follow the central path from nothing, or from a share of the largest velocity away from the best point."""
-        z = self.stack.origin if share is None else self.stack.held(self.best)
+        z = self.stack.origin if share is None else self.stack.snap(self.best)
         self.take("interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal))
 
     def take(self, name: str, because: str, points: Iterator[Any], *, judges: bool = True) -> None:
@@ -417,20 +417,20 @@ class ConeRun:
             self.measures = None
 
     def _shown(self, z: Any) -> FloatVector:
-        found: FloatVector = self.embed(self.stack.pattern.flat(self.stack.held(z))[0].copy())
+        found: FloatVector = self.embed(self.stack.pattern.flat(self.stack.snap(z))[0].copy())
         found.flags.writeable = False
         return found
 
-    def measured(self, z: Any) -> Measures:
+    def measure(self, z: Any) -> Measures:
         """Return the measures of the nearest point of the cones."""
-        return measured(self.stack, self.stack.held(z), self.tolerance, self.absolute)
+        return measure_points(self.stack, self.stack.snap(z), self.tolerance, self.absolute)
 
     def judge(self, z: Any) -> None:
         """Raise Ended if the point passes, or misses only by rounding."""
         if EXACT < self.residual <= self.goal:
             self._polish()
             z = self.best
-        self.measures = self.measured(z)
+        self.measures = self.measure(z)
         if self.measures.pass_at(self.tolerance, self.absolute)[0]:
             raise Ended(Status.SOLVED)
         if self.measures.are_limited(self.tolerance)[0]:
@@ -438,13 +438,13 @@ class ConeRun:
 
     def _polish(self) -> None:
         """Solve the linear system of the active set of the best point."""
-        self.best, residual = polished(self.stack, self.best)
+        self.best, residual = polish_points(self.stack, self.best)
         self.residual, self.measures = float(residual[0]), None
 
     def _solve_components(self) -> None:
         """Solve each component that does not pass, and put the points together."""
         pattern: Any = self.stack.pattern
-        whole = self.stack.held(self.best)
+        whole = self.stack.snap(self.best)
         flat = pattern.flat(whole)[0].copy()
         labels, measures = pattern.labels[0], self.measures
         assert measures is not None
@@ -473,7 +473,7 @@ class ConeRun:
                 self.proof = NoImpulse(self.problem, y)
             if run.status in (Status.INTERRUPTED, Status.MAX_SECONDS, Status.MAX_ITERATIONS):
                 break
-        self.measures = measured(
+        self.measures = measure_points(
             self.stack, pattern.wide(flat[None]), self.tolerance, self.absolute
         )
         raise Ended(max(statuses, key=WORST.index))
@@ -521,7 +521,7 @@ def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm
         tolerance=settings.tolerance,
         absolute_tolerance=settings.absolute_tolerance,
         history=tuple(log.samples),
-        stages=_merged(stages),
+        stages=_merge_stages(stages),
         infeasibility=run.proof,
         _advice=words,
     )
@@ -553,7 +553,7 @@ def result_of(
     )
 
 
-def _merged(stages: tuple[StageRecord, ...]) -> tuple[StageRecord, ...]:
+def _merge_stages(stages: tuple[StageRecord, ...]) -> tuple[StageRecord, ...]:
     """Return the stages with those of one name and reason as one."""
     merged: dict[tuple[str, str], StageRecord] = {}
     for stage in stages:

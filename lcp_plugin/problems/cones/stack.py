@@ -204,7 +204,7 @@ class Pattern:
         terms = self.norms * values[:, self.indices]
         return np.maximum.reduceat(terms, self.indptr[:-1], axis=1) if terms.size else values
 
-    def taken(self, some: Array) -> Pattern:
+    def take(self, some: Array) -> Pattern:
         """Return the pattern of some of the problems."""
         other = copy(self)
         for name in ("M", "norms", "own", "d", "most", "labels"):
@@ -247,7 +247,7 @@ class ConeStack:
         first = pattern.starts[:-1]
         self.low: Array = lower[:, first] if pattern.has_rows else None
         self.high: Array = upper[:, first] if pattern.has_rows else None
-        self.origin = self.projected(np.zeros_like(self.q))
+        self.origin = self.project(np.zeros_like(self.q))
         w = self.slack(self.origin) if self.origin.any() else self.q
         size = length(self.residual(self.origin, w)[0])
         self.reference = pattern.largest(size)
@@ -272,12 +272,12 @@ class ConeStack:
         with np.errstate(all="ignore"):
             return cls(pattern, *arrays, has_friction=problem.has_friction, arms=arms)
 
-    def taken(self, some: Array) -> ConeStack:
+    def take(self, some: Array) -> ConeStack:
         """Return the stack of some of the problems, by a mask."""
         if some.all():
             return self
         other = copy(self)
-        other.pattern = self.pattern.taken(some)
+        other.pattern = self.pattern.take(some)
         for name, values in vars(self).items():
             if isinstance(values, np.ndarray) and len(values) == self.B:
                 setattr(other, name, values[some])
@@ -322,7 +322,7 @@ class ConeStack:
             case = np.where(is_row, np.where(is_free, WITHIN, OUT), case)
         return R, case, x, tangent, axis
 
-    def projected(self, z: Array) -> Array:
+    def project(self, z: Array) -> Array:
         """Return the point of the cones nearest to z."""
         tangent, normal = length(z[..., 1:]), z[..., 0]
         on_axis = (normal + self.mu * tangent) / (1.0 + self.mu**2)
@@ -335,9 +335,9 @@ class ConeStack:
             found[..., 0] = np.where(self.pattern.is_row, own, found[..., 0])
         return found
 
-    def held(self, z: Array) -> Array:
+    def snap(self, z: Array) -> Array:
         """Return the nearest point of the cones, the one nearest to 0 in components that this one solves."""
-        z, answered = self.projected(z), self.is_answered
+        z, answered = self.project(z), self.is_answered
         return np.where(answered[..., None], self.origin, z) if answered.any() else z
 
     def derivative(
@@ -365,7 +365,7 @@ class ConeStack:
             by_w[..., 1:] += by_w[..., :1] * slide[..., None, :]
         return eye - P, by_w
 
-    def measured(self, z: Array) -> tuple[Array, Any, Array, Array]:
+    def measure(self, z: Array) -> tuple[Array, Any, Array, Array]:
         """Return w, what `residual` gives, the largest ‖R_k‖ relative to its reference, and the norm of all."""
         w = self.slack(z)
         found = self.residual(z, w)

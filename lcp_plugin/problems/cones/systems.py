@@ -21,7 +21,7 @@ class Factors(NamedTuple):
     entries: float
 
 
-def factorized_matrix(J: Any) -> Factors:
+def factorize_matrix(J: Any) -> Factors:
     """Return what solves with J, by LAPACK or SuperLU.
 
     Raises
@@ -84,7 +84,7 @@ class Arms:
         """Return whether a system of the velocities is worth while next to one of so many rows."""
         return bool(max(FEW, self.mass.shape[0]) < rows)
 
-    def factorized(self, mixed: Any, by_w: Any, free: Any) -> Factors:
+    def factorize(self, mixed: Any, by_w: Any, free: Any) -> Factors:
         """Return what solves by the velocities v: (mass + JᵀKJ) v = JᵀA right, s = A right − K J v."""
         v, columns, arms = self.mass.shape[0], self.columns, self.rows.swapaxes(1, 2)
         A = np.linalg.inv(mixed[free])
@@ -94,10 +94,10 @@ class Arms:
         local = (arms @ KJ).ravel()
         entries = np.bincount(self.flat, np.concatenate([local, self.mass.data]), self.pattern.size)
         if v <= LAPACK_UP_TO:
-            inverse = factorized_matrix(entries.reshape(v, v))
+            inverse = factorize_matrix(entries.reshape(v, v))
         else:
             indptr = np.searchsorted(self.pattern, np.arange(v + 1) * np.int64(v))
-            inverse = factorized_matrix(
+            inverse = factorize_matrix(
                 sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
             )
         KJ, at = KJ[free], columns[free]

@@ -229,7 +229,7 @@ class BranchAndBound:
         """Let a global solver search, and take what it says; return which limit ended it, or None."""
         before = self.nodes
 
-        def watched(value: float, bound: float, nodes: int) -> bool:
+        def report_progress(value: float, bound: float, nodes: int) -> bool:
             self.nodes, self._outside_value, self.outside = (
                 before + nodes,
                 value,
@@ -238,7 +238,7 @@ class BranchAndBound:
             return ends()
 
         found = engine(
-            self.problem, tolerance=self.tolerance, max_nodes=self.max_nodes, ends=watched
+            self.problem, tolerance=self.tolerance, max_nodes=self.max_nodes, ends=report_progress
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)

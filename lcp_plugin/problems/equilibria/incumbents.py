@@ -99,7 +99,7 @@ class LocalSearch:
     def _better_neighbour(self, piece: Node) -> Node | None:
         if piece.value == math.inf:
             return None
-        promising = self._promising(piece)
+        promising = self._find_promising(piece)
         for chosen in ([promising] if len(promising) > 1 else []) + [
             [one] for one in promising[:MOST_NEIGHBOURS]
         ]:
@@ -113,7 +113,7 @@ class LocalSearch:
                 return neighbour
         return None
 
-    def _promising(self, piece: Node) -> list[tuple[int, int]]:
+    def _find_promising(self, piece: Node) -> list[tuple[int, int]]:
         """Return (pair, case) of other cases of degenerate pairs towards which the objective falls, the steepest first.
 
         By the multipliers of the piece: where there is none, its solution is strongly stationary. All of them where

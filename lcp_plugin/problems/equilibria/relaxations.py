@@ -132,9 +132,9 @@ class Relaxations:
             if proof is not None and proof.excludes(self.tolerance):
                 node.bound, node.proof = math.inf, proof
                 return node
-            found.append(self._within_a_box(program))
+            found.append(self._solve_in_box(program))
         for solution in found:
-            x = self._rounded(np.clip(solution.x, program.lower, program.upper), program)
+            x = self._round_small(np.clip(solution.x, program.lower, program.upper), program)
             value = self.problem.objective(x)
             if node.point is None:
                 node.point = x
@@ -143,7 +143,7 @@ class Relaxations:
                 node.dual = x, np.concatenate([solution.inequality, solution.equality])
         return node
 
-    def _rounded(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
+    def _round_small(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
         """Return x, with 0 for what is rounding beside ‖x‖∞ where the rows are met more closely so."""
         is_tiny = np.abs(x) <= TINY * np.abs(x).max(initial=0.0)
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
@@ -187,7 +187,7 @@ class Relaxations:
             solution = _solution_of(program)
             if not solution.is_optimal():
                 return node
-            x = self._rounded(np.clip(solution.x, lower, upper), program)
+            x = self._round_small(np.clip(solution.x, lower, upper), program)
             if self.problem.excess(x) <= FEASIBLE:
                 node.point, node.value = x, self.problem.objective(x)
                 return node
@@ -216,7 +216,7 @@ class Relaxations:
             upper,
         )
 
-    def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
+    def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution within a large box, at its edge where the objective is unbounded."""
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes

@@ -101,7 +101,7 @@ class Optimality:
     def is_worse_than_known(self, tolerance: float) -> bool:
         """Return whether x costs more than another point that is known, rounding of that one included."""
         problem, slip, known = self.enclosures.problem, self.residual[1], self.enclosures.known
-        if problem.is_small and 0.5 * (problem.weighted(slip) @ slip) > tolerance * self.cost:
+        if problem.is_small and 0.5 * (problem.apply_weights(slip) @ slip) > tolerance * self.cost:
             known = [*known, self.enclosures.unbounded_solution]
         return any(
             not self.cost <= OUTWARD * (1.0 + tolerance) * self.enclosures.cost_above(x)
@@ -140,7 +140,7 @@ class Optimality:
     def sharp_residual(self) -> FloatVector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.residual
-        if not problem.has_entries or not problem.weighted(slip) @ np.abs(
+        if not problem.has_entries or not problem.apply_weights(slip) @ np.abs(
             r
         ) > NEARLY * problem.cost(self.x, r):
             return r
@@ -189,7 +189,7 @@ def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
     slope = enclosures.gradient_at(x, orthogonal)
     yield orthogonal, slope
     yield from _with_zeros(enclosures, x, orthogonal, slip)
-    yield from _repaired(enclosures, x, orthogonal, slope, rounding=-1.0)
+    yield from _repair(enclosures, x, orthogonal, slope, rounding=-1.0)
 
 
 def _with_zeros(
@@ -254,15 +254,18 @@ def duality_gap(
     if problem.l1.any() and (shrunk := _shrunk(enclosures, x, *slopes[0])) is not None:
         slopes.append(shrunk)
 
-    def above(*given: Any) -> float:
+    def bound_gap(*given: Any) -> float:
         return _gap(problem, x, *given)[0]
 
-    found = [above(exactly, residual[0], at_x), *(above(residual, *slope) for slope in slopes)]
+    found = [
+        bound_gap(exactly, residual[0], at_x),
+        *(bound_gap(residual, *slope) for slope in slopes),
+    ]
     if not np.nanmin(found) < np.inf:
-        repairs = (repair for slope in slopes for repair in _repaired(enclosures, x, *slope))
-        found += [above(residual, *repair) for repair in repairs]
+        repairs = (repair for slope in slopes for repair in _repair(enclosures, x, *slope))
+        found += [bound_gap(residual, *repair) for repair in repairs]
     if not np.nanmin(found) < np.inf and (convexity := enclosures.convexity) is not None:
-        found.append(above(exactly, residual[0], at_x, convexity))
+        found.append(bound_gap(exactly, residual[0], at_x, convexity))
     cost = float(OUTWARD**3 * (enclosures.cost_above(x) + TINY))
     return min(gap for gap in (cost, *found) if not np.isnan(gap))
 
@@ -302,10 +305,10 @@ def _gap(
         steepest = 0.5 * steep * (steep / curved) + TINY
         linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
     linear = linear + 0.0 * (s + radius)  # NaN if one is not finite
-    gap = 0.5 * float(problem.weighted(off) @ off) + float(np.sum(linear))
+    gap = 0.5 * float(problem.apply_weights(off) @ off) + float(np.sum(linear))
     gap = OUTWARD**3 * gap + TINY * (gap > 0.0) if gap < np.inf else np.inf
     y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
-    squares = problem.weighted(y) @ y + problem.ridge * (x @ x)
+    squares = problem.apply_weights(y) @ y + problem.ridge * (x @ x)
     return gap, float(0.5 * squares + l1 @ distance)
 
 
@@ -316,7 +319,7 @@ def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVect
     return np.where(falls, np.where(falls, steep, 0.0) * slack + TINY, 0.0)
 
 
-def _repaired(
+def _repair(
     enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball, *, rounding: float = 1.0
 ) -> Iterator[tuple[FloatVector, Ball]]:
     """Yield y + δp with a least δ that gives all columns the sign that they need, and its s, if one is found.
@@ -333,7 +336,7 @@ def _repaired(
     missing = np.maximum(rounding * slope[1] - wanted * slope[0] - problem.l1, 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
     for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
-        moved = wanted * problem.transposed(problem.weighted(push))
+        moved = wanted * problem.apply_transpose(problem.apply_weights(push))
         share = float(np.max(missing[lacking] / moved[lacking], initial=0.0))
         for _ in range(PUSHES if (moved[lacking] > 0.0).all() else 0):
             share *= 1.0 + 2.0**-10
@@ -378,7 +381,7 @@ def _push(
 
     shape = (columns.size, root.size)
     across = LinearOperator(
-        shape, lambda push: scaled.transposed(push)[columns], back, dtype=np.float64
+        shape, lambda push: scaled.apply_transpose(push)[columns], back, dtype=np.float64
     )
     steps = min(REPAIR_STEPS, 2 * columns.size + 1)
     push = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)[0]

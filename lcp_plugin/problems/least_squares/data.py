@@ -221,11 +221,11 @@ class BoundedLeastSquares:
         """Return A x."""
         return _vector(self.A @ x)
 
-    def transposed(self, y: FloatVector) -> FloatVector:
+    def apply_transpose(self, y: FloatVector) -> FloatVector:
         """Return Aᵀy."""
         return _vector(self._transpose @ y)
 
-    def weighted(self, y: FloatVector) -> FloatVector:
+    def apply_weights(self, y: FloatVector) -> FloatVector:
         """Return weights · y."""
         return y if self.weights is None else self.weights * y
 
@@ -233,7 +233,9 @@ class BoundedLeastSquares:
         """Return the objective value at x, given its residual A x − b."""
         with np.errstate(over="ignore", invalid="ignore"):  # of an x too large to be squared
             penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0
-            return float(0.5 * (self.weighted(residual) @ residual + penalty) + self.l1 @ np.abs(x))
+            return float(
+                0.5 * (self.apply_weights(residual) @ residual + penalty) + self.l1 @ np.abs(x)
+            )
 
     def weighted_matrix(self) -> Any:
         """Return √weights A, which must have entries: an ndarray or a CSR array."""
@@ -263,7 +265,7 @@ class BoundedLeastSquares:
 
     def _estimated_lengths(self) -> FloatVector:
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, self.shape[0]))
-        seen = np.array([self.transposed(self.root_weights * row) for row in signs])
+        seen = np.array([self.apply_transpose(self.root_weights * row) for row in signs])
         unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_SCALE)
         lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
         typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
@@ -361,10 +363,10 @@ class ScaledLeastSquares:
         product = self.problem.product(x / self.columns)
         return product if self.problem.weights is None else self._root * product
 
-    def transposed(self, y: FloatVector) -> FloatVector:
+    def apply_transpose(self, y: FloatVector) -> FloatVector:
         """Return Aᵀy."""
         return (
-            self.problem.transposed(y if self.problem.weights is None else self._root * y)
+            self.problem.apply_transpose(y if self.problem.weights is None else self._root * y)
             / self.columns
         )
 

@@ -52,7 +52,7 @@ class Enclosures:
         """The shortest solution without bounds and l1, moved to the bounds; A must have entries."""
         scaled = self.problem.scaled
         x = shortest_solution(*scaled.rows(is_dense=True))
-        return scaled.to_caller(clipped(x, scaled.lower, scaled.upper))
+        return scaled.to_caller(clip(x, scaled.lower, scaled.upper))
 
     def residual(self, x: FloatVector) -> Ball:
         """Return A x − b."""
@@ -63,18 +63,21 @@ class Enclosures:
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
-        return self._with_ridge(*self.transposed(*residual), x)
+        return self._with_ridge(*self.apply_transpose(*residual), x)
 
     def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
         """Return AᵀWy + ridge x."""
         return self.gradient(x, (y, NOTHING))
 
-    def transposed(self, y: FloatVector, slip: FloatVector) -> Ball:
+    def apply_transpose(self, y: FloatVector, slip: FloatVector) -> Ball:
         """Return AᵀWy for a y known up to slip; an empty slip means that y is exact."""
         problem = self.problem
-        weighted, slip = problem.weighted(y), problem.weighted(slip) if slip.size else slip
+        weighted, slip = (
+            problem.apply_weights(y),
+            problem.apply_weights(slip) if slip.size else slip,
+        )
         if not problem.has_entries:
-            return problem.transposed(weighted), np.zeros(problem.shape[1])
+            return problem.apply_transpose(weighted), np.zeros(problem.shape[1])
         return self._product(problem.A.T, self._sizes.T, weighted, slip, 0.0, self._terms[1])
 
     def _product(
@@ -100,7 +103,7 @@ class Enclosures:
     def reference(self) -> float:
         """The unit of residuals; see the class."""
         problem, start = self.problem, self.problem.nearest_to_zero
-        value, radius = self.transposed(problem.b, np.zeros(problem.shape[0]))
+        value, radius = self.apply_transpose(problem.b, np.zeros(problem.shape[0]))
         if not value.any():
             value, radius = self.gradient(start, self.residual(start))
         least = np.maximum(np.abs(value) - radius, 0.0) / problem.column_scales
@@ -185,12 +188,12 @@ def largest_residual(
     """
     slope, radius = gradient[0] / scales, gradient[1] / scales
     x, l1 = x * scales, l1 / scales
-    residual = clipped(x, slope - l1, slope + l1)
-    residual = np.abs(clipped(residual, x - upper * scales, x - lower * scales))
+    residual = clip(x, slope - l1, slope + l1)
+    residual = np.abs(clip(residual, x - upper * scales, x - lower * scales))
     size = np.max(np.where(np.isfinite(slope), residual + radius, np.nan), initial=0.0)
     return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
 
 
-def clipped(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+def clip(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
     """Return mid(lower, upper, x), sooner than numpy does for short vectors."""
     return np.minimum(np.maximum(x, lower), upper)

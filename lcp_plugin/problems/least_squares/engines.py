@@ -26,7 +26,7 @@ from ...engines.piqp import PIQP
 from ...engines.polish import polish_steps
 from ...systems.factors import lapack
 from .data import BoundedLeastSquares, ScaledLeastSquares
-from .enclosures import OUTWARD, clipped, shortest_solution
+from .enclosures import OUTWARD, clip, shortest_solution
 from .steps import FacePoint
 
 MAX_NNLS_COLUMNS = 600  # or rows, whichever are fewer: nnls frees one column at a time
@@ -66,14 +66,14 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FloatVecto
     is_dense = problem.problem.is_dense or problem.problem.is_small
     A, b = problem.rows(is_dense=is_dense)
     if not is_dense:
-        yield from (("piqp", x) for x in Split.of(problem, A).as_it_stands(b))
+        yield from (("piqp", x) for x in Split.of(problem, A).solve_residual_form(b))
         return
     for name, x in _dense_solutions(problem, A, b):
         if np.isfinite(x).all():
             if name == "lstsq" or (name == "nnls" and not problem.lower.any()):
                 yield name, without_noise(problem, x)  # others lie near a face, not on it
-            point = FacePoint(problem, clipped(x, problem.lower, problem.upper))
-            yield name, on_its_face(point, A, b).x
+            point = FacePoint(problem, clip(x, problem.lower, problem.upper))
+            yield name, minimize_on_face(point, A, b).x
 
 
 def _dense_solutions(
@@ -84,12 +84,12 @@ def _dense_solutions(
     if not (bounds.any() or problem.l1.any()):
         yield "lstsq", shortest_solution(A, b)
     if (bounds == 1).all() and not problem.l1.any() and min(A.shape) <= MAX_NNLS_COLUMNS:
-        yield "nnls", _by_nnls(problem, A, b)
+        yield "nnls", _solve_by_nnls(problem, A, b)
     split = Split.of(problem, A)
     if A.shape[0] < A.shape[1] and (bounds <= 1).all():
-        yield "piqp", split.by_dual(b)
-    yield "piqp", split.by_normal_equations(b)
-    yield from (("piqp", x) for x in split.as_it_stands(b))
+        yield "piqp", split.solve_dual(b)
+    yield "piqp", split.solve_normal_equations(b)
+    yield from (("piqp", x) for x in split.solve_residual_form(b))
     yield "lstsq", shortest_solution(A, b)  # bounds may be far, and PIQP's point between them, too
 
 
@@ -140,7 +140,7 @@ def _nnls_optimality(
     return OUTWARD**3 * (gap + float(np.maximum(slope - rounding, 0.0).dot(x))) / cost
 
 
-def _by_nnls(problem: ScaledLeastSquares, A: FloatVector, b: FloatVector) -> FloatVector:
+def _solve_by_nnls(problem: ScaledLeastSquares, A: FloatVector, b: FloatVector) -> FloatVector:
     """Return the solution within one bound per column, NaN if nnls gives up."""
     from scipy.optimize import nnls
 
@@ -178,23 +178,23 @@ class Split(NamedTuple):
             kink,
         )
 
-    def joined(self, z: FloatVector) -> FloatVector:
+    def join_parts(self, z: FloatVector) -> FloatVector:
         """Return x."""
-        z = clipped(z, self.lower, self.upper)
+        z = clip(z, self.lower, self.upper)
         x = z[: z.size - self.kink.size].copy()
         x[self.kink] -= z[x.size :]
         return x
 
-    def by_normal_equations(self, b: FloatVector) -> FloatVector:
+    def solve_normal_equations(self, b: FloatVector) -> FloatVector:
         """Return PIQP's x for min ½ zᵀEᵀE z + (slopes − Eᵀb)ᵀz, at bounds if multipliers say so."""
         E, k = self.E, self.slopes.size
         none = np.zeros((0, k)), np.zeros(0)
         cost = self.slopes - E.T @ b
         z, multipliers = _answer(E.T @ E, cost, *none, *none, self.lower, self.upper)[1][:2]
         z = np.where(multipliers.lower > z - self.lower, self.lower, z)
-        return self.joined(np.where(multipliers.upper > self.upper - z, self.upper, z))
+        return self.join_parts(np.where(multipliers.upper > self.upper - z, self.upper, z))
 
-    def as_it_stands(self, b: FloatVector) -> Iterator[FloatVector]:
+    def solve_residual_form(self, b: FloatVector) -> Iterator[FloatVector]:
         """Yield PIQP's x for min ½‖r‖² + slopesᵀz with E z − r = b, polished and as returned."""
         m, k = self.E.shape
         E = sp.csr_array(sp.hstack([self.E, -sp.eye_array(m)]))
@@ -210,9 +210,9 @@ class Split(NamedTuple):
         )
         if np.isfinite(answer.x).all():
             for found in (*polish_steps(program, answer), answer):
-                yield self.joined(found.x[:k])
+                yield self.join_parts(found.x[:k])
 
-    def by_dual(self, b: FloatVector) -> FloatVector:
+    def solve_dual(self, b: FloatVector) -> FloatVector:
         """Return x of the multipliers z of PIQP's y; no column may have two bounds."""
         has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
         is_bounded = has_lower | has_upper
@@ -230,7 +230,7 @@ class Split(NamedTuple):
         z = np.zeros(sign.size)
         z[is_bounded], z[~is_bounded] = answer.multipliers[:2]
         z = np.where(is_bounded & (z <= right - rows @ answer.x), 0.0, z)
-        return self.joined(start + sign * z)
+        return self.join_parts(start + sign * z)
 
 
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
@@ -244,10 +244,10 @@ def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:
     noise = NOISE * np.abs(x).max(initial=0.0)
     for bound in (problem.lower, problem.upper, 0.0):
         x = np.where(np.abs(x - bound) <= noise, bound, x)
-    return clipped(x, problem.lower, problem.upper)
+    return clip(x, problem.lower, problem.upper)
 
 
-def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
+def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
     """Return the minimum on the face of the point, or on one nearby of lower cost.
 
     A step leads towards the minimum on a face, by an orthogonal factor, up to the bounds; columns that are pulled away
@@ -266,7 +266,7 @@ def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
             face = free.tobytes() + orthant.linear[free].tobytes()
             if face == before or not free.size:
                 return point
-            after = _towards_minimum(point, free, A, b)
+            after = _step_to_minimum(point, free, A, b)
             if after.cost <= SAME_COST * point.cost and (after.x != point.x).any():
                 break
         else:
@@ -275,7 +275,7 @@ def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
     return point
 
 
-def _towards_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector) -> FacePoint:
+def _step_to_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector) -> FacePoint:
     """Return the point after a step of the free columns; columns that depend on those before them stay as they are.
 
     The rows of A are sorted by size: Householder's factor with column pivots is stable row by row then (Cox and Higham
@@ -294,5 +294,5 @@ def _towards_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector
     step = x - point.x
     if not np.isfinite(step).all():
         return point
-    x = point.projected(step, point.problem.product(step)).x
+    x = point.project(step, point.problem.product(step)).x
     return FacePoint(point.problem, without_noise(point.problem, x))

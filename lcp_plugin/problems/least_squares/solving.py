@@ -217,20 +217,20 @@ class LeastSquaresRun:
         """Certify a scaled x, and keep it if it is the best; return whether it is SOLVED."""
         _require_time()
         tolerance = self.settings.tolerance
-        judged = self._judged(x, tolerance)
+        judged = self._test_point(x, tolerance)
         is_solved = judged.meets(tolerance)
         if self.best is None or is_solved or judged.is_better(self.best):
             self.best = judged
         return is_solved
 
-    def _judged(self, x: FloatVector, tolerance: float) -> Optimality:
+    def _test_point(self, x: FloatVector, tolerance: float) -> Optimality:
         return Optimality.of(self.enclosures, self.problem.scaled.to_caller(x), tolerance=tolerance)
 
     def result(self, status: Status) -> LeastSquaresResult:
         """Return the result of the run with its best point."""
         problem, best = self.problem, self.best
         if best is None or status in (Status.MAX_SECONDS, Status.INTERRUPTED):
-            last = self._judged(self.nearest, np.inf)
+            last = self._test_point(self.nearest, np.inf)
             best = last if best is None or last.is_better(best) else best
         x, residual = best.x, best.sharp_residual
         return _result_of(

@@ -23,7 +23,7 @@ import numpy as np
 from ...core.checks import BoolVector, FloatVector
 from ...core.kernels.floats import EPSILON
 from .data import ScaledLeastSquares
-from .enclosures import clipped
+from .enclosures import clip
 
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
@@ -59,7 +59,7 @@ class FacePoint:
     ) -> None:
         self.problem, self.x = problem, x
         self.residual = problem.product(x) - problem.b if residual is None else residual
-        self.slope = problem.transposed(self.residual) + problem.ridge * x
+        self.slope = problem.apply_transpose(self.residual) + problem.ridge * x
         self.gradient = self.slope + problem.linear
 
     @cached_property
@@ -89,7 +89,7 @@ class FacePoint:
     @cached_property
     def natural_residual(self) -> FloatVector:
         """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
-        return clipped(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
+        return clip(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
 
     @cached_property
     def pull_across(self) -> float:
@@ -116,9 +116,9 @@ class FacePoint:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
         return float(product @ product + (self.problem.ridge * direction) @ direction)
 
-    def moved(self, direction: FloatVector, product: FloatVector, length: float) -> FacePoint:
+    def move(self, direction: FloatVector, product: FloatVector, length: float) -> FacePoint:
         """Return the point at x + length · direction, which is within the bounds but for rounding."""
-        x = clipped(self.x + length * direction, self.problem.lower, self.problem.upper)
+        x = clip(self.x + length * direction, self.problem.lower, self.problem.upper)
         return FacePoint(self.problem, x, self.residual + length * product)
 
     def farthest(self, direction: FloatVector) -> float:
@@ -133,14 +133,14 @@ class FacePoint:
         """Return by how much the cost rises at x + d, of d and A d; costs themselves would cancel."""
         return float(self.gradient @ direction) + 0.5 * self.curvature(direction, product)
 
-    def projected(self, direction: FloatVector, product: FloatVector) -> FacePoint:
+    def project(self, direction: FloatVector, product: FloatVector) -> FacePoint:
         """Return the better of x + direction, projected onto the bounds, and the first bound on the way there."""
         length = min(self.farthest(direction), 1.0)
-        bent = clipped(self.x + direction, self.problem.lower, self.problem.upper) - self.x
+        bent = clip(self.x + direction, self.problem.lower, self.problem.upper) - self.x
         bent_product = self.problem.product(bent)
         if self.rise(bent, bent_product) < self.rise(length * direction, length * product):
-            return self.moved(bent, bent_product, 1.0)
-        return self.moved(direction, product, length)
+            return self.move(bent, bent_product, 1.0)
+        return self.move(direction, product, length)
 
 
 Take = Callable[[FacePoint], Iterator[FacePoint]]
@@ -196,9 +196,7 @@ def _spectral_steps(
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
     while settled < SETTLED:
         problem = point.problem
-        direction = (
-            clipped(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
-        )
+        direction = clip(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
         product = problem.product(direction)
         slope, curvature = float(point.gradient @ direction), point.curvature(direction, product)
         if not (slope < 0.0 < curvature):  # nothing but rounding is left to gain
@@ -206,7 +204,7 @@ def _spectral_steps(
         share = 1.0
         if point.cost + slope + 0.5 * curvature > max(costs) + SUFFICIENT * slope:
             share = min(1.0, -slope / curvature)
-        after = point.moved(direction, product, share)
+        after = point.move(direction, product, share)
         length = float(direction @ direction) / curvature
         settled = settled + 1 if np.array_equal(after.is_free, point.is_free) else 0
         point = after
@@ -226,10 +224,10 @@ def _conjugate_steps(point: FacePoint) -> Steps:
             return point
         length = size / curvature
         if length > point.farthest(direction):
-            point = point.projected(length * direction, length * product)
+            point = point.project(length * direction, length * product)
             yield point
             return point
-        point = point.moved(direction, product, length)
+        point = point.move(direction, product, length)
         yield point
         before, size = size, float(point.free_gradient @ point.free_gradient)
         direction = (size / before) * direction - point.free_gradient

@@ -65,26 +65,26 @@ class AnswerSequence(Sequence[T]):
     @property
     def advice(self) -> str:
         """What the status means of the first that is not SOLVED, in a sentence; of all where all are."""
-        shown = self._shown()
+        shown = self._format_item()
         if shown < 0 or self.all_solved:
             return Status.SOLVED.value
-        return f"{self.item} {shown}: {self._said(shown, lambda one: str(getattr(one, 'advice', one)))}"
+        return f"{self.item} {shown}: {self._describe(shown, lambda one: str(getattr(one, 'advice', one)))}"
 
     def explain(self) -> str:
         """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
-        shown = self._shown()
+        shown = self._format_item()
         lines = [f"{len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s"]
         if shown >= 0:
-            lines.append(f"{self.item} {shown}: {self._said(shown, str)}")
+            lines.append(f"{self.item} {shown}: {self._describe(shown, str)}")
         return "\n".join(lines)
 
-    def _shown(self) -> int:
+    def _format_item(self) -> int:
         return next(
             (k for k, status in enumerate(self.status) if status is not Status.SOLVED),
             len(self) - 1,
         )
 
-    def _said(self, k: int, words: Callable[[T], str]) -> str:
+    def _describe(self, k: int, words: Callable[[T], str]) -> str:
         """Return words of item k, or what is wrong with it."""
         try:
             return words(self.at(k))

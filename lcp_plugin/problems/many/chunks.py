@@ -11,7 +11,7 @@ LARGEST_CHUNK = 256  # problems between two looks at the clock
 CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
 
 
-def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
+def run_in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
     """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C the chunks that wait are not begun."""
     threads = min(threads, MAX_THREADS)
     size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)

@@ -62,7 +62,7 @@ class Marches:
         of_nearest = self._product(self.nearest)
         with np.errstate(all="ignore"):
             for k, given in enumerate(forcing):
-                Q[k] = given + self._propagated(states)
+                Q[k] = given + self._propagate(states)
                 found = self._step(Q[k], of_nearest, states)
                 if found is None:
                     Q, Z = Q[:k], Z[:k]
@@ -108,12 +108,12 @@ class Marches:
         wrong[(self.lower >= Z) & (W >= 0.0) | (self.upper <= Z) & (W <= 0.0)] = 0.0
         wrong[np.broadcast_to(self.lower == self.upper, Z.shape)] = 0.0
         is_right = (wrong <= self.tolerance**0.75 * T).all(axis=-1)
-        slip = self._rounding(T)
+        slip = self._bound_rounding(T)
         residual = self._residual(W, Z)
         residual += slip
         reference = self._residual(of_nearest + Q, self.nearest)
         terms = self._product(np.abs(self.nearest), is_magnitude=True)
-        reference -= self._rounding(terms + np.abs(Q))
+        reference -= self._bound_rounding(terms + np.abs(Q))
         allowed = self.tolerance * reference.max(axis=-1, initial=0.0)
         answer: NDArray[np.bool_] = is_right & (residual.max(axis=-1, initial=0.0) <= allowed)
         return answer
@@ -128,7 +128,7 @@ class Marches:
         residual: FloatVector = np.abs(step, out=step)
         return residual
 
-    def _rounding(self, T: FloatVector) -> FloatVector:
+    def _bound_rounding(self, T: FloatVector) -> FloatVector:
         """Return a bound of the rounding error of w/d, w with the terms T."""
         width = max(int(np.diff(one.csr.indptr).max(initial=0)) for one in self.problems[:1])
         rounding: FloatVector = (T * EPSILON + TINY) * ((width + 4) / self.scale)
@@ -145,7 +145,7 @@ class Marches:
         matrices = [abs(one.csr) if is_magnitude else one.csr for one in self.problems]
         return np.stack([(M @ Z[..., j, :].T).T for j, M in enumerate(matrices)], axis=-2)
 
-    def _propagated(self, states: FloatVector) -> FloatVector:
+    def _propagate(self, states: FloatVector) -> FloatVector:
         first = self.propagators[0]
         if all(one is first for one in self.propagators):
             moved: FloatVector = (first @ states.T).T

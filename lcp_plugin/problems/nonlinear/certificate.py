@@ -116,7 +116,7 @@ class Reference:
             for size, is_limited in zip(most.tolist(), limited.tolist(), strict=True)
         ]
 
-    def reached(self, problem: LCP, x: FloatVector) -> FloatVector:
+    def snap_to_start(self, problem: LCP, x: FloatVector) -> FloatVector:
         """Return x with x° in the components that x° solves, and that x has come near on its way from the start."""
         most = self._ends_of_f(problem)[1]
         left, way = (

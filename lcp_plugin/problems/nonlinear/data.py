@@ -61,7 +61,7 @@ class NonlinearProblem:
     >>> problem = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[0, 0])
     >>> problem
     NonlinearProblem(n=2, differences)
-    >>> problem.linearised([2.0, 0.0]).M.diagonal().round(5)
+    >>> problem.linearize([2.0, 0.0]).M.diagonal().round(5)
     array([12.,  0.])
     """
 
@@ -94,7 +94,7 @@ class NonlinearProblem:
         check_order(self.lower, self.upper)
         self._differences: Differences | None = None
 
-    def sized(self, n: int) -> NonlinearProblem:
+    def with_size(self, n: int) -> NonlinearProblem:
         """Return the problem with n unknowns: this one, or where its bounds are numbers one with vectors of them.
 
         Raises
@@ -148,23 +148,23 @@ class NonlinearProblem:
         InvalidProblem
             Where it is not finite, or the callable returns something else.
         """
-        returned, name = self._returned(self._point(x), value)
+        returned, name = self._call_jacobian(self._point(x), value)
         return _finite(returned, name, np.size(x))
 
-    def _returned(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
+    def _call_jacobian(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
         """Return F′(x), unchecked, and its name in errors."""
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
                 returned = self.jacobian(x)
             return (sp.csr_array(returned) if sp.issparse(returned) else returned), "jacobian(x)"
-        problem = self.sized(x.size)
+        problem = self.with_size(x.size)
         if problem._differences is None:
             problem._differences = Differences.on(self.pattern, x.size)
         value = self.value(x) if value is None else value
         derivative = problem._differences.at(self.value, x, value, problem.lower, problem.upper)
         return derivative, "the derivative of F by differences"
 
-    def linearised(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
+    def linearize(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
         """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
 
         A row with an infinite slope, as √x has at 0, gets the slope 1 in x_i and no other: as far as its sign goes, F_i
@@ -184,7 +184,7 @@ class NonlinearProblem:
         x = self._point(x)
         value = self.value(x) if value is None else value
         M = self.slopes(x, value)[0]
-        problem = self.sized(x.size)
+        problem = self.with_size(x.size)
         with np.errstate(all="ignore"):
             q = value - M @ x
             if not np.isfinite(q).all():
@@ -206,8 +206,8 @@ class NonlinearProblem:
         InvalidProblem
             Where an entry is not a number, or the callable returns something else.
         """
-        returned, name = self._returned(x, value)
-        returned, is_steep = _levelled(returned, x.size)
+        returned, name = self._call_jacobian(x, value)
+        returned, is_steep = _replace_infinite_rows(returned, x.size)
         return _finite(returned, name, x.size), is_steep
 
     def _point(self, x: ArrayLike) -> FloatVector:
@@ -234,7 +234,7 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
         raise
 
 
-def _levelled(derivative: Any, n: int) -> tuple[Any, BoolVector]:
+def _replace_infinite_rows(derivative: Any, n: int) -> tuple[Any, BoolVector]:
     """Return the derivative with the identity's rows where an entry is infinite, and which these are."""
     is_steep = np.zeros(n, dtype=bool)
     entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
@@ -264,8 +264,8 @@ class Linearisation:
 
     @cached_property
     def lcp(self) -> LCP:
-        """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearised`."""
-        return self.problem.linearised(self.x, self.value)
+        """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearize`."""
+        return self.problem.linearize(self.x, self.value)
 
     @cached_property
     def is_steep(self) -> BoolVector:

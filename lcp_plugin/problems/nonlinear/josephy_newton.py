@@ -115,8 +115,8 @@ class _NewtonRun:
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
         latest, since = deque([self._progress(self.here)], maxlen=WINDOW), 0
-        while since < PATIENCE and (following := self._following()) is not None:
-            self.here = following = self._reached(following)
+        while since < PATIENCE and (following := self._next_point()) is not None:
+            self.here = following = self._snap(following)
             self.recent.append(following)
             self.options.points.keep(following)
             yield self.step()
@@ -126,9 +126,9 @@ class _NewtonRun:
             if since and self._is_at_floor():
                 return
 
-    def _reached(self, point: Linearisation) -> Linearisation:
+    def _snap(self, point: Linearisation) -> Linearisation:
         """Return the point with x° in the components that are nearly there, where x° solves them."""
-        x = self.options.compared_with.reached(point.lcp, point.x)
+        x = self.options.compared_with.snap_to_start(point.lcp, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
         return (
             there if there.is_defined and self._relative(there) <= self._relative(point) else point
@@ -153,18 +153,18 @@ class _NewtonRun:
 
     # --- one step ----------------------------------------------------------------------------------------
 
-    def _following(self) -> Linearisation | None:
+    def _next_point(self) -> Linearisation | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
         if not self._residuals(self.here).any():
             return None
         for shift in SHIFTS:
             target = self._solution(shift)
-            found = None if target is None else self._searched(target, is_newton=shift == 0.0)
+            found = None if target is None else self._search(target, is_newton=shift == 0.0)
             if found is not None or is_over() or self._is_at_floor():
                 return found
         return None
 
-    def _searched(self, target: FloatVector, *, is_newton: bool) -> Linearisation | None:
+    def _search(self, target: FloatVector, *, is_newton: bool) -> Linearisation | None:
         """Return the first point on the way to the target that is better."""
         here = self.here
         worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
@@ -241,14 +241,14 @@ class _NewtonRun:
         tolerance = min(max(relative, enough), FORCING)
         algorithm = self.options.linear
         try:
-            result = solved_within(step, algorithm, tolerance)
+            result = solve_within(step, algorithm, tolerance)
         except (
             UnsuitableMatrix,
             UnsuitableProblem,
         ):  # by an algorithm that does not take this linearisation
             if algorithm == "auto":
                 raise
-            result = solved_within(step, "auto", tolerance)
+            result = solve_within(step, "auto", tolerance)
         self.work += result.work
         if not (result.is_solved or result.residual <= 0.5):
             return None
@@ -285,7 +285,7 @@ def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iter
             return
 
 
-def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
+def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
     """Return the result of a run within another one, whose limits hold for it and whose Ctrl-C ends both.
 
     From the projected gradient step: the methods see a start and look for a solution near it.

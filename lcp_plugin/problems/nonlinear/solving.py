@@ -123,7 +123,7 @@ def solve_nonlinear(
     method_of(algorithm, {})
     checked_callback(callback)
     start = _checked_start(problem, x0)
-    problem = problem.sized(start.size)
+    problem = problem.with_size(start.size)
     clock = Clock()
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with np.errstate(), threads_for(settings.threads):

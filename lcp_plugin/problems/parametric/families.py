@@ -159,9 +159,11 @@ class Family:
         self.problem, self.settings, self.ends = problem, settings, ends
         if not isinstance(along, Mapping) or not along:
             raise InvalidOption(f'along must say what moves, as {{"q": direction}}, got {along!r}')
-        self.directions = {str(name): self._checked(name, change) for name, change in along.items()}
+        self.directions = {
+            str(name): self._check_change(name, change) for name, change in along.items()
+        }
 
-    def _checked(self, name: str, change: Any) -> FloatVector:
+    def _check_change(self, name: str, change: Any) -> FloatVector:
         """Return the change of a vector for θ + 1, shape (size,)."""
         kind = type(self.problem).__name__
         if name in self.FIXED:
@@ -199,7 +201,7 @@ class Family:
         now = getattr(self.problem, name)
         return np.array([now, self.directions.get(name, np.zeros(now.size))])
 
-    def moved(self, theta: float) -> dict[str, FloatVector]:
+    def vectors_at(self, theta: float) -> dict[str, FloatVector]:
         """Return the vectors that move, at θ."""
         moved = {
             name: getattr(self.problem, name) + theta * step
@@ -211,7 +213,7 @@ class Family:
             moved["lower"] = np.minimum(moved["lower"], self.problem.upper)
         return moved
 
-    def crossing(self) -> tuple[float, str]:
+    def find_crossing(self) -> tuple[float, str]:
         """Return the share of the way at which bounds cross first, and which, in words; −1 if they do at the start."""
         low, high = (
             np.array([[1.0, theta] for theta in self.ends]) @ self.pair(name) for name in BOUNDS
@@ -241,15 +243,15 @@ class Family:
         """Return q, lower and upper of what is followed, as pairs."""
         return [self.pair(name) for name in ("q", *BOUNDS)]
 
-    def solved(self, theta: Any) -> Any:
+    def solve_at(self, theta: Any) -> Any:
         """Return the answer of `solve` at θ."""
         return solve(self.at(theta), tolerance=self.settings.tolerance)
 
     def staircases(self) -> Staircases:
         """Return what is followed."""
-        return Staircases.of_bounds(Columns(self.conditions.M), *self.rows())
+        return Staircases.from_bounds(Columns(self.conditions.M), *self.rows())
 
-    def followed(self, result: Any) -> FloatVector:
+    def extract_unknowns(self, result: Any) -> FloatVector:
         """Return the unknowns of what is followed, of an answer of `solve`."""
         raise NotImplementedError
 
@@ -290,12 +292,12 @@ class ComplementarityFamily(Family):
 
     def at(self, theta: Any) -> LCP:
         """Return the problem at θ."""
-        moved = self.moved(theta)
+        moved = self.vectors_at(theta)
         bounds = {name: moved[name] for name in BOUNDS if name in moved}
         problem: LCP = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
         return problem
 
-    def followed(self, result: Any) -> FloatVector:
+    def extract_unknowns(self, result: Any) -> FloatVector:
         """Return z."""
         return np.asarray(result.z)
 
@@ -339,7 +341,7 @@ class ProgramFamily(Family):
 
     def at(self, theta: Any) -> QuadraticProgram:
         """Return the problem at θ."""
-        problem: QuadraticProgram = self.problem.with_vectors(**self.moved(theta))
+        problem: QuadraticProgram = self.problem.with_vectors(**self.vectors_at(theta))
         return problem
 
     def rows(self) -> list[FloatVector]:
@@ -355,7 +357,7 @@ class ProgramFamily(Family):
             np.concatenate(parts, axis=1) for parts in ((c, h, b), (lower, least), (upper, most))
         ]
 
-    def followed(self, result: Any) -> FloatVector:
+    def extract_unknowns(self, result: Any) -> FloatVector:
         """Return x and the multipliers of rows."""
         found = result.solution
         return np.concatenate([found.x, found.inequality, found.equality])
@@ -405,7 +407,7 @@ class LeastSquaresFamily(Family):
             raise UnsuitableProblem(
                 "trace needs the entries of A, no LinearOperator; give an array or a sparse array"
             )
-        ends = [self.moved(theta) for theta in self.ends]
+        ends = [self.vectors_at(theta) for theta in self.ends]
         l1, lower, upper = (
             [one.get(name, getattr(problem, name)) for one in ends] for name in ("l1", *BOUNDS)
         )
@@ -427,7 +429,7 @@ class LeastSquaresFamily(Family):
 
     def at(self, theta: float) -> BoundedLeastSquares:
         """Return the problem at θ."""
-        moved = self.moved(theta)
+        moved = self.vectors_at(theta)
         if "l1" in moved:
             moved["l1"] = np.maximum(moved["l1"], 0.0)
         problem: BoundedLeastSquares = self.problem.with_vectors(**moved)
@@ -444,13 +446,13 @@ class LeastSquaresFamily(Family):
                 if problem.is_sparse
                 else root[:, np.newaxis] * A
             )
-        q = -np.array([problem.transposed(problem.weighted(part)) for part in b])
+        q = -np.array([problem.apply_transpose(problem.apply_weights(part)) for part in b])
         q += np.where(self._has_kink, 0.0, np.where(self._negative, -l1, l1))
-        return Staircases.of_penalty(
+        return Staircases.from_penalty(
             GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink
         )
 
-    def followed(self, result: Any) -> FloatVector:
+    def extract_unknowns(self, result: Any) -> FloatVector:
         """Return x."""
         return np.asarray(result.x)
 

@@ -117,12 +117,12 @@ class Follower:
         self.problem, self.t, self.begin, self.n = problem, t, t, problem.n
         self.steps = problem.steps_of(t, z, w)
         self._columns: dict[int, FloatVector] = {}
-        self.motion = self._begun(z)
+        self.motion = self._begin(z)
 
-    def _begun(self, z: FloatVector) -> Motion | None:
+    def _begin(self, z: FloatVector) -> Motion | None:
         """Return the motion of steps that hold at t: rows that are off theirs go to the next one, some times."""
         for _ in range(CORRECTIONS):
-            motion = self._settled(z)
+            motion = self._settle(z)
             if motion is None or not (motion.outside > MISSED).any():
                 return motion
             is_below = motion.low[0] < -MISSED * motion.blur
@@ -172,7 +172,7 @@ class Follower:
         for _ in range(AT_ONE_PLACE * self.n + 100):
             row, way = change
             self.steps[row] += way
-            self.motion = self._settled(z)
+            self.motion = self._settle(z)
             if self.motion is not None:
                 break
             free = np.flatnonzero(self.steps % 2)
@@ -195,7 +195,7 @@ class Follower:
             self._columns.update(zip(new, self.problem.columns.many(new), strict=True))
         return np.array([self._columns[int(j)] for j in rows]).reshape(rows.size, self.n)
 
-    def _settled(self, near: FloatVector) -> Motion | None:
+    def _settle(self, near: FloatVector) -> Motion | None:
         """Return the motion of the present steps, through a point near `near`; None if the rows contradict."""
         q, corners, levels = self.problem.at(self.t)
         every, sizes, k = np.arange(self.n), self.problem.columns.sizes, self.steps // 2
@@ -208,7 +208,7 @@ class Follower:
             columns = self._block(free)
             level = levels[:, k[free] + 1, free]
             known = w[:, free] - level
-            solution = _solved(columns[:, free].T, -known, sizes[free], near[free])
+            solution = _solve_block(columns[:, free].T, -known, sizes[free], near[free])
             if solution is None:
                 return None
             z[:, free] = solution
@@ -235,7 +235,7 @@ class Follower:
         return Motion(z, low, high, *known_to)
 
 
-def _solved(
+def _solve_block(
     block: FloatVector, right: FloatVector, sizes: FloatVector, near: FloatVector
 ) -> FloatVector | None:
     """Return values and rates of block · z = right, shape (2, k); None if no z is a solution.

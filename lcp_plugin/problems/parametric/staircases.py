@@ -56,7 +56,7 @@ class Columns:
             units /= np.sqrt(_largest(units[:, np.newaxis] * size * units))
         return _powers(units)
 
-    def measured(self, units: FloatVector) -> Columns:
+    def rescale(self, units: FloatVector) -> Columns:
         """Return the columns of D M D."""
         return Columns((units[:, np.newaxis] * self._columns * units).T)
 
@@ -100,7 +100,7 @@ class GramColumns(Columns):
         size = np.where(size > 0.0, size, 1.0)
         return _powers(1.0 / size) if _differ(size) else np.ones(self.n)
 
-    def measured(self, units: FloatVector) -> Columns:
+    def rescale(self, units: FloatVector) -> Columns:
         """Return the columns of D M D."""
         A = (
             sp.csr_array(self._A @ sp.diags_array(units))
@@ -116,7 +116,7 @@ class GramColumns(Columns):
         made[np.arange(len(numbers)), numbers] += self._ridge[numbers]
         return np.asarray(made)
 
-    def one(self, j: int) -> FloatVector:
+    def column(self, j: int) -> FloatVector:
         """Return column j, shape (n,)."""
         if sp.issparse(self._A):
             return np.asarray(self.many([j])[0])
@@ -145,7 +145,7 @@ class Staircases:
     levels: FloatVector
 
     @classmethod
-    def of_bounds(
+    def from_bounds(
         cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> Staircases:
         """Return that of q, lower and upper, shape (2, n) each."""
@@ -156,7 +156,7 @@ class Staircases:
         return cls(columns, q, corners, levels)
 
     @classmethod
-    def of_penalty(
+    def from_penalty(
         cls,
         columns: Columns,
         q: FloatVector,
@@ -166,18 +166,18 @@ class Staircases:
         has_kink: NDArray[np.bool_],
     ) -> Staircases:
         """Return that of bounds and of penalty · |z| in rows with a kink at 0; in others a penalty is part of q."""
-        made = cls.of_bounds(columns, q, lower, upper)
+        made = cls.from_bounds(columns, q, lower, upper)
         corners, levels = made.corners, made.levels
         corners[:, 2, has_kink], corners[:, 1, has_kink] = upper[:, has_kink], 0.0
         levels[:, 1, has_kink], levels[:, 2, has_kink] = penalty[:, has_kink], -penalty[:, has_kink]
         return made
 
-    def measured(self, units: FloatVector) -> Staircases:
+    def rescale(self, units: FloatVector) -> Staircases:
         """Return the problem of z / d and d w, whose matrix is D M D."""
         if (units == 1.0).all():
             return self
         return Staircases(
-            self.columns.measured(units), self.q * units, self.corners / units, self.levels * units
+            self.columns.rescale(units), self.q * units, self.corners / units, self.levels * units
         )
 
     @property
@@ -189,12 +189,14 @@ class Staircases:
         """Return the problem over t with θ = start + toward · t."""
         return Staircases(
             self.columns,
-            *(_based(one, start, toward) for one in (self.q, self.corners, self.levels)),
+            *(_change_parameter(one, start, toward) for one in (self.q, self.corners, self.levels)),
         )
 
     def at(self, t: float) -> tuple[FloatVector, FloatVector, FloatVector]:
         """Return q, corners and levels as values at t and slopes."""
-        q, corners, levels = (_based(one, t, 1.0) for one in (self.q, self.corners, self.levels))
+        q, corners, levels = (
+            _change_parameter(one, t, 1.0) for one in (self.q, self.corners, self.levels)
+        )
         return q, corners, levels
 
     def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
@@ -237,6 +239,6 @@ def _powers(units: FloatVector) -> FloatVector:
     return np.exp2(np.rint(np.log2(units)))
 
 
-def _based(parts: FloatVector, t: float, toward: float) -> FloatVector:
+def _change_parameter(parts: FloatVector, t: float, toward: float) -> FloatVector:
     """Return (constant, slope) of t' with t + toward · t' for the parameter."""
     return np.stack([parts[0] + t * parts[1], toward * parts[1]])

@@ -116,8 +116,8 @@ class _Trace:
         self.toward, self.span = (1.0 if stop >= start else -1.0), abs(stop - start)
         stated = family.staircases()
         self.units = stated.columns.units()
-        self.problem: Staircases = stated.measured(self.units).begun_at(start, self.toward)
-        share, self.path.crossed = family.crossing()
+        self.problem: Staircases = stated.rescale(self.units).begun_at(start, self.toward)
+        share, self.path.crossed = family.find_crossing()
         self.end, self.reached = self.span * share, 0.0
 
     def theta(self, t: float) -> float:
@@ -131,7 +131,7 @@ class _Trace:
             -1,
         )  # shares that led to nothing since the last line; −1: the start
         while self.end >= 0.0 and failed < len(BEYOND):
-            follower = self._begun((0.0, *BEYOND)[failed + 1 :])
+            follower = self._begin((0.0, *BEYOND)[failed + 1 :])
             if follower is None:
                 break
             self._reach_back(follower)
@@ -145,24 +145,24 @@ class _Trace:
         path.reached = self.theta(self.reached)
         return path
 
-    def _begun(self, shares: tuple[float, ...]) -> Follower | None:
+    def _begin(self, shares: tuple[float, ...]) -> Follower | None:
         """Return the first follower just beyond; None if no solution exists or it determines no way on."""
         for share in shares:
             t = min(self.reached + share * self.span, self.end)
-            if t == 0.0 and (follower := self._at_corners()) is not None:
+            if t == 0.0 and (follower := self._start_at_corners()) is not None:
                 return follower
-            result = self.path.beyond = self.family.solved(self.theta(t))
+            result = self.path.beyond = self.family.solve_at(self.theta(t))
             self.path.starts += 1
             if result.has_no_solution or result.x is None:
                 return None
-            follower = self._follower(t, self.family.followed(result) / self.units)
+            follower = self._follower(t, self.family.extract_unknowns(result) / self.units)
             if follower.motion is not None:
                 return follower
             if t == self.end:
                 return None
         return None
 
-    def _at_corners(self) -> Follower | None:
+    def _start_at_corners(self) -> Follower | None:
         """Return a follower if the corner nearest to 0 is the solution at the start, as for a large penalty."""
         corners = self.problem.corners[0]
         z = np.take_along_axis(corners, np.abs(corners).argmin(axis=0)[np.newaxis], axis=0)[0]

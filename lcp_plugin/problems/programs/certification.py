@@ -154,9 +154,9 @@ def certify(
         # What a time limit cut short is not kept.
         proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
         if claim in ("infeasible", "unbounded"):
-            return proofs.of_claim(str(claim), float(tolerance))
+            return proofs.prove_claim(str(claim), float(tolerance))
         answer = _answer(problem, x, multipliers)
-        return proofs.of_answer(*answer, float(tolerance))
+        return proofs.prove_answer(*answer, float(tolerance))
 
 
 def _answer(
@@ -304,14 +304,14 @@ class ProgramProofs:
         Rational arithmetic looks for one where doubles prove none, unless it is not to, and nobody for a solution of
         our own that is not to be looked at.
         """
-        found = [point for x in near if (point := self.points.near(x)) is not None]
+        found = [point for x in near if (point := self.points.find_near(x)) is not None]
         if "own_solution" in self.__dict__ or (self.is_small and by_own):
             found += self._own_point
         return found if found or not exactly else self._inside
 
     @cached_property
     def _own_point(self) -> list[FeasiblePoint]:
-        own = None if self.own_solution is None else self.points.near(self.own_solution.x)
+        own = None if self.own_solution is None else self.points.find_near(self.own_solution.x)
         return [] if own is None else [own]
 
     @cached_property
@@ -334,7 +334,7 @@ class ProgramProofs:
 
     # --- Claims -------------------------------------------------------------------------------------------------
 
-    def of_claim(self, claim: str, tolerance: float) -> Certification:
+    def prove_claim(self, claim: str, tolerance: float) -> Certification:
         """Return what is proved about "infeasible" or "unbounded"."""
         if (proof := self.no_minimum) is not None:
             if proof.verdict != claim:
@@ -356,7 +356,7 @@ class ProgramProofs:
             )
         return unproved
 
-    def of_answer(
+    def prove_answer(
         self, x: FloatVector, given: FloatVector | None, tolerance: float
     ) -> Certification:
         """Return what is proved about a point, and the multipliers of all constraints that came with it."""

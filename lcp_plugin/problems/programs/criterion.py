@@ -205,7 +205,7 @@ class Point:
         of_C = self.matrices.measured[3]
         return np.minimum(
             *(
-                largest(of_C, one) * self._most(self.matters / one)[of_row]
+                largest(of_C, one) * self._largest_by_component(self.matters / one)[of_row]
                 for one in (np.ones(units.size), units)
             )
         )
@@ -252,7 +252,7 @@ class Point:
         reach = shake = self.room
         if has_units:
             units = self.matrices.fit[0]
-            at_most = units * self._most(self.matters / units)[of]
+            at_most = units * self._largest_by_component(self.matters / units)[of]
             by_terms = size[of] / np.maximum(self.size_of_gradient, TINY)
             far = REACH * np.maximum(np.maximum(self.of_x, by_terms), at_most)
             reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
@@ -384,7 +384,7 @@ class Point:
             sums += np.bincount(parts.of_row, of_rows, parts.number)
         return np.asarray(sums)
 
-    def _most(self, sizes: FloatVector) -> FloatVector:
+    def _largest_by_component(self, sizes: FloatVector) -> FloatVector:
         """Return the largest size in each component."""
         parts = self.matrices.components
         if parts.number == 1:

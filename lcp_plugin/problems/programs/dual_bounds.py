@@ -82,7 +82,7 @@ class DualBounds:
         """
         if not np.isfinite(self.curvature.weights).all():
             return -np.inf
-        given = self.admitted(x, y)
+        given = self.admit(x, y)
         found, points = self.value(given), [given]
         if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
             points.append(clean)
@@ -102,7 +102,7 @@ class DualBounds:
             found = max(found, self._exact_value(given, is_fixed=True))
         return found
 
-    def admitted(self, x: FloatVector, y: FloatVector) -> DualPoint:
+    def admit(self, x: FloatVector, y: FloatVector) -> DualPoint:
         """Return the point with multipliers that are allowed: none negative, none where a box says the same."""
         m = self.program.h.size
         allowed = np.where(np.isfinite(y), y, 0.0)
@@ -182,7 +182,7 @@ class DualBounds:
             near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
             movable = np.flatnonzero(self._is_movable(at))
             v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
-            at = self.admitted(v[: at.x.size], v[at.x.size :])
+            at = self.admit(v[: at.x.size], v[at.x.size :])
         return at
 
     def _is_movable(self, at: DualPoint) -> BoolVector:

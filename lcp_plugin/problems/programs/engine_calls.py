@@ -124,9 +124,9 @@ def run_engine(
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         given = _statement(reduced)
         for statement in (given,) if units is GIVEN else _statements(given):
-            scaled = None if units is GIVEN else _scaled(reduced, statement, units)
+            scaled = None if units is GIVEN else _scale_statement(reduced, statement, units)
             asked = statement if scaled is None else scaled.statement
-            point = _asked(engine, asked, is_verbose)
+            point = _call_engine(engine, asked, is_verbose)
             iterations, says = iterations + point.iterations, point.says
             if not np.isfinite(np.concatenate([point.x, *point.multipliers[:2]])).all():
                 continue
@@ -225,13 +225,15 @@ def _statements(given: ProgramData) -> Iterator[ProgramData]:
         yield given
 
 
-def _scaled(reduced: QuadraticProgram, statement: ProgramData, units: str) -> ScaledProgram:
+def _scale_statement(
+    reduced: QuadraticProgram, statement: ProgramData, units: str
+) -> ScaledProgram:
     """Return the statement in the units of an attempt."""
     fitted = ScaledProgram.from_units(statement, *reduced.matrices.engine_units)
     return fitted if units is FITTED else with_sides_about_one(fitted, statement)
 
 
-def _asked(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:
+def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:
     """Return the point of an engine."""
     try:
         return engine.answer(statement, Limits(seconds_left(), is_verbose))
@@ -241,10 +243,12 @@ def _asked(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAn
         if not (asked or engine.options):
             raise
         given = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
-        raise InvalidOption(f"{engine.name} does not take {given}: {_in_short(error)}") from error
+        raise InvalidOption(
+            f"{engine.name} does not take {given}: {_shorten_message(error)}"
+        ) from error
 
 
-def _in_short(error: Exception) -> str:
+def _shorten_message(error: Exception) -> str:
     """Return the first sentence that another package has for an error; of a binding's list of signatures its head."""
     return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
 

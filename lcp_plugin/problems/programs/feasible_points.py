@@ -38,7 +38,7 @@ class FeasiblePoint:
     ----------
     near : ndarray, shape (n,)
     radius : ndarray, shape (n,)
-        0 where the point is `near` itself.
+        0 where the point is `find_near` itself.
     value : float
         A double above its objective.
     """
@@ -60,11 +60,11 @@ class FeasiblePoints:
 
     program: QuadraticProgram = field(repr=False)
 
-    def near(self, x: FloatVector) -> FeasiblePoint | None:
+    def find_near(self, x: FloatVector) -> FeasiblePoint | None:
         """Return a feasible point near x, x itself where it is one; None where doubles prove none."""
         if not (self.program.constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
-        points = (self._enclosed(self._moved_off(x, slack)) for slack in SLACKS)
+        points = (self._enclose(self._move_off(x, slack)) for slack in SLACKS)
         return next((point for point in points if point is not None), None)
 
     @cached_property
@@ -80,7 +80,7 @@ class FeasiblePoints:
             and self.program.n + self.program.constraints.rows <= SMALL
         )
 
-    def _moved_off(self, x: FloatVector, slack: float) -> FloatVector:
+    def _move_off(self, x: FloatVector, slack: float) -> FloatVector:
         """Return the nearest point on the equations with some slack in what else x nearly meets, to rounding."""
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
@@ -95,7 +95,7 @@ class FeasiblePoints:
         return np.clip(moved, self.program.lower, self.program.upper)
 
     @np.errstate(all="ignore")  # a row without a limit has no excess
-    def _enclosed(self, x: FloatVector) -> FeasiblePoint | None:
+    def _enclose(self, x: FloatVector) -> FeasiblePoint | None:
         """Return the point near x that satisfies the equations; None where x leaves no slack for that elsewhere."""
         program, rows = self.program, self.program.constraints
         excess = rows.excess(x)

@@ -382,12 +382,12 @@ def proof_of_no_minimum(
     row = contradictory_row(folded.reduced)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
-        other = _by_programs(folded.reduced, exactly)
+        other = _prove_by_programs(folded.reduced, exactly)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or folded.reduced is program:
         return found
     # A bound that a row gives is rounded, the row is not.
-    return folded.proof(found) or _by_programs(program, exactly)
+    return folded.proof(found) or _prove_by_programs(program, exactly)
 
 
 def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
@@ -399,7 +399,7 @@ def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     return found  # type: ignore[no-any-return]
 
 
-def _by_programs(
+def _prove_by_programs(
     program: QuadraticProgram, exactly: bool
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that linear programs find."""
@@ -435,7 +435,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     return QPInfeasibility(program, tuple(multipliers))
 
 
-def balanced(program: QuadraticProgram, y: FloatVector) -> FloatVector:
+def balance_multipliers(program: QuadraticProgram, y: FloatVector) -> FloatVector:
     """Return multipliers of the rows, without noise, moved so that the sums which a bound does not take up cancel."""
     y = np.where(np.abs(y) > NOISE * np.abs(y).max(initial=0.0), y, 0.0)
     used, rows = np.flatnonzero(y), program.matrices.rows
@@ -461,7 +461,7 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
         return None
 
     def proven(y: Multipliers) -> QPInfeasibility | None:
-        for values in (y,) if exactly else (y, balanced(program, numbers(y))):
+        for values in (y,) if exactly else (y, balance_multipliers(program, numbers(y))):
             nonzero = {i: Fraction(value) for i, value in enumerate(values) if value}
             if (proof := with_bounds(program, nonzero)).margin > 0.0:
                 return proof

@@ -195,7 +195,7 @@ class ProgramMatrices:
         if n + rows > DENSE_FIT:
             return fitted_units(self.sparse_P, self.rows)
         P = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
-        return fitted_to(P, self.dense_rows)
+        return fit_units_of(P, self.dense_rows)
 
     @cached_property
     def is_small(self) -> bool:
@@ -290,7 +290,7 @@ class ProgramMatrices:
         if left.size == m + p:
             return self
         first, columns = np.searchsorted(left, m), np.arange(self.P.shape[0])
-        return self.kept(
+        return self.recall(
             "rows",
             (left,),
             lambda: ProgramMatrices(
@@ -300,7 +300,7 @@ class ProgramMatrices:
             ),
         )
 
-    def kept(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
+    def recall(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
         """Return what was made for the same arrays the last time, or make it."""
         key = tuple(array.tobytes() for array in keys)
         known = self._kept.get(name)
@@ -355,7 +355,7 @@ def _conjugate_gradients(A: sp.csr_array, b: FloatVector) -> FloatVector:
 
 
 @np.errstate(all="ignore")  # numbers that are not finite have no units
-def fitted_to(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
+def fit_units_of(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return the units that `fitted_units` fits, of ndarrays or stacks of them, shapes (…, n, n) and (…, m, n).
 
     If no entry is 0, the sums of the logarithms solve the normal equations.

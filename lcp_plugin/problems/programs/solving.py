@@ -224,7 +224,7 @@ def solve_program(
             elif isinstance(algorithm, str) and algorithm == "auto":
                 run.follow(run.all_runs())
             else:
-                run.follow(iter([run.on_the_lcp(algorithm, options)]))
+                run.follow(iter([run.solve_lcp(algorithm, options)]))
         except KeyboardInterrupt:
             run.is_interrupted = True
         except UnsupportedModel:
@@ -281,13 +281,13 @@ class _ProgramRun:
         reduced = FoldedRows.of(self.program).reduced
         has_rows, matrices = bool(reduced.constraints.rows), reduced.matrices
         if not has_rows and not matrices.has_curvature:
-            yield self._by_costs()
+            yield self._vertex_by_costs()
         is_lcp_first = not has_rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
-            yield self.on_the_lcp("auto", {})
+            yield self.solve_lcp("auto", {})
         yield from self.engine_runs(None)
         if not is_lcp_first and reduced.n + reduced.constraints.rows <= FEW:
-            yield self.on_the_lcp("auto", {})
+            yield self.solve_lcp("auto", {})
 
     def engine_runs(self, engine: Engine | None) -> Iterator[EngineRun]:
         """Yield what external solvers come to."""
@@ -311,7 +311,7 @@ class _ProgramRun:
             if self.is_interrupted:
                 return
 
-    def _by_costs(self) -> EngineRun:
+    def _vertex_by_costs(self) -> EngineRun:
         """Return the vertex of a box that the costs push to."""
         solution = QPSolution.from_reduced(self.program, *nearest(self.program))
         errors = solution.errors_for(self.settings.tolerance)
@@ -320,7 +320,7 @@ class _ProgramRun:
         )
         return EngineRun(solution, errors, says, StageRecord("costs", "boxes", 0, 0.0))
 
-    def on_the_lcp(self, algorithm: Any, options: dict[str, Any]) -> EngineRun:
+    def solve_lcp(self, algorithm: Any, options: dict[str, Any]) -> EngineRun:
         """Return what a run on the complementarity problem of the program comes to."""
         problem = optimality_conditions(self.program, self.settings.tolerance)
         wishes = {**options, **self.wishes, "max_seconds": seconds_left()}

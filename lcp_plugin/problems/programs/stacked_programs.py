@@ -21,7 +21,7 @@ from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
 from .convexity import refuse_nonconvex
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
-from .program_matrices import ProgramMatrices, fitted_to, may_be_small
+from .program_matrices import ProgramMatrices, fit_units_of, may_be_small
 
 
 class QuadraticProgramBatch:
@@ -181,7 +181,7 @@ class QuadraticProgramBatch:
             np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values()
         )
         P, G, A = map(_stack, (self.P, self.G, self.A))
-        data = P, c, _beside(G, A), _beside(h, b), lower, upper
+        data = P, c, _concatenate(G, A), _concatenate(h, b), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
 
     @property
@@ -209,14 +209,14 @@ class QuadraticProgramBatch:
     def __getitem__(self, k: int) -> QuadraticProgram:
         if not -len(self) <= k < len(self):
             raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
-        c, h, b, lower, upper = (_of(rows, k % len(self)) for rows in self.vectors.values())
+        c, h, b, lower, upper = (_row_of(rows, k % len(self)) for rows in self.vectors.values())
         if self._given is not None:
             if isinstance(one := self._given[k], LCPError):
                 raise one
             return one
         if self._shared is not None:
             return self._shared.with_vectors(c, h, b, lower, upper)
-        P, G, A = (_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
+        P, G, A = (_row_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
         return QuadraticProgram(P, c, G, h, A, b, lower, upper)
 
     def __repr__(self) -> str:
@@ -234,7 +234,7 @@ def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> Qu
             for one in (P, C[:, :m], C[:, m:])
         )
     )
-    units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fitted_to(P, C))
+    units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fit_units_of(P, C))
     matrices.__dict__["fit"] = (
         units.ravel(),
         np.concatenate([of_rows[:, :m].ravel(), of_rows[:, m:].ravel()]),
@@ -260,7 +260,7 @@ def block_diagonal(stack: Any) -> sp.csr_array:
     return assemble_csr(stack[is_entry], columns, starts, (count * m, count * n))
 
 
-def _of(rows: Any, k: int) -> Any:
+def _row_of(rows: Any, k: int) -> Any:
     """Return the row of program k; a single row is common to all programs."""
     return rows[k if len(rows) > 1 else 0]
 
@@ -285,7 +285,7 @@ def _stack(matrices: Any) -> Any:
     return dense if dense.ndim == 3 else dense[np.newaxis]
 
 
-def _beside(first: Any, second: Any) -> Any:
+def _concatenate(first: Any, second: Any) -> Any:
     """Return two stacks as one; no copy where one of them has no rows."""
     if not first.shape[1] or not second.shape[1]:
         return first if first.shape[1] else second

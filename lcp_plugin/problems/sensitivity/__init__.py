@@ -348,5 +348,5 @@ class Derivative(LinearizedSystem):
         product: FloatVector = (M.T if transposed else M) @ x
         return product
 
-    def _on_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+    def _solve_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
         return solution(self._system, right, transposed=transposed)

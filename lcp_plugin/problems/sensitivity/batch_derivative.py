@@ -111,7 +111,7 @@ class BatchPart(LinearizedSystem):
     def _product(self, x: Any, *, transposed: bool = False) -> Any:
         return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
 
-    def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
+    def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
         x = self.blocks.solve(right, transposed=transposed)
         if not transposed:
             x[self.blocks.is_singular] = np.nan

@@ -14,7 +14,7 @@ from ..batches.worlds import stack_of_worlds
 from ..cones.derivative import StackDerivative
 from ..cones.newton import whole_systems
 from ..cones.stack import ConeStack
-from ..many.chunks import in_chunks
+from ..many.chunks import run_in_chunks
 from .batch_derivative import BatchGradient, ManyDerivatives
 
 NAMED = 5  # worlds, in words
@@ -57,7 +57,7 @@ class _Together(StackDerivative):
         by_q, _, by_friction = self.gradients(g, by_w)
         return [by_q, by_friction]
 
-    def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
+    def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
         return self.system.solve(right, transposed=transposed)
 
 
@@ -122,7 +122,7 @@ class ContactBatchDerivative(ManyDerivatives):
                 stack = stack_of_worlds(W, b, mu, worlds.dimension)
                 parts[k] = _Together(stack, at, np.arange(len(self))[own], self._is_solved[own])
 
-        in_chunks(derive, len(parts), self.batch.threads)
+        run_in_chunks(derive, len(parts), self.batch.threads)
         return parts
 
     @cached_property

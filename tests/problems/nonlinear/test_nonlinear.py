@@ -321,7 +321,7 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
     def jacobian(x: np.ndarray) -> np.ndarray:
         return np.array([[3.0 * x[0] ** -4.0, 0.1], [0.1, 1.0]])
 
-    at = NonlinearProblem(F, jacobian, lower=[-INF, 0.0]).linearised([7e11, 0.0])
+    at = NonlinearProblem(F, jacobian, lower=[-INF, 0.0]).linearize([7e11, 0.0])
     x = np.array([7e11, 0.0])
     assert term_residuals(at, x, F(x))[0] > 0.1
 
@@ -355,7 +355,7 @@ def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobia
     assert result.status is Status.STALLED
     for e in (1e-7, 1e-9, 1e-12):  # its rows hold to any tolerance, farther out
         x = np.array([1 - e, 0.0, 2 * (1 + e) / (3 * e**2)])
-        at = NonlinearProblem(F, jacobian).linearised(x)
+        at = NonlinearProblem(F, jacobian).linearize(x)
         assert shares_of_unknowns(at, x, F(x))[2] < 1e-5
         assert not solve_nonlinear(NonlinearProblem(F, jacobian), x, max_iterations=0).is_solved
 
@@ -595,7 +595,7 @@ def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
     np.testing.assert_array_equal(one.z, other.z)
     assert str(one.certificate) == str(other.certificate)
     first, second = (
-        NonlinearProblem(F, refilled).linearised(np.full(4, value)) for value in (1.0, 2.0)
+        NonlinearProblem(F, refilled).linearize(np.full(4, value)) for value in (1.0, 2.0)
     )
     assert (first.M != second.M).nnz > 0
 

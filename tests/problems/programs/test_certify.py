@@ -392,7 +392,7 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(
             for is_flipped in (False, True):
                 x = case.x + size * rng.normal(size=case.x.size)
                 y = (right + size * rng.normal(size=right.size)) * (-1.0 if is_flipped else 1.0)
-                at = bounds.admitted(x, y)
+                at = bounds.admit(x, y)
                 found = [bounds.value(at), bounds._exact_value(at), bounds.best(x, y)]
                 finite += np.isfinite(found[2])
                 assert all(value == -INF or Fraction(value) <= case.value for value in found), (

@@ -63,9 +63,9 @@ def exact(values: Any) -> list[Any]:
 
 
 def limits(values: Any) -> np.ndarray:
-    """Limits of 1e20 and beyond are none."""
+    """Limits of 1e20 up to 1e-12 of it, and beyond, are none."""
     values = np.asarray(values, float)
-    return np.where(abs(values) >= 1e20, np.copysign(np.inf, values), values)
+    return np.where(abs(values) >= 1e20 * (1.0 - 1e-12), np.copysign(np.inf, values), values)
 
 
 class ExactLCP:

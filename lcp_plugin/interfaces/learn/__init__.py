@@ -20,27 +20,27 @@ and in JAX::
 
     jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # also under jit and vmap
 
-**Shapes.** The last axis of q and of the bounds is that of the unknowns, the last two of M are its rows and columns;
-axes in front are those of a batch, and broadcast as everywhere. One M of shape (n, n) for all costs one matrix. A bound
-may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a single problem may be as large as
+**Shapes.** The last axis of q and of the bounds is the axis of the unknowns, the last two of M are its rows and
+columns; axes in front are batch axes, and broadcast as everywhere. One M of shape (n, n) for all costs one matrix. A
+bound may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a single problem may be as large as
 :func:`~lcp_plugin.solve` takes. So M may also be a sparse scipy array, a constant of the layer.
 
-**What comes back** is z, solved for again on its free rows, so that it is exact to rounding whatever the tolerance
-was; w = M z + q is easily written beside it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says
-which of the batch it is. (JAX puts its own error around these words.)
+**The result** is z, solved for again on its free rows, so that it is exact to rounding for any tolerance; compute
+w = M z + q from it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` names its number in the batch.
+(JAX wraps this error in its own.)
 
-**Gradients** by all four are those of :meth:`BatchDerivative.vjp`: exact if no row is both at a bound and has w = 0.
-If a row is, as where a ReLU gets 0, they are those of one of the pieces that meet there. A second derivative is
-rejected. If the block of M on the free rows is singular, they are those of the least change, as
+**Gradients** by all four are computed by :meth:`BatchDerivative.vjp`: exact if no row is both at a bound and has w = 0.
+If such a row exists, as for a ReLU at 0, they are the gradients of one of the pieces that meet there. A second
+derivative raises an error. If the block of M on the free rows is singular, they belong to the least change, as
 :class:`lcp_plugin.problems.sensitivity.Derivative` describes.
 
 **Transformations.** Gradients go backward: in JAX ``grad``, ``vjp``, ``jacrev``, also under ``jit`` and ``vmap``, which
-makes one batch of its axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. Forward mode is
-that of :meth:`BatchDerivative.jvp` in numpy.
+makes one batch of its axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. For forward mode
+use :meth:`BatchDerivative.jvp` in numpy.
 
-**Contact with friction.** ``contact_layer(W, b, friction)`` gives the impulses of many worlds, with the gradients of
+**Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of
 :class:`~lcp_plugin.problems.sensitivity.contact_batch_derivative.ContactBatchDerivative`.
 
-**Double precision**, on the CPU: single precision is rejected in words, as a certificate of what was rounded certifies
+**Double precision**, on the CPU: single precision raises an error, because a certificate of rounded data certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.
 """

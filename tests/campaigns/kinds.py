@@ -191,13 +191,11 @@ def optional(rng: Generator, name: str) -> Found:
     """Any options, start, tolerance and units: no claim is false, no bound too small, whatever a run is asked for."""
     kind = str(rng.choice([k for k in small_lcps.KINDS if k != "badly scaled"]))
     problem = small_lcps.random_problem(kind, rng)
-    truth = decide(problem).verdict
-    if (
-        rng.random() < 0.5
-    ):  # another unit of w in every row and of z: powers of two, so that the truth stays
+    if rng.random() < 0.5:  # other units of each w and of z; a bound of 1e20 or more is none
         spread = int(rng.choice([3, 30, 250]))
         problem = scaled(problem, np.exp2(rng.integers(-spread, spread + 1, problem.n)), np.exp2(np.full(
             problem.n, rng.integers(-spread, spread + 1)))).problem  # fmt: skip
+    truth = decide(problem).verdict
     tolerance = float(rng.choice([0.0, 1e-15, 1e-12, 1e-6, 1e-2]))
     asked: dict[str, Any] = {
         "tolerance": tolerance,

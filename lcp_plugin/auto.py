@@ -256,7 +256,7 @@ def takes_rounds(problem: LCP) -> bool:
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:
-    """Return whether Σ_{j≠i} |m_ij| ≤ 0.8 m_ii on every row; the first block of rows refuses most other matrices."""
+    """Return whether Σ_{j≠i} |m_ij| ≤ 0.8 m_ii on every row; the first block of rows rejects most other matrices."""
     M, diagonal = problem.csr, problem.diagonal
     for rows in row_blocks(problem.n):
         d, ends = diagonal[rows], M.indptr[rows.start : rows.stop + 1]

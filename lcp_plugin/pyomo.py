@@ -50,11 +50,11 @@ convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[g
 ``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
 ``keepfiles=True`` the ``.nl`` file stays; ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve,
 where ``model.write`` knows no complementarities. With an objective beside complementarities ``tolerance`` is that of
-the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes; ``algorithm`` is refused; the message says whose
+the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes; ``algorithm`` is rejected; the message says whose
 the bound is. Values that the variables have are tried first. The command
 ``pyomo solve --solver=lcp_plugin model.py`` knows the solver too.
 
-**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
+**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only if the answer is SOLVED, ``infeasible``
 and ``unbounded`` only with a proof; ``noSolution``: none found, none excluded; ``other``: no better in double precision
 (where the bounds alone are the answer ``absolute_tolerance`` says how small is small enough), or something beside the
 pairs does not hold. ``results.solver.message`` says it; ``solver.result`` is our own result of the last solve. A
@@ -220,7 +220,7 @@ class LCPPlugin:
 def answered_in_a_folder(
     model: Any, options: dict[str, Any], keepfiles: bool, labels: bool
 ) -> PyomoAnswer:
-    """Return the answer to a model, through a file that is kept only where it is asked for."""
+    """Return the answer to a model, through a file that is kept only if it is asked for."""
     if keepfiles:
         folder = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd()))
         answer = answered(model, options, folder / "model.nl")

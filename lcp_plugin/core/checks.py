@@ -1,4 +1,4 @@
-"""What arrays may state a problem: real, finite, of the right shape, canonical; everything else is refused in words."""
+"""Checked arrays: real, finite, of the right shape, canonical; everything else raises an error with a remedy."""
 
 from __future__ import annotations
 
@@ -93,12 +93,12 @@ def rectangular_matrix(
     name : str
         For the messages.
     rows, columns : int or None
-        The shape that is needed; None where any number will do.
+        The shape that is needed; None if any number will do.
 
     Raises
     ------
     InvalidProblem
-        For another shape, for numbers that are not real or not finite, for damaged sparse arrays.
+        For another shape, for numbers that are not real or not finite, for corrupt sparse arrays.
     """
     is_plain = type(values) is np.ndarray and values.dtype == DOUBLE and values.ndim == 2
     if is_plain and rows in (None, values.shape[0]) and columns in (None, values.shape[1]):
@@ -200,7 +200,7 @@ def check_kind(dtype: np.dtype[Any], need: str) -> None:
 
 
 def real_array(values: Any, need: str) -> NDArray[np.float64]:
-    """Return the values as float64; refuse what is not an array of real numbers, saying what is needed."""
+    """Return the values as float64; reject what is not an array of real numbers, saying what is needed."""
     if type(values) is np.ndarray and values.dtype == DOUBLE:
         return values
     if isinstance(values, np.ma.MaskedArray):
@@ -220,7 +220,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
-    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is rejected as such
         return array.astype(np.float64)
 
 
@@ -314,7 +314,7 @@ def checked_answer(answer: Any, n: int) -> FloatVector:
 
 
 def checked_bound(values: Any, name: str, n: int) -> FloatVector:
-    """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is refused."""
+    """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is rejected."""
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(values, need)
     if array.shape not in ((), (n,)):

@@ -100,7 +100,7 @@ def _now() -> float:
 def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
     """Let what runs inside know that it ends so many seconds from now.
 
-    Where the limit is enforced, work that cannot be divided is not begun where it is predicted to end later:
+    If the limit is enforced, work that cannot be divided is not begun where it is predicted to end later:
     OutOfTimeError, which the caller expects.
     """
     token = _limit.set((_now() + seconds, is_enforced))

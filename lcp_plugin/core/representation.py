@@ -34,7 +34,7 @@ def _bounds_in_words(problem: Any) -> str:
 
 
 def describe_radius(radius: float, what: str) -> str:
-    """Return the words for the radius of a proof; none where it is ∞.
+    """Return the words for the radius of a proof; none if it is ∞.
 
     Examples
     --------

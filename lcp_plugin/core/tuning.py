@@ -9,7 +9,7 @@ from __future__ import annotations
 DIRECT_PASSES = 10.0  # interior_point on a dense symmetric M: a third of what is measured, as npsor promises too much
 DIRECT_ROWS = 0.25  # by n: newton or interior_point where a dense M is not symmetric
 DIRECT_ENTRIES = 12_500.0  # entries that the same touches for a row of a sparse M
-DIRECT_CUBE = 0.06  # and beside n³ at the most, where M is small
+DIRECT_CUBE = 0.06  # and beside n³ at most, where M is small
 SWEEP_ENTRIES = 10_000.0  # what one driven sweep costs besides its pass, in entries of M
 DIRECT_UP_TO = 1000  # rows of a sparse M from which on multigrid is cheaper than a factor
 MULTIGRID_PASSES = 90.0  # on large grids
@@ -21,7 +21,7 @@ PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
 PSOR_GAIN = (
     3.0  # sweeps of psor with automatic relaxation by the root of those that npsor still needs
 )
-INTERIOR_STEPS = 20  # factorisations that interior_point takes
+INTERIOR_STEPS = 20  # factorizations that interior_point takes
 PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
 # Up to where a sparse matrix is quicker shown to be definite as a dense one.

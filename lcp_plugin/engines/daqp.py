@@ -106,7 +106,7 @@ class DAQP(Engine):
     ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
         """Yield x, multipliers of bounds and rows, both signs, daqp's exit flag and its steps, for some of a stack.
 
-        NaN where daqp has no answer: what it hands back then it has never written to.
+        NaN if daqp has no answer: what it hands back then it has never written to.
 
         Parameters
         ----------

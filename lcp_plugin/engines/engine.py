@@ -15,7 +15,7 @@ from ..core.checks import FloatVector
 
 
 class ProgramData(NamedTuple):
-    """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper.
+    """Minimize ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
     Attributes
     ----------

@@ -89,7 +89,7 @@ def polish_steps(
 
 
 def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
-    """Return what solves with the matrix above, by LDLᵀ where it is sparse; None where no factor is found.
+    """Return what solves with the matrix above, by LDLᵀ where it is sparse; None if no factor is found.
 
     δ is `shift` times the largest entry of its row.
     """

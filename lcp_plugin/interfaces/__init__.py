@@ -12,7 +12,7 @@
 | finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
 | cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.interfaces.learn")`` |
 
-In each of them an answer is called solved or optimal only where it was measured on the data that came through it,
+In each of them an answer is called solved or optimal only if it was measured on the data that came through it,
 and infeasible or unbounded only with a proof that was verified. No package is imported before its interface is used.
 
 **Pyomo** (extra ``[pyomo]``; all of it: ``help("lcp_plugin.pyomo")``)

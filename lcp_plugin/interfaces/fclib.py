@@ -31,7 +31,7 @@ def load_fclib(source: Path) -> FrictionalContact:
     Raises
     ------
     UnreadableFile
-        Where the file is missing, damaged or of another layout, or h5py is not installed.
+        Where the file is missing, corrupt or of another layout, or h5py is not installed.
     UnsupportedModel
         Where equations stand beside its contacts.
     """

@@ -329,7 +329,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     Raises
     ------
     UnreadableFile
-        If the file is missing, damaged, or states no problem.
+        If the file is missing, corrupt, or states no problem.
     UnsupportedModel
         If it states one with integers.
 

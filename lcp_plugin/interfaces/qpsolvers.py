@@ -99,7 +99,7 @@ def solve_problem(
     qpsolvers.ProblemError
         Where the data state no convex program, the named algorithm cannot run on it, or it is proved to be unbounded.
     qpsolvers.SolverError
-        For whatever else is refused.
+        For whatever else is rejected.
     """
     from qpsolvers import ParamError, ProblemError, Solution, SolverError
 

@@ -56,7 +56,7 @@ class ScipAnswer(NamedTuple):
     status : str
         SCIP's word.
     x : ndarray, shape (n,), or None
-        None where none was found, or an entry is infinite.
+        None if none was found, or an entry is infinite.
     value, bound : float
         Of the objective; ∞ and −∞ where there is none.
     nodes : int
@@ -70,7 +70,7 @@ class ScipAnswer(NamedTuple):
 
 
 def minimize_or_none() -> Callable[..., ScipAnswer] | None:
-    """Return `minimize`, None where pyscipopt is not installed, or does not load."""
+    """Return `minimize`, None if pyscipopt is not installed, or does not load."""
     try:
         import pyscipopt  # noqa: F401
     except ImportError:

@@ -17,7 +17,7 @@ import numpy as np
 from lcp_plugin import NonlinearProblem
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.problems.nonlinear.certificate import NonlinearCertificate, Reference
-from lcp_plugin.problems.nonlinear.data import Linearisation
+from lcp_plugin.problems.nonlinear.data import Linearization
 
 from .outliers import integers
 
@@ -151,7 +151,7 @@ def planted(rng: np.random.Generator) -> Target:
     reference, answer = Reference.of(problem, np.zeros(n)), right / units
 
     def passes(x: np.ndarray, tolerance: float) -> bool:
-        at = Linearisation(problem, x)
+        at = Linearization(problem, x)
         return at.is_defined and NonlinearCertificate.at(at, reference).meets(
             Settings(tolerance=tolerance)
         )

@@ -19,7 +19,7 @@ rounding errors included, and if every row i satisfies the componentwise test
   sets the unit of the chain. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other.
   Underflow excuses v_i as well.
 
-Where the active set is known, after a linear solve, the exponent 1 takes the place of 3/4. A run first moves each z_i
+If the active set is known, after a linear solve, the exponent 1 takes the place of 3/4. A run first moves each z_i
 to a bound that is nearer than w_i asks for (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
 
 Units of rows change neither test; units of unknowns change the first one. A residual is not an error: see

@@ -1,4 +1,4 @@
-"""What a double is: the constants that rounding margins are made of."""
+"""What a double is: the constants that rounding margins consist of."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ class Matrix:
 
     @property
     def is_dense(self) -> bool:
-        """True where it is kept as an ndarray."""
+        """True if it is kept as an ndarray."""
         return self._dense is not None
 
     @property

@@ -88,7 +88,7 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVecto
 
         θ_i ≤ 2   and   g θ_i ℓ_i < 1,      ℓ_i = (|L|v)_i/(d_i v_i) with L what the sweep has already updated
 
-    (θ_i ≤ 1 needs g ≤ 1 and nothing else). Where all rows are dominant, d_i ≥ Σ|m_ij|, v may be taken as near to 1 as
+    (θ_i ≤ 1 needs g ≤ 1 and nothing else). If all rows are dominant, d_i ≥ Σ|m_ij|, v may be taken as near to 1 as
     one likes: with ⟨M⟩y > 0 also ⟨M⟩(1 + εy) > 0. There one pass over M decides, and θ balances the two parts of the
     answer. On z* > 0 an iteration contracts by about 1 − 2θ(1 − ℓ − u)/p, on w* > 0 by 1 − 2/p, p = θ/α + θ + 2: equal
     for θ = 1/(1 − ℓ − u). On the gallery larger θ than 2 lost again where the rows are far from equal.
@@ -112,7 +112,7 @@ def balanced_factors(
         total = sums[0][rows] + sums[1][rows]
         is_dominant = is_dominant and bool(
             total.max() <= 1.0 + ROUNDED
-        )  # False where it is not a number
+        )  # False if it is not a number
         if not is_dominant:
             break
         with np.errstate(divide="ignore", over="ignore"):

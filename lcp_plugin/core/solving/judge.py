@@ -242,7 +242,7 @@ class Judge:
     def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
         """Return the status: what the certificate or a proof shows, or else why the run ended.
 
-        Where one step of several algorithms diverged, the best z need not have: that is STALLED.
+        If one step of several algorithms diverged, the best z need not have: that is STALLED.
         """
         if self.is_solved_by(certificate):
             return Status.SOLVED

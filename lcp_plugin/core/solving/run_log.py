@@ -20,7 +20,7 @@ Header = Callable[
 
 
 class RunLog:
-    """Prints a run while it goes on.
+    """Prints a run while it continues.
 
     Parameters
     ----------

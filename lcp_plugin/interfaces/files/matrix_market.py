@@ -1,6 +1,6 @@
 """Reading Matrix Market files, and MATLAB's .mat files, versions 4 to 7.2, by scipy.
 
-The reader of .mat files may end the process on a damaged file: read files that you trust.
+The reader of .mat files may end the process on a corrupt file: read files that you trust.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ WORDS = {
 
 @contextmanager
 def opened(source: Path, kind: str) -> Iterator[Any]:
-    """Open a file of that kind; whatever its decoders raise while it is read says that it is damaged."""
+    """Open a file of that kind; whatever its decoders raise while it is read says that it is corrupt."""
     try:
         with source.open("rb") as file:
             yield file
@@ -56,7 +56,7 @@ def read_matrix_market(source: Path) -> Any:
     Raises
     ------
     UnreadableFile
-        If the file is missing or damaged, or if its size line announces more than its bytes can hold.
+        If the file is missing or corrupt, or if its size line announces more than its bytes can hold.
     """
     from scipy.io import mminfo, mmread
 
@@ -115,7 +115,7 @@ def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], lis
     Raises
     ------
     UnreadableFile
-        Where the file is missing, damaged, of another version, or a wanted name is no real matrix.
+        Where the file is missing, corrupt, of another version, or a wanted name is no real matrix.
     """
     from scipy.io import loadmat, whosmat
 

@@ -45,7 +45,7 @@ are evaluated apart from the problem.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, names from ``.col`` and ``.row``. What is
-damaged, or contradicts itself, is an `UnreadableFile` with its line or byte, and no count of a file is believed before
+corrupt, or contradicts itself, is an `UnreadableFile` with its line or byte, and no count of a file is believed before
 it is compared with the file's length.
 """
 

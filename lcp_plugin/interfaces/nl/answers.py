@@ -61,7 +61,7 @@ class NLAnswer:
     Attributes
     ----------
     x : ndarray, shape (n,), or None
-        None where a search found no solution.
+        None if a search found no solution.
     duals : ndarray, shape (m,), or None
         Of a complementarity row its value w. Of a row of a program the derivative of the objective by the row's
         right-hand side, the convention of AMPL. 0 for the other rows of a complementarity problem.
@@ -283,7 +283,7 @@ class ProgramModel(NLModel):
     Attributes
     ----------
     sign : float
-        −1 where the objective of the file is to be maximised.
+        −1 where the objective of the file is to be maximized.
     constant : float
         What the objective adds.
     matrix : CSR array, shape (m, unknowns)
@@ -311,7 +311,7 @@ class ProgramModel(NLModel):
             status, words = Status.STALLED, wrong
         has_objective = found.proof is None
         words += f", objective {objective:.9g}" if has_objective else ""
-        # The program's own residuals, which the status is made of, not those of its optimality conditions.
+        # The program's own residuals, on which the status rests, not those of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
         told = objective if has_objective else None
@@ -338,7 +338,7 @@ class EquilibriumModel(NLModel):
     Attributes
     ----------
     sign : float
-        −1 where the objective of the file is to be maximised.
+        −1 where the objective of the file is to be maximized.
     pairs, columns : ndarray of int
         The complementarity rows, and the unknowns that are their values.
     """
@@ -349,7 +349,7 @@ class EquilibriumModel(NLModel):
     columns: Indices
 
     def start_or_none(self) -> FloatVector | None:
-        """Return the start in the unknowns of the problem; None where the file names none, or a row has no value."""
+        """Return the start in the unknowns of the problem; None if the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
         x[: self.unknowns.size] = self.content.start[self.unknowns]
         rows = evaluated(self.content, self.variables(x[: self.unknowns.size]))[0]

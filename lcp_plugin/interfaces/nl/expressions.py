@@ -120,7 +120,7 @@ class _ExpressionReader:
     def _define(self, number: int) -> None:
         """Settle what a defined variable is.
 
-        Where several use it, all hold its terms, or it is a quantity of its own: a function, or where it is affine, one
+        If several use it, all hold its terms, or it is a quantity of its own: a function, or where it is affine, one
         more unknown with an equation.
         """
         if not self._uses[number]:
@@ -357,7 +357,7 @@ class Expressions:
         return Rows(blocks, self.offset[numbers], (numbers.size,), None, level)
 
     def quadratic(self, number: int) -> tuple[sp.csr_array, FloatVector, float] | None:
-        """Return P, c, r of a combination that is ½ xᵀP x + cᵀx + r; None where it is none."""
+        """Return P, c, r of a combination that is ½ xᵀP x + cᵀx + r; None if it is none."""
         n = self.unknowns.size
         row, offset = self._without_copies(self.matrix[[number]], self.offset[[number]])
         used = np.unique(row.indices[row.indices >= n]) - n

@@ -39,7 +39,7 @@ def read_nl(path: str | PathLike[str]) -> NLModel:
     Raises
     ------
     UnreadableFile
-        Where it is missing or damaged.
+        Where it is missing or corrupt.
     UnsupportedModel
         Naming the row or variable that is not taken.
     """
@@ -83,7 +83,7 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
 
 
 def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
-    """Return the program that an ``.nl`` file states, to be minimised, and what its objective adds; else raise."""
+    """Return the program that an ``.nl`` file states, to be minimized, and what its objective adds; else raise."""
     model = read_nl(path)
     if isinstance(model, ProgramModel):
         return model.problem, model.sign * model.constant
@@ -253,7 +253,7 @@ class FileStatement:
             found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
 
     def program(self) -> ProgramModel:
-        """Return the quadratic program, to be minimised."""
+        """Return the quadratic program, to be minimized."""
         self._put_in_definitions()
         content, found, m = self.content, self.expressions, self.m
         if not self.is_affine.all():

@@ -125,7 +125,7 @@ def read_content(path: str | PathLike[str]) -> NLContent:
     Raises
     ------
     UnreadableFile
-        Where it is missing, damaged or contradicts itself; the message names the line, in a binary file the byte.
+        Where it is missing, corrupt or contradicts itself; the message names the line, in a binary file the byte.
     """
     source = source_of(path)
     with opened(source, ".nl file") as file:
@@ -510,7 +510,7 @@ def _columns(rows: list[tuple[float, float, int, int]]) -> Any:
 
 
 def _names(path: Path, count: int, longest: int) -> list[str] | None:
-    """Return the names in a file beside this one, or None where it is not of this problem."""
+    """Return the names in a file beside this one, or None if it is not of this problem."""
     if not longest or not path.is_file():  # a length of 0 says that none were written
         return None
     try:

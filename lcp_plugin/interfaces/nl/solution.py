@@ -77,7 +77,7 @@ def write_sol(
 
 
 def _given(values: Any) -> FloatVector | None:
-    """Return the values, or None where no reader could take them."""
+    """Return the values, or None if no reader could take them."""
     if values is None:
         return None
     given = np.asarray(values, dtype=np.float64)

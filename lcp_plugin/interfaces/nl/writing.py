@@ -33,7 +33,7 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
     Parameters
     ----------
     problem : LCP, QuadraticProgram, NLContent, NLModel, or a Pyomo model
-        A Pyomo model may hold complementarities, which ``model.write`` refuses. The file states it as it is solved:
+        A Pyomo model may hold complementarities, which ``model.write`` rejects. The file states it as it is solved:
         what is only held against the answer afterwards is not in it, and a ``ModelWarning`` names it.
     path : str or Path
 

@@ -50,12 +50,12 @@ class PyomoAnswer:
 
     @property
     def is_violated(self) -> bool:
-        """True where the pairs are solved, and something that stands beside them does not hold."""
+        """True if the pairs are solved, and something that stands beside them does not hold."""
         return self.found.result.is_solved and not self.found.is_solved
 
     @property
     def has_point(self) -> bool:
-        """True where there is something to load."""
+        """True if there is something to load."""
         return self.found.x is not None and self.found.status not in NO_POINT
 
     @cached_property

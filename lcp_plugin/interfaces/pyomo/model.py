@@ -353,7 +353,7 @@ class _Draft:
         )
 
     def _own_bounds_count(self, variable: Any, pair: Pair) -> bool:
-        """Return whether the own bounds of a pair's variable need no row: in a search only where the pair implies them.
+        """Return whether the own bounds of a pair's variable need no row: in a search only if the pair implies them.
 
         Otherwise they count as if the pair stated them, unless they exclude its bounds.
         """

@@ -40,7 +40,7 @@ class PairSide:
 
     @property
     def is_fixed(self) -> bool:
-        """True where nothing in the body can change."""
+        """True if nothing in the body can change."""
         return cannot_vary(self.body)
 
     @property
@@ -166,7 +166,7 @@ def cannot_vary(expression: Any) -> bool:
 
 
 def number(expression: Any) -> float:
-    """Return the value of an expression at the present values of its variables, NaN where it has none."""
+    """Return the value of an expression at the present values of its variables, NaN if it has none."""
     found = value(expression, exception=False)
     return math.nan if found is None or isinstance(found, complex) else float(found)
 

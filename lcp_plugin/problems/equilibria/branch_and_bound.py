@@ -2,9 +2,9 @@
 
 A few nodes of our own come first: they close many small problems with a proof, where SCIP may search long, or fail.
 SCIP's point gives the cases of a piece, which is solved again here. More nodes of ours follow where a proof is asked
-for, or SCIP is not here, or what it says, that there is no solution or no least one, waits for a proof: a node leaves
+for, or SCIP is not here, or what it says, that no solution exists or no least one, waits for a proof: a node leaves
 some cases of each pair open, its children take one case each of the pair that its relaxation violates most. The search
-dives: of the children it goes on with the lower bound, and when a dive ends, with the lowest bound of all.
+dives: of the children it continues with the lower bound, and when a dive ends, with the lowest bound of all.
 
 References
 ----------
@@ -180,7 +180,7 @@ class BranchAndBound:
 
     @property
     def allowed(self) -> float:
-        """The gap that is within the tolerance, beside the objective's own terms at the best solution."""
+        """The gap that is within the tolerance, beside the objective's own terms at best solution."""
         point = None if self.local.best is None else self.local.best.point
         return 0.0 if point is None else self.tolerance * self.problem.objective_size(point)
 
@@ -274,7 +274,7 @@ class BranchAndBound:
         return Status.INTERRUPTED if ends() else None
 
     def _next(self) -> Node | None:
-        """Return the node to go on with, closing those that cannot hold anything better."""
+        """Return the node to continue with, closing those that cannot hold anything better."""
         while self._current is not None or self._open:
             if self._current is None:
                 self._current = heapq.heappop(self._open)[2]
@@ -332,7 +332,7 @@ class BranchAndBound:
         return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
-        """Close a piece neither solved to its bound nor infeasible: it falls without end, or nothing is known."""
+        """Close a piece neither solved to its bound nor infeasible: it is unbounded below, or nothing is known."""
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.facts.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):
@@ -387,7 +387,7 @@ class BranchAndBound:
 
 
 class _Log:
-    """Prints a search while it goes on."""
+    """Prints a search while it continues."""
 
     def __init__(self) -> None:
         self._next = 0.0

@@ -1,7 +1,7 @@
 """Solutions early: from given values, and from piece to piece downhill.
 
 A solution belongs to one piece or more. The least point of a piece is no worse than any solution in it, so that cases
-are all that a start has to give; where pairs are degenerate there, a neighbouring piece may be better still.
+are all that a start has to give; where pairs are degenerate there, a neighboring piece may be better still.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class LocalSearch:
     def offer(self, cases: Cases, near: FloatVector | None = None) -> Node:
         """Return the piece of these cases, one a pair, solved; keep it where it is the best.
 
-        Where pieces are not convex, or hold integers, it is solved near a point.
+        If pieces are not convex, or hold integers, it is solved near a point.
         """
         is_local = not self.problem.is_provable
         key = cases.tobytes() + (near.tobytes() if is_local and near is not None else b"")
@@ -75,7 +75,7 @@ class LocalSearch:
         return piece
 
     def from_point(self, x: FloatVector, cases: Cases | None = None) -> Node | None:
-        """Return the last piece of a descent from the cases that a point is nearest to; None where it has no value."""
+        """Return the last piece of a descent from the cases that a point is nearest to; None if it has no value."""
         nearest = self.problem.nearest(x, self.problem.all_cases if cases is None else cases)
         piece = self.descend(nearest, x)
         return piece if piece.value < math.inf else None

@@ -29,7 +29,7 @@ from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 TINY = 1e-9  # of ‖x‖∞
 FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
-FAR = 1e4  # times the size of x that the data name: what is farther falls without end
+FAR = 1e4  # times the size of x that the data name: a farther point counts as unbounded
 MOST_PROJECTIONS = 4  # onto the linearized rows of a piece
 
 
@@ -91,7 +91,7 @@ class Relaxations:
         return implied_box(self.problem.program)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
-        """Return the program of some cases; None where their bounds exclude each other."""
+        """Return the program of some cases; None if their bounds exclude each other."""
         lower, upper = self.problem.bounds(cases)
         if (lower > upper).any():
             return None
@@ -108,7 +108,9 @@ class Relaxations:
         ):
             enough = node.value - ENOUGH * self.tolerance * self.problem.objective_size(node.point)
             node.bound = self.bound(program, node.dual, enough)
-            if node.bound == -math.inf:  # a vertex has more zeros than multipliers to mend them by
+            if (
+                node.bound == -math.inf
+            ):  # a vertex has more zeros than multipliers to repair them by
                 inside = run_engine(
                     program, engine_class("clarabel")(), self.tolerance, GIVEN
                 ).solution
@@ -165,7 +167,7 @@ class Relaxations:
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
-    @np.errstate(over="ignore", invalid="ignore")  # of smooth rows far out
+    @np.errstate(over="ignore", invalid="ignore")  # of smooth rows of large norm
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
         """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 

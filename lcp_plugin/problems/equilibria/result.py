@@ -69,7 +69,7 @@ class EquilibriumResult(Answer):
         The problem that was given.
     status : Status
         SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are infeasible
-        by a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls without end. MAX_ITERATIONS,
+        by a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece is unbounded below. MAX_ITERATIONS,
         MAX_SECONDS, INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be
         neither solved nor proved infeasible, or nothing bounds the objective.
     x : ndarray, shape (n,), or None
@@ -79,7 +79,7 @@ class EquilibriumResult(Answer):
     lower_bound : float
         No solution has a smaller objective.
     bound_by : str or None
-        "proof": the bound is proved, `verify` checks it. "SCIP": it is what SCIP says, in floating point. None where
+        "proof": the bound is proved, `verify` checks it. "SCIP": it is what SCIP says, in floating point. None if
         there is no bound.
     nodes, programs : int
         Nodes that were branched on, SCIP's among them, and convex programs that were solved here.
@@ -90,7 +90,7 @@ class EquilibriumResult(Answer):
     tree : tuple of Node
         What `verify` checks.
     descent : pair or None
-        The piece that falls without end, and the proof.
+        The piece that is unbounded below, and the proof.
     outside : Outside or None
         What SCIP said, where it was asked.
     """

@@ -1,1 +1,1 @@
-"""Nonlinear complementarity problems: F, steps by linearisation, certificate."""
+"""Nonlinear complementarity problems: F, steps by linearization, certificate."""

@@ -1,4 +1,4 @@
-"""How wrong an x is for a nonlinear problem: the residuals of its linearisation at x, with F(x) for w.
+"""How wrong an x is for a nonlinear problem: the residuals of its linearization at x, with F(x) for w.
 
 The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
 (the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(x°), F(x°) for
@@ -10,7 +10,7 @@ No affine F with the derivative F′(x) has a larger ‖r_P(x°)‖∞ than
 
     ‖r_P(x)‖∞ + max_i (|x − x°|_i + (|F′(x)| |x − x°|)_i / d_i),  i in P,
 
-and so none is taken for the reference. Where F(x°) is undefined or solves the component, it is ‖x − x°‖∞: x° is an
+and so none is taken for the reference. If F(x°) is undefined or solves the component, it is ‖x − x°‖∞: x° is an
 answer, but not of a run that does not go there.
 
 A reference in the unit of x says little where F flattens as x runs away. So every row is judged in its own terms as
@@ -47,7 +47,7 @@ from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import connected_components
-from .data import Linearisation, NonlinearProblem
+from .data import Linearization, NonlinearProblem
 
 NEARBY = (
     2.0**-6
@@ -95,7 +95,7 @@ class Reference:
         return cls(origin, value if np.array_equal(origin, start) else problem.value(origin), start)
 
     def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> VectorEnds:
-        """Return bounds of each component's reference, where `problem` is the linearisation at x and `value` F(x)."""
+        """Return bounds of each component's reference, where `problem` is the linearization at x and `value` F(x)."""
         least, most = self._ends_of_f(problem)
         limit = self._limit(problem, x, value)
         distance = largest_of_components(problem, np.abs(x - self.x))
@@ -149,7 +149,7 @@ class NonlinearCertificate(Certificate):
     Attributes
     ----------
     problem : LCP
-        The linearisation at x; ``derivative`` and ``explain`` look at it.
+        The linearization at x; ``derivative`` and ``explain`` look at it.
     z : ndarray, shape (n,)
         The point x.
     nonlinear : NonlinearProblem
@@ -165,7 +165,7 @@ class NonlinearCertificate(Certificate):
     --------
     >>> problem = NonlinearProblem(lambda x: x**2 - 4.0, lambda x: np.diag(2.0 * x), lower=[0.0])
     >>> reference = Reference.of(problem, np.array([1.0]))
-    >>> certificate = NonlinearCertificate.at(Linearisation(problem, np.array([2.001])), reference)
+    >>> certificate = NonlinearCertificate.at(Linearization(problem, np.array([2.001])), reference)
     >>> certificate.w.round(4), float(round(certificate.relative_residual, 4)), certificate.relative_to
     (array([0.004]), 0.001, 'F at the point of the bounds nearest to 0')
     """
@@ -177,8 +177,8 @@ class NonlinearCertificate(Certificate):
     reference: Reference = field(kw_only=True, repr=False)
 
     @classmethod
-    def at(cls, point: Linearisation, reference: Reference) -> NonlinearCertificate:
-        """Return the certificate of the x of a linearisation.
+    def at(cls, point: Linearization, reference: Reference) -> NonlinearCertificate:
+        """Return the certificate of the x of a linearization.
 
         Raises
         ------
@@ -214,7 +214,7 @@ class NonlinearCertificate(Certificate):
         strict = term_residuals(
             *at, spread_to_rows(self.problem, -largest_of_components(self.problem, -shares))
         )
-        without = Linearisation(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
+        without = Linearization(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
         if not without.is_defined:
             return strict
         there = largest_of_components(
@@ -230,7 +230,7 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True where no row's residual exceeds four times its rounding floor, and the residual is small."""
+        """True if no row's residual exceeds four times its rounding floor, and the residual is small."""
         return self.relative_residual <= GAINED and self.is_at_rounding_level
 
     @property
@@ -290,7 +290,7 @@ def term_residuals(
 ) -> FloatVector:
     """Return how wrong each row is in its own terms, shape (n,): the least s² to which it is right, 0 where it is.
 
-    Where F flattens as x runs away, d → 0 or is the noise of differences, and beside a pole d is anything. So only rows
+    If F flattens as x runs away, d → 0 or is the noise of differences, and beside a pole d is anything. So only rows
     that have to vanish, and nearly do, tell the size U = max T_i / d_i of the component, no larger than ‖x_P‖∞. With
     v_i the part of F_i that has the wrong sign (|F_i| where x_i is off its bounds), row i is right to s if
 
@@ -301,7 +301,7 @@ def term_residuals(
     Parameters
     ----------
     problem : LCP
-        The linearisation at x.
+        The linearization at x.
     x, value : array, shape (n,)
         The point, and F there.
     share : float or array, shape (n,)
@@ -343,7 +343,7 @@ def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> Floa
     Parameters
     ----------
     problem : LCP
-        The linearisation at x.
+        The linearization at x.
     x, value : array, shape (n,)
         The point, and F there.
     """

@@ -248,7 +248,7 @@ def _replace_infinite_rows(derivative: Any, n: int) -> tuple[Any, BoolVector]:
     return (sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()), is_steep
 
 
-class Linearisation:
+class Linearization:
     """The problem near one x: F(x), and the LCP that F′(x) makes of it, computed where it is looked at.
 
     Parameters
@@ -284,8 +284,8 @@ class Linearisation:
         return True
 
 
-class Linearisations:
-    """The latest linearisations of a problem, each of which is computed once.
+class Linearizations:
+    """The latest linearizations of a problem, each of which is computed once.
 
     Parameters
     ----------
@@ -296,17 +296,17 @@ class Linearisations:
 
     def __init__(self, problem: NonlinearProblem) -> None:
         self.problem = problem
-        self._latest: list[Linearisation] = []
+        self._latest: list[Linearization] = []
 
-    def at(self, x: FloatVector) -> Linearisation:
+    def at(self, x: FloatVector) -> Linearization:
         """Return the linearization at x, shape (n,)."""
         for known in self._latest:
             if np.array_equal(known.x, x):
                 return known
-        self.keep(found := Linearisation(self.problem, x))
+        self.keep(found := Linearization(self.problem, x))
         return found
 
-    def keep(self, linearisation: Linearisation) -> None:
+    def keep(self, linearisation: Linearization) -> None:
         """Remember one that was made elsewhere."""
         self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
 

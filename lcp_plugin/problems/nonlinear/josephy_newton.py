@@ -1,4 +1,4 @@
-"""Josephy–Newton: each step solves the LCP of the linearisation, which `solve` does as it does any other."""
+"""Josephy–Newton: each step solves the LCP of the linearization, which `solve` does as it does any other."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import LinearizedPhi, fischer_burmeister
 from .certificate import NonlinearCertificate, Reference
-from .data import Linearisation, Linearisations
+from .data import Linearization, Linearizations
 
 SUFFICIENT = 1e-4
 SHORTER = 30  # times a step is halved
 GROWTH = 10.0  # of the residual, by which a full step may miss the least one
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
-FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
+FORCING = 0.01  # of the residual here, that a linearization is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
-ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
+ENOUGH = 0.1  # of what the run asks for: no linearization need be solved to less
 PATIENCE = 25  # steps without a residual clearly below those of the window before it
 WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
 RESTARTS, SMALL = 6, 1000  # starts; unknowns, beyond which a new start is too expensive
-FACTORS = 12  # of Newton without half the residual, on a large linearisation
+FACTORS = 12  # of Newton without half the residual, on a large linearization
 PATHS = 2  # of pivots
 
 
@@ -50,10 +50,10 @@ class JosephyNewton(Algorithm):
 
     Parameters
     ----------
-    points : Linearisations
+    points : Linearizations
         Of the nonlinear problem.
     compared_with : Reference
-        Of its residuals, to which the tolerance of the linearisations is tied.
+        Of its residuals, to which the tolerance of the linearizations is tied.
     linear : str or Algorithm
         What solves them.
     tolerance : float
@@ -66,7 +66,7 @@ class JosephyNewton(Algorithm):
     A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points. A full Newton step is
     taken also if its residual is at most ten times the least of these: on traffic networks the residual rises before it
     falls. If no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual scale (proximal
-    steps); then small problems start elsewhere. A large linearisation is given up after 12 active sets without half the
+    steps); then small problems start elsewhere. A large linearization is given up after 12 active sets without half the
     residual.
 
     References
@@ -77,7 +77,7 @@ class JosephyNewton(Algorithm):
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
 
-    points: Linearisations = field(repr=False)
+    points: Linearizations = field(repr=False)
     compared_with: Reference = field(repr=False)
     linear: str | Algorithm = "auto"
     tolerance: float = 0.0
@@ -100,9 +100,9 @@ class JosephyNewton(Algorithm):
 class _NewtonRun:
     """Where a run is, the last points, and the work since the last step."""
 
-    def __init__(self, options: JosephyNewton, start: Linearisation) -> None:
+    def __init__(self, options: JosephyNewton, start: Linearization) -> None:
         self.options, self.first, self.here = options, start, start
-        self.recent: deque[Linearisation] = deque([start], maxlen=MEMORY)
+        self.recent: deque[Linearization] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
         self.weights = _weights(start, options.compared_with)
         self.random = np.random.default_rng(0)
@@ -126,7 +126,7 @@ class _NewtonRun:
             if since and self._is_at_floor():
                 return
 
-    def _snap(self, point: Linearisation) -> Linearisation:
+    def _snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that are nearly there, where x° solves them."""
         x = self.options.compared_with.snap_to_start(point.lcp, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
@@ -153,7 +153,7 @@ class _NewtonRun:
 
     # --- one step ----------------------------------------------------------------------------------------
 
-    def _next_point(self) -> Linearisation | None:
+    def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
         if not self._residuals(self.here).any():
             return None
@@ -164,7 +164,7 @@ class _NewtonRun:
                 return found
         return None
 
-    def _search(self, target: FloatVector, *, is_newton: bool) -> Linearisation | None:
+    def _search(self, target: FloatVector, *, is_newton: bool) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
         here = self.here
         worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
@@ -178,43 +178,43 @@ class _NewtonRun:
                 return point
         return None
 
-    def _is_within(self, point: Linearisation) -> bool:
+    def _is_within(self, point: Linearization) -> bool:
         """Return whether the residual at a point is at most ten times the least of the latest points."""
         least = min(map(self._relative, self.recent))
         return point.is_defined and self._relative(point) <= GROWTH * least
 
-    def _at(self, x: FloatVector) -> Linearisation:
+    def _at(self, x: FloatVector) -> Linearization:
         self.work += 1.0
-        return Linearisation(self.options.points.problem, x)
+        return Linearization(self.options.points.problem, x)
 
     # --- what is measured ----------------------------------------------------------------------------------
 
-    def _merit(self, point: Linearisation) -> float:
-        """Return ‖Φ‖₂ beside the rows of the linearisation here, each component in its unit; ∞ where F is undefined."""
+    def _merit(self, point: Linearization) -> float:
+        """Return ‖Φ‖₂ beside the rows of the linearization here, each component in its unit; ∞ where F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
         return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
 
     @staticmethod
-    def _phi(lcp: LCP, point: Linearisation) -> LinearizedPhi:
+    def _phi(lcp: LCP, point: Linearization) -> LinearizedPhi:
         return fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
 
     def _is_at_floor(self) -> bool:
         return NonlinearCertificate.at(self.here, self.options.compared_with).is_limited_by_rounding
 
     @staticmethod
-    def _residuals(point: Linearisation) -> FloatVector:
+    def _residuals(point: Linearization) -> FloatVector:
         """Return ‖r_P‖∞ of each component."""
         return largest_of_components(
             point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value))
         )
 
-    def _relative(self, point: Linearisation) -> float:
+    def _relative(self, point: Linearization) -> float:
         references = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
         return largest_ratio(self._residuals(point), references)
 
-    def _progress(self, point: Linearisation) -> float:
-        """Return what must fall: where x runs away its residual does so for ever, and rows' own terms tell."""
+    def _progress(self, point: Linearization) -> float:
+        """Return what must fall: where x runs away its residual goes to infinity, and rows' own terms tell."""
         size = self._relative(point)
         if size > max(self.options.tolerance, SMALLEST_TOLERANCE):
             return size
@@ -245,7 +245,7 @@ class _NewtonRun:
         except (
             UnsuitableMatrix,
             UnsuitableProblem,
-        ):  # by an algorithm that does not take this linearisation
+        ):  # by an algorithm that does not take this linearization
             if algorithm == "auto":
                 raise
             result = solve_within(step, "auto", tolerance)
@@ -259,7 +259,7 @@ class _NewtonRun:
         return np.where(result.z >= step.upper, lcp.upper, target)
 
 
-def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
+def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
     """Return 1/(the reference of its component) for each row, shape (n,); where there is one component (1,) of 1."""
     several = connected_components(start.lcp.matrix)
     if several is None:

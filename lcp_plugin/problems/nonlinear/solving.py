@@ -20,7 +20,7 @@ from ...core.solving.result import Result
 from ...core.solving.run import Callback, Run
 from ...core.solving.stage import Stage
 from .certificate import NonlinearCertificate, Reference
-from .data import Linearisation, Linearisations, NonlinearProblem
+from .data import Linearization, Linearizations, NonlinearProblem
 from .josephy_newton import JosephyNewton
 
 CHECKED = 2.0**-20, 2.0**-10  # steps
@@ -50,7 +50,7 @@ def solve_nonlinear(
     ----------
     problem : NonlinearProblem
     x0 : array, shape (n,), or a number for n = 1, optional
-        Where to begin, projected onto the bounds; by default the point of the bounds nearest to 0. Where F or its
+        Where to begin, projected onto the bounds; by default the point of the bounds nearest to 0. If F or its
         derivative is not finite there, at the point of the bounds nearest to 0, or else to 1, which ``explain()``
         tells. F is given an array in any case.
     algorithm : str or Algorithm
@@ -127,7 +127,7 @@ def solve_nonlinear(
     clock = Clock()
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with np.errstate(), threads_for(settings.threads):
-        points = Linearisations(problem)
+        points = Linearizations(problem)
         start, begun = begun_at(points, start)
         reference = Reference.of(problem, start)
         first = points.at(start)
@@ -146,7 +146,7 @@ def solve_nonlinear(
         return replace(run.result(start, end), begun=begun)
 
 
-def begun_at(points: Linearisations, start: FloatVector) -> tuple[FloatVector, str]:
+def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, str]:
     """Return where a run begins, and what is to be said of it: at the start, or nearest to 0 or 1 where F is defined.
 
     Where F is defined nowhere there it is the start, whose refusal says so.
@@ -194,7 +194,7 @@ class NonlinearJudge(Judge):
     }
 
     def __init__(
-        self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings
+        self, points: Linearizations, reference: Reference, start: Linearization, settings: Settings
     ) -> None:
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
@@ -220,12 +220,12 @@ TANGENTS = (
 
 
 @np.errstate(all="ignore")
-def jacobian_warning(point: Linearisation) -> str:
+def jacobian_warning(point: Linearization) -> str:
     """Return the row in which differences of F contradict the derivative most, in words; "" if none does.
 
     Parameters
     ----------
-    point : Linearisation
+    point : Linearization
         The start. F is evaluated at two points along one random direction that leads into the bounds.
     """
     x, problem, M = point.x, point.problem, point.lcp.M

@@ -1,7 +1,7 @@
 """Farkas certificates of inconsistent linear constraints: a linear program finds them, then they are repaired.
 
-The multipliers of HiGHS are not a proof. They are projected to the required signs and solved for in rational
-arithmetic; the caller decides which of these vectors is a proof, and with which margin.
+The multipliers of HiGHS are not a proof. They are projected to the required signs, rounded to few digits, and solved
+for in rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
 """
 
 from __future__ import annotations
@@ -272,7 +272,7 @@ class FarkasProgram:
     def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
         """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
 
-        With signs and negligible entries put right; then solved for in rational arithmetic; then polished.
+        With signs and negligible entries put right; then rounded to few digits; then solved for.
         """
         y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
         asked = self.constraints
@@ -284,6 +284,14 @@ class FarkasProgram:
         y = y / np.abs(y).max()
         unscaled = y * self.rows
         yield unscaled / np.abs(unscaled).max()
+        kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE).tolist()
+        for base in dict.fromkeys((1.0, float(np.abs(y[kept]).min()))):
+            for denominator in (1, 100, 100_000):  # multipliers of stated models are short
+                near = {
+                    i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept
+                }
+                if any(near.values()):
+                    yield self._unscaled(near)
         for tight in TIGHT:
             repaired = self._repaired(y, tight)
             if repaired is not None:

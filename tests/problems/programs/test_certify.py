@@ -456,7 +456,7 @@ def test_what_is_called_feasible_is() -> None:
         A = rng.integers(-8, 9, (seed % 3, n)) / 8.0
         program = QuadraticProgram(np.eye(n), np.zeros(n), G, h, A, A @ inside, lower=inside - 1.0)
         for size in (1e-12, 1e-7, 1e-3):
-            found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
+            found = FeasiblePoints(program).find_near(inside + size * rng.normal(size=n))
             if found is not None:
                 slack = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
                 assert (

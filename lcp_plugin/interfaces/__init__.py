@@ -1,4 +1,4 @@
-"""Interfaces: how other modelling languages and packages reach the solver, and what each gets back.
+"""Interfaces of other modeling languages and packages, and the results that they get.
 
 | you have | you write |
 |---|---|
@@ -9,11 +9,11 @@
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
 | programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | contacts with friction in ``.h5`` of fclib (extra ``[fclib]``), ``.npz`` | ``solve(load_problem("pile.h5"))`` |
-| finite elements, as by scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
+| finite elements, for example scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
 | cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.interfaces.learn")`` |
 
-In each of them an answer is called solved or optimal only if it was measured on the data that came through it,
-and infeasible or unbounded only with a proof that was verified. No package is imported before its interface is used.
+Every interface measures a result on the data that it passed on before it reports "solved" or "optimal", and verifies
+a proof before it reports "infeasible" or "unbounded". A package is imported only when its interface is used.
 
 **Pyomo** (extra ``[pyomo]``; all of it: ``help("lcp_plugin.pyomo")``)
 
@@ -27,8 +27,8 @@ and infeasible or unbounded only with a proof that was verified. No package is i
 >>> round(m.x.value, 6)
 1.098612
 
-**AMPL and JuMP** call the executable, which comes with the package; its options are keywords, ``lcp-plugin-ampl -=``
-lists them. In AMPL::
+**AMPL and JuMP** call the executable that comes with the package. Its options are keywords, which
+``lcp-plugin-ampl -=`` lists. In AMPL::
 
     option solver "lcp-plugin-ampl", lcp_plugin_options "tolerance=1e-10";
     solve;
@@ -41,11 +41,11 @@ and in Julia (JuMP's ``.nl`` writer takes complementarities in releases from 202
     @constraint(model, exp(x) - 3 ⟂ x)
     optimize!(model)
 
-What they have written, ``lcp-plugin solve m.nl`` takes as well; ``certify`` where it is a program, ``report``,
-``check`` and ``analyze`` where it is an LCP.
+``lcp-plugin solve m.nl`` also solves the files that they write. ``certify`` takes programs; ``report``, ``check`` and
+``analyze`` take LCPs.
 
-**qpsolvers** (extra ``[qpsolvers]``) Duals are in its convention; ``solution.extras`` has the status, the residuals and
-the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.
+**qpsolvers** (extra ``[qpsolvers]``) Duals are in its convention. ``solution.extras`` has the status, the residuals and
+the proof. ``tolerance``, ``algorithm``, ``max_seconds`` are options of this package.
 
 >>> import numpy as np
 >>> import qpsolvers
@@ -56,7 +56,7 @@ the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.
 >>> solution.x, solution.z, solution.extras["status"].name
 (array([0.5, 1.5]), array([1.]), 'SOLVED')
 
-What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
+`certify` verifies the result of any other solver of qpsolvers, here x = (0.5, 1.5):
 
 >>> lcp_plugin.certify(lcp_plugin.QuadraticProgram(*program.unpack()[:6]), [0.5, 1.5]).verdict
 'proved'
@@ -82,7 +82,7 @@ a small one.
 [2.5 0. ]
 [1. 0. 2.]
 
-**scikit-fem** and whatever else assembles: M without the rows of the boundary, the obstacle as lower bound.
+**scikit-fem** and other assemblers: M without the rows of the boundary, the obstacle as lower bound.
 ``examples/obstacle_with_scikit_fem.py`` does so on an unstructured mesh, with linear and quadratic elements.
 
 >>> from skfem import Basis, ElementTriP1, MeshTri

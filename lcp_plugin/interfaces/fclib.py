@@ -1,6 +1,6 @@
 """Contacts with friction from the files of fclib, the field's own collection: HDF5, read by h5py.
 
-Its local problems are u = W r + q; its global ones M v = H r + f, u = Hᵀv + w become these: W = Hᵀ M⁻¹ H and
+The local problems are u = W r + q. Global problems M v = H r + f, u = Hᵀv + w are reduced: W = Hᵀ M⁻¹ H and
 q = Hᵀ M⁻¹ f + w. A matrix is m, n, nz and the arrays p, i, x: entries with their rows p and columns i where nz ≥ 0,
 compressed columns where it is −1, compressed rows where it is −2. Guesses and solutions are not read.
 """
@@ -31,9 +31,9 @@ def load_fclib(source: Path) -> FrictionalContact:
     Raises
     ------
     UnreadableFile
-        Where the file is missing, corrupt or of another layout, or h5py is not installed.
+        If the file is missing, corrupt or of another layout, or h5py is not installed.
     UnsupportedModel
-        Where equations stand beside its contacts.
+        If the file has equations in addition to its contacts.
     """
     try:
         import h5py
@@ -70,7 +70,7 @@ def _matrix(group: Any, rows: int, columns: int) -> sp.csr_array:
     if nz >= 0:
         p, i, x = p[:nz], i[:nz], x[:nz]
         if p.max(initial=0) >= rows or i.max(initial=0) >= columns:
-            p, i = i, p  # CSparse, and programs that copy its arrays, store them so
+            p, i = i, p  # CSparse stores triplets in this order
         return sp.csr_array((x, (p, i)), shape=(rows, columns))
     form, count = (sp.csc_array if nz == -1 else sp.csr_array), int(p[-1]) if p.size else 0
     matrix = form((x[:count], i[:count], p), shape=(rows, columns))

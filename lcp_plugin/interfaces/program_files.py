@@ -30,7 +30,7 @@ Arrays = dict[str, Any]
 
 
 class LoadedProgram(NamedTuple):
-    """A program as a file states it.
+    """Program that a file states.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class LoadedProgram(NamedTuple):
     constant : float
         Constant of its objective.
     sign : float
-        −1 if the file maximizes: its objective is sign · (that of the program + constant).
+        −1 if the file maximizes: its objective is sign · (objective of the program + constant).
     names : sequence of str or None
-        Of the variables.
+        Names of the variables.
     """
 
     program: QuadraticProgram
@@ -154,7 +154,7 @@ def _named(words: str) -> dict[str, tuple[str, ...]]:
 
 
 class Layout(NamedTuple):
-    """Arrays of a file that state a problem of a class: the names of each argument, and the arguments that it needs."""
+    """Names in a file of each argument of a problem class, and its required arguments."""
 
     kind: type
     build: Callable[[Arrays], Any]
@@ -335,7 +335,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
 
     Notes
     -----
-    A QuadraticProgram is minimized, and has no constant: a ModelWarning tells of a file that has it otherwise.
+    A QuadraticProgram is minimized, and has no constant: a ModelWarning reports files that state otherwise.
     """
     found = _read(checked_path(path))
     if not isinstance(found, LoadedProgram):
@@ -365,7 +365,7 @@ def _from_mps(source: Path) -> LoadedProgram:
         raise UnreadableFile(f"no such file: {source}")
 
     class Silent(highspy.Highs):
-        """HiGHS without its banner, which its constructor prints when it switches callbacks on."""
+        """HiGHS without its banner, which the constructor prints when callbacks are switched on."""
 
         def enableCallbacks(self) -> None:
             self.setOptionValue("output_flag", False)

@@ -1,7 +1,7 @@
 """qpsolvers: ``solve_qp(…, solver="lcp_plugin")`` after ``lcp_plugin.interfaces.qpsolvers.register_with_qpsolvers()``.
 
-Nothing of qpsolvers is changed but its tables: ``solve_function``, from a name to a function of a problem, and the
-lists ``available_solvers``, ``dense_solvers`` and ``sparse_solvers``, the same objects wherever it shows them.
+Only the tables of qpsolvers are changed: ``solve_function``, from a name to a function of a problem, and the
+lists ``available_solvers``, ``dense_solvers`` and ``sparse_solvers``, the objects that it shows everywhere.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def register_with_qpsolvers() -> None:
     Raises
     ------
     ImportError
-        Where qpsolvers is not installed: ``pip install 'lcp_plugin[qpsolvers]'``.
+        If qpsolvers is not installed: ``pip install 'lcp_plugin[qpsolvers]'``.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def register_with_qpsolvers() -> None:
 def solve_problem(
     problem: Problem, initvals: Any = None, verbose: bool = False, **options: Any
 ) -> Solution:
-    """Return what qpsolvers calls a solution, found where the program's own residuals are optimal.
+    """Return a solution of qpsolvers, found if the residuals of the program are optimal.
 
     Parameters
     ----------
@@ -82,14 +82,14 @@ def solve_problem(
     verbose : bool
         Prints the run.
     **options
-        Of :func:`lcp_plugin.solve`: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``, ``threads``, …
+        Options of :func:`lcp_plugin.solve`: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``, …
 
     Returns
     -------
     qpsolvers.Solution
         ``extras["status"]`` is the :class:`~lcp_plugin.Status`, ``extras["result"]`` the
         :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`: its ``solution`` has x, the multipliers
-        and their residuals, its ``proof`` is that of infeasibility. Not found: x is None, and the best x is in the
+        and their residuals, its ``proof`` the proof of infeasibility. Not found: x is None, and the best x is in the
         result.
 
     Raises
@@ -97,9 +97,9 @@ def solve_problem(
     qpsolvers.ParamError
         For an option that does not exist or cannot be used.
     qpsolvers.ProblemError
-        Where the data state no convex program, the named algorithm cannot run on it, or it is proved to be unbounded.
+        If the data state no convex program, the named algorithm cannot run on it, or it is proved to be unbounded.
     qpsolvers.SolverError
-        For whatever else is rejected.
+        For all other rejected input.
     """
     from qpsolvers import ParamError, ProblemError, Solution, SolverError
 
@@ -129,7 +129,7 @@ def solve_problem(
 
 
 def _program(problem: Problem) -> QuadraticProgram:
-    """Return the program, with the names that vectors have there in what is said of them."""
+    """Return the program, with qpsolvers' names of the vectors in error messages."""
     P, q, G, h, A, b, lower, upper = problem.unpack()
     q = checked_vector(q, "q", None)
     below, above = (
@@ -149,7 +149,7 @@ def _start(initvals: Any, program: QuadraticProgram) -> Any:
 
 
 def _known(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options, or raise where one is what other solvers of qpsolvers call a tolerance or a limit."""
+    """Return the options; raise for names that other solvers use for tolerances and limits."""
     if foreign := [name for name in options if name in ELSEWHERE]:
         raise InvalidOption(
             f"{foreign[0]!r} is an option of other solvers; here write tolerance=1e-9, max_iterations= or max_seconds="

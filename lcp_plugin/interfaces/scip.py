@@ -1,4 +1,4 @@
-"""SCIP, the global solver of the extra ``[global]``: an equilibrium program goes in, a point and a bound come out.
+"""SCIP, the global solver of the extra ``[global]``, for equilibrium programs.
 
 >>> import numpy as np
 >>> from lcp_plugin import EquilibriumProgram, QuadraticProgram
@@ -8,13 +8,13 @@
 ('optimal', 2.0, 2.0)
 
 A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one is not zero. A box has two of them, with
-w = w⁺ − w⁻. Smooth terms are expressions of SCIP's, term by term; what occurs twice inside others is a variable.
+w = w⁺ − w⁻. Smooth terms are expressions of SCIP, term by term; a repeated subexpression is a variable.
 
 If the relaxation at the root is unbounded, SCIP 10 may prune unbounded children and report a wrong optimum (special
-ordered sets). Then it is asked again within |x| ≤ 10⁶; a point at the edge of this box is called unbounded.
+ordered sets). Then SCIP runs again within |x| ≤ 10⁶; a point at the edge of this box is called unbounded.
 
-The answer is in floating point, feasible to 1e-8 at best, and no proof: :mod:`lcp_plugin.problems.equilibria` reads off
-the cases, solves the pairs again, measures the point, and says whose the bound is. SCIP asks for no licence key.
+The result is in floating point, feasible to 1e-8 at best, and not a proof: :mod:`lcp_plugin.problems.equilibria` reads
+off the active sets, solves the pairs again, measures the point, and names the source of the bound. SCIP needs no key.
 
 References
 ----------
@@ -39,25 +39,25 @@ from ..problems.equilibria.result import ENDS
 from ..problems.programs.program import QuadraticProgram
 
 LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well
-SHARE = 0.25  # of the gap that is asked for
+SHARE = 0.25  # of the requested gap
 BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
 LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
-FAILED = "SCIP:"  # what its errors begin with
+FAILED = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]
 
 
 class ScipAnswer(NamedTuple):
-    """What SCIP says.
+    """The result of SCIP.
 
     Attributes
     ----------
     status : str
-        SCIP's word.
+        Status as SCIP names it.
     x : ndarray, shape (n,), or None
         None if none was found, or an entry is infinite.
-    value, bound : float
+    Objective value and its bound; ∞ and −∞ if there is none.
         Of the objective; ∞ and −∞ where there is none.
     nodes : int
     """
@@ -91,17 +91,17 @@ def minimize(
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        Of value − bound, beside |value|, or beside 1 in the unit of the largest cost.
+        Largest value − bound, relative to |value|, or to 1 in the unit of the largest cost.
     max_nodes : float
     ends : callable, optional
-        Gets value, bound and nodes after each node; ends the search by something true. What it raises is passed on.
+        Receives value, bound and nodes after each node; a true result ends the search. Its exceptions are passed on.
 
     Raises
     ------
     ImportError
-        Where pyscipopt is not installed.
+        If pyscipopt is not installed.
     UnsupportedModel
-        Naming a function that SCIP does not know.
+        Names a function that SCIP does not have.
 
     Notes
     -----
@@ -135,14 +135,14 @@ def minimize(
 
 
 class _Model:
-    """An equilibrium program as SCIP's.
+    """An equilibrium program as a model of SCIP.
 
     Attributes
     ----------
     x : list
-        SCIP's variables of x.
+        Variables x in SCIP.
     unit : float
-        What the objective is measured in, a power of two: SCIP takes costs below 1e-9 for nothing.
+        Unit of the objective, a power of two, because SCIP ignores costs below 1e-9.
     """
 
     def __init__(
@@ -170,14 +170,14 @@ class _Model:
 
     @property
     def root_is_unbounded(self) -> bool:
-        """Whether the first relaxation may have had no least objective; its bound is ∞ where a point came first."""
+        """True if the first relaxation may be unbounded; its bound is ∞ if a point was found first."""
         lower, upper = self.problem.bounds(self.problem.all_cases)
         has_bounds = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
         is_infinite = abs(self.model.getDualboundRoot()) >= LARGEST
         return not has_bounds and self.model.getNTotalNodes() > 1 and is_infinite
 
     def solved(self, tolerance: float, max_nodes: float, feasible: float) -> ScipAnswer:
-        """Return what SCIP finds."""
+        """Return the result of SCIP."""
         model = self.model
         model.setParams(
             {
@@ -284,7 +284,7 @@ class _Model:
                 self.model.addCons(term <= most)
 
     def _pair(self, i: int, cases: int) -> None:
-        """State z ⟂ w: at most one of what z is beyond a bound and of w⁺, or w⁻, is not zero."""
+        """State z ⟂ w: the distance of z from the lower (upper) bound or w⁺ (w⁻) is zero."""
         z, w = self.x[self.problem.first[i]], self.x[self.problem.second[i]]
         parts = []  # of w
         if cases & LOWER:

@@ -51,7 +51,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 
 
 def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str) -> None:
-    """Write the arrays that state a problem of another kind, in words, to a ``.npz`` file."""
+    """Write the arrays of a problem, which `what` describes, to a ``.npz`` file."""
     target = checked_path(path)
     if target.suffix.lower() != ".npz":
         raise UnreadableFile(
@@ -61,13 +61,13 @@ def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str)
 
 
 def arrays_of(problem: Any, M: sp.csr_array) -> dict[str, Any]:
-    """Return what is saved of a problem, or of the own rows of one, by name."""
+    """Return the arrays to save, by name, of a problem or of its local rows."""
     arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
     return arrays | {name: getattr(problem, name) for name in VECTORS}
 
 
 def checked_folder(target: Path) -> Path:
-    """Return the path, or raise UnreadableFile where it looks like a file of another kind and is no folder yet."""
+    """Return the path; raise UnreadableFile for a name with the ending of another format."""
     # A number behind a dot is a part of the name, as in "size=0.5".
     if target.suffix[1:2].isalpha() and not target.is_dir():
         raise UnreadableFile(
@@ -89,12 +89,12 @@ def checked_path(path: Any) -> Path:
 
 
 def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
-    """Let each writer fill a temporary file beside its target, then rename them all: all whole, or nothing.
+    """Write temporary files next to the targets, then rename them: all are complete, or none is.
 
     Raises
     ------
     UnreadableFile
-        Where a folder does not exist or cannot be written to.
+        If a directory does not exist or is not writable.
     """
     finished: dict[Path, Path] = {}
     try:
@@ -207,14 +207,14 @@ def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
 
 
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
-    """Return those of the wanted arrays that are in the file; whatever is wrong with it is an UnreadableFile."""
+    """Return the wanted arrays of the file; any fault of the file raises UnreadableFile."""
     with _archive(source) as archive:
         return {key: archive[key] for key in archive.files if key in wanted}
 
 
 @contextmanager
 def _archive(source: Path) -> Iterator[Any]:
-    """Open a ``.npz`` file; whatever is found wrong with it is an UnreadableFile."""
+    """Open a ``.npz`` file; any fault of the file raises UnreadableFile."""
     with opened(source, ".npz archive") as file:
         if file.read(2) != b"PK":
             raise UnreadableFile(

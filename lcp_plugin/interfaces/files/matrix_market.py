@@ -36,7 +36,7 @@ WORDS = {
 
 @contextmanager
 def opened(source: Path, kind: str) -> Iterator[Any]:
-    """Open a file of that kind; whatever its decoders raise while it is read says that it is corrupt."""
+    """Open a file of that format; an exception of its decoders is reported as a corrupt file."""
     try:
         with source.open("rb") as file:
             yield file
@@ -108,14 +108,14 @@ def folder_arrays(source: Path, layout: str) -> tuple[Path, dict[str, Any]]:
 
 
 def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return those of the wanted matrices that the file holds, 2-D ndarrays or CSC arrays, and all names in it.
+    """Return the wanted matrices, 2-D ndarrays or CSC arrays, and all names in the file.
 
-    Whatever else has another name is passed over unread, and nothing is executed.
+    Variables with other names are skipped unread, and nothing is executed.
 
     Raises
     ------
     UnreadableFile
-        Where the file is missing, corrupt, of another version, or a wanted name is no real matrix.
+        If the file is missing, corrupt or of another version, or if a wanted name is not a real matrix.
     """
     from scipy.io import loadmat, whosmat
 

@@ -20,12 +20,12 @@ and in JAX::
 
     jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # also under jit and vmap
 
-**Shapes.** The last axis of q and of the bounds is the axis of the unknowns, the last two of M are its rows and
-columns; axes in front are batch axes, and broadcast as everywhere. One M of shape (n, n) for all costs one matrix. A
+**Shapes.** The last axis of q and of the bounds is the axis of the unknowns. The last two axes of M are its rows and
+columns. Leading axes are batch axes, and broadcast as in numpy. One M of shape (n, n) for all costs one matrix. A
 bound may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a single problem may be as large as
 :func:`~lcp_plugin.solve` takes. So M may also be a sparse scipy array, a constant of the layer.
 
-**The result** is z, solved for again on its free rows, so that it is exact to rounding for any tolerance; compute
+**The result** is z, solved again on the free rows, so that z is exact to rounding for any tolerance; compute
 w = M z + q from it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` names its number in the batch.
 (JAX wraps this error in its own.)
 
@@ -34,8 +34,8 @@ If such a row exists, as for a ReLU at 0, they are the gradients of one of the p
 derivative raises an error. If the block of M on the free rows is singular, they belong to the least change, as
 :class:`lcp_plugin.problems.sensitivity.Derivative` describes.
 
-**Transformations.** Gradients go backward: in JAX ``grad``, ``vjp``, ``jacrev``, also under ``jit`` and ``vmap``, which
-makes one batch of its axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. For forward mode
+**Transformations.** Gradients go backward: in JAX ``grad``, ``vjp``, ``jacrev``, also under ``jit`` and ``vmap``, whose
+axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. For forward mode
 use :meth:`BatchDerivative.jvp` in numpy.
 
 **Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of

@@ -1,4 +1,4 @@
-"""What the layers of both frameworks share: axes in front made one batch, solved, or rejected in words."""
+"""Shared part of both frameworks' layers: leading axes become one batch, which is solved."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ...problems.sensitivity.contact_batch_derivative import ContactBatchDerivat
 
 @dataclass(eq=False)
 class Wishes:
-    """What one call of a layer asks for, and what it has found.
+    """Options of one call of a layer, and its derivative once it is found.
 
     Attributes
     ----------
     options : dict
-        What :func:`lcp_plugin.solve_batch` takes.
+        Options of :func:`lcp_plugin.solve_batch`.
     M : sparse array, shape (n, n), or None
-        Where it is a constant of the layer.
+        M if it is a constant of the layer.
     found : BatchDerivative or ContactBatchDerivative or None
-        Where PyTorch takes the derivative, whatever transforms the call; JAX begins again at z.
+        Derivative that PyTorch uses under any transformation of the call; JAX starts again from z.
     """
 
     options: Mapping[str, Any]
@@ -39,12 +39,12 @@ class Wishes:
 def common_axes(
     M: tuple[int, ...], q: tuple[int, ...], lower: tuple[int, ...] = (), upper: tuple[int, ...] = ()
 ) -> tuple[int, ...]:
-    """Return the axes of the batch, from the shapes: those in front of the last one, of M of the last two.
+    """Return the batch axes: all axes in front of the last one (of M: in front of the last two).
 
     Raises
     ------
     InvalidProblem
-        Where they do not broadcast, or a bound is no number and has another length than q.
+        If the axes do not broadcast, or a bound is not a number and has another length than q.
 
     Examples
     --------
@@ -79,15 +79,15 @@ def solved(
     Parameters
     ----------
     wishes : Wishes
-    M : array, shape (…, n, n), or None for that of the wishes
+    M : array, shape (…, n, n), or None for ``wishes.M``
     q, lower, upper, z0 : array, shape (…, n)
 
     Raises
     ------
     InvalidProblem
-        For numbers and shapes that are no problem.
+        If numbers or shapes are not a valid problem.
     NotConverged
-        Where one is not solved.
+        If a problem is not solved.
     """
     axes = common_axes(
         () if M is None else M.shape, *(vector.shape for vector in (q, lower, upper))
@@ -134,20 +134,20 @@ def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[An
 def contacts_solved(
     wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = None
 ) -> ContactBatchDerivative:
-    """Return the derivative of all worlds with contact.
+    """Return the derivative of a batch of contact problems.
 
     Parameters
     ----------
     wishes : Wishes
-        Its options are those of FrictionalContact and of solve_batch.
+        Options of FrictionalContact and of solve_batch.
     W, b, friction, z0 : array, shapes (B, n, n), (B, n), (B, k), (B, n)
 
     Raises
     ------
     InvalidProblem
-        For numbers and shapes that are no problem.
+        If numbers or shapes are not a valid problem.
     NotConverged
-        Where a world is not solved.
+        If a problem is not solved.
     """
     of_worlds = {name: wishes.options[name] for name in ("contacts", "dimension")}
     others = {name: wish for name, wish in wishes.options.items() if name not in of_worlds}
@@ -160,7 +160,7 @@ def contacts_solved(
 
 
 def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any) -> tuple[Any, ...]:
-    """Return the gradients by W, b and friction, from that by the impulses, shape (B, n)."""
+    """Return the gradients by W, b and friction, from the gradient by z, shape (B, n)."""
     gradient = found.vjp(g)
     return gradient.M, gradient.q, gradient.friction
 
@@ -174,7 +174,7 @@ def no_second_derivative(remedy: str) -> UnsupportedModel:
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:
-    """Return an error of that kind, which says what is wrong with the first problem, and where others are."""
+    """Return an error that reports the first failed problem and the numbers of the others."""
     places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
     first, *others = places
     also = (

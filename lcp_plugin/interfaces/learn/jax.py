@@ -54,7 +54,7 @@ def lcp_layer(
     M : array, shape (…, n, n), or a scipy sparse array of shape (n, n)
         One of shape (n, n) stands for all. A scipy array is a constant.
     q : array, shape (…, n)
-        Axes in front are those of a batch; all arguments broadcast. Arrays of JAX are float64.
+        Leading axes are batch axes; all arguments broadcast. Arrays of JAX are float64.
     lower, upper : array, shape (…, n), or number
     algorithm, tolerance, max_iterations, max_seconds, threads
         As in :func:`lcp_plugin.solve_batch`; max_seconds in seconds for the whole batch.
@@ -66,13 +66,13 @@ def lcp_layer(
     Raises
     ------
     InvalidOption
-        Where JAX does not calculate in double precision.
+        If JAX does not calculate in double precision.
     InvalidProblem
-        For arrays of another type or shape, and numbers that are no problem.
+        If an array has another type or shape, or its numbers are not a valid problem.
     NotConverged
-        Where a problem of the batch is not solved; it says which.
+        If a problem of the batch is not solved; the message names it.
     UnsuitableProblem, UnsupportedModel
-        Where a derivative does not exist; where a second one is asked for.
+        If a derivative does not exist, or a second derivative is requested.
 
     Notes
     -----
@@ -125,16 +125,16 @@ def contact_layer(
     max_seconds: float | None = None,
     threads: int | None = None,
 ) -> jax.Array:
-    """Return the impulses z of worlds with contact and friction, differentiable by W, b and friction.
+    """Return the impulses z of contact problems with friction, differentiable by W, b and friction.
 
     Parameters
     ----------
     W, b, friction : array, shapes (…, n, n), (…, n) and (…, k)
-        As of :class:`lcp_plugin.FrictionalContact`, float64; axes in front are those of worlds, and broadcast.
+        Arguments of :class:`lcp_plugin.FrictionalContact`, float64. Leading axes are batch axes, and broadcast.
     dimension : int, optional
-        d, 3 by default where the rows are a multiple of 3.
+        d; default 3 if the number of rows is a multiple of 3.
     tolerance, max_seconds, threads
-        As in :func:`lcp_plugin.solve_batch`.
+        Options of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
@@ -144,9 +144,9 @@ def contact_layer(
     Raises
     ------
     InvalidOption
-        Where JAX does not calculate in double precision.
+        If JAX does not calculate in double precision.
     InvalidProblem, NotConverged
-        As of `lcp_layer`.
+        For the reasons that `lcp_layer` names.
 
     Notes
     -----
@@ -180,9 +180,9 @@ def contact_layer(
 
 
 def _called(function: Callable[..., Any], like: Any, own: tuple[int, ...], *data: Any) -> Any:
-    """Call a function of numpy arrays whose batch has one axis; `own` counts the axes of each array without it.
+    """Call a numpy function with one batch axis; `own` counts the other axes of each array.
 
-    vmap puts an axis in front of all arrays, so that only the last of `own` belong to a problem.
+    vmap adds leading axes to all arrays, so that only the last `own` axes belong to a problem.
     """
 
     def call(*data: Any) -> Any:
@@ -267,7 +267,7 @@ _solution.defvjp(_solution_forward, _solution_backward)
 
 
 def _with_matrix(wishes: Wishes, data: Any) -> list[Any]:
-    """Return the data, with None in the place of M if that is a constant."""
+    """Return the data, with None instead of M if M is a constant."""
     M, *vectors = data
     return [M if wishes.M is None else None, *vectors]
 

@@ -51,7 +51,7 @@ def lcp_layer(
     M : tensor, shape (…, n, n), or a scipy sparse array of shape (n, n)
         One of shape (n, n) stands for all. A scipy array is a constant.
     q : tensor, shape (…, n)
-        Axes in front are those of a batch; all arguments broadcast. Tensors are float64, on the CPU.
+        Leading axes are batch axes; all arguments broadcast. Tensors are float64, on the CPU.
     lower, upper : tensor, shape (…, n), or number
         A number is a constant.
     algorithm, tolerance, max_iterations, max_seconds, threads
@@ -64,11 +64,11 @@ def lcp_layer(
     Raises
     ------
     InvalidProblem
-        For tensors of another type, place or shape, and numbers that are no problem.
+        If a tensor has another type, device or shape, or its numbers are not a valid problem.
     NotConverged
-        Where a problem of the batch is not solved; it says which.
+        If a problem of the batch is not solved; the message names it.
     UnsuitableProblem, UnsupportedModel
-        If a derivative does not exist; if a second one, or another transformation, is asked for.
+        If a derivative does not exist, or if a second derivative or another transformation is requested.
 
     Notes
     -----
@@ -115,16 +115,16 @@ def contact_layer(
     max_seconds: float | None = None,
     threads: int | None = None,
 ) -> torch.Tensor:
-    """Return the impulses z of many worlds with contact and friction, differentiable by W, b and friction.
+    """Return the impulses z of many contact problems, differentiable by W, b and friction.
 
     Parameters
     ----------
     W : tensor, shape (B, n, n) or (n, n)
-        As of :class:`lcp_plugin.FrictionalContact`, float64, on the CPU, like the others; read where it lies.
+        Matrix of :class:`lcp_plugin.FrictionalContact`, float64, on the CPU, like the other tensors; it is not copied.
     b : tensor, shape (B, n)
     friction : tensor, shape (B, k), (k,) or (), or number
     contacts, dimension
-        As of :class:`lcp_plugin.FrictionalContact`.
+        Arguments of :class:`lcp_plugin.FrictionalContact`.
     z0 : tensor, shape (B, n), optional
         Warm starts, constants.
     tolerance, max_seconds, threads
@@ -138,9 +138,9 @@ def contact_layer(
     Raises
     ------
     InvalidProblem
-        For tensors of another type, place or shape, and numbers that are no problem.
+        If a tensor has another type, device or shape, or its numbers are not a valid problem.
     NotConverged
-        Where a world is not solved; it says which.
+        If an instance is not solved; the message names it.
 
     Notes
     -----
@@ -177,7 +177,7 @@ def contact_layer(
 
 
 class _Impulses(torch.autograd.Function):  # type: ignore[misc]
-    """Impulses z of many worlds with contact."""
+    """Impulses z of a batch of contact problems."""
 
     @staticmethod
     def forward(W: Any, b: Any, friction: Any, start: Any, run: Wishes) -> Any:

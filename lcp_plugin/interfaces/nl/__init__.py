@@ -1,7 +1,7 @@
 r"""AMPL's ``.nl`` files, which Pyomo, AMPL and JuMP write: read, written, solved, answered by ``.sol``.
 
-``lcp-plugin-ampl stub -AMPL`` reads ``stub.nl`` and writes ``stub.sol``, which is how those languages call a solver;
-its options are ``key=value`` on the command line or in the environment variable ``lcp_plugin_options``, and
+``lcp-plugin-ampl stub -AMPL`` reads ``stub.nl`` and writes ``stub.sol``: modeling languages call a solver so. The
+options are ``key=value`` on the command line or in the environment variable ``lcp_plugin_options``, and
 ``lcp-plugin-ampl -=`` lists them. The same in Python:
 
 >>> import tempfile
@@ -21,20 +21,20 @@ ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
 
 | the file states | it becomes |
 |---|---|
-| rows complementary to variables, and equations, all affine | an `LCP`; ``LCP.load("m.nl")`` gives it, too |
+| rows complementary to variables, and equalities, all affine | an `LCP`; also ``LCP.load("m.nl")`` |
 | the same with smooth functions, or as many smooth equations as variables | a `NonlinearProblem` |
 | a linear or convex quadratic objective, or none; affine rows and bounds | a `QuadraticProgram` |
-| any smooth objective, or integers, beside complementarities: the best of all | an `EquilibriumProgram` |
+| any smooth objective or integers, with complementarities: the best of all | an `EquilibriumProgram` |
 
-**Taken:** ``+ - * / ^ sqrt exp log log10 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh``, sums, defined
-variables, ranges, fixed variables, a start. **Refused in words,** with the row: logical and piecewise rows, external
-functions, ``abs min max if`` and what else is not smooth; without complementarities integers, objectives that are not
-convex quadratic, and nonlinear rows beside one or without as many equations as unknowns; beside an objective what SCIP
-does not know: ``atan asin acos``.
+**Supported:** ``+ - * / ^ sqrt exp log log10 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh``, sums,
+defined variables, ranges, fixed variables, a start. **Rejected,** with an error that names the row: logical and
+piecewise rows, external functions, ``abs min max if`` and other functions that are not smooth. Without
+complementarities also integers, objectives that are not convex quadratic, and nonlinear rows, unless there is no
+objective and there are as many equations as unknowns. With an objective also ``atan asin acos``, which SCIP lacks.
 
-**What holds of a complementarity row:** it is ≥ 0 where its variable is at the lower bound, ≤ 0 at the upper one, 0
-between. Its dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side.
-Variables that only name the value of such a row, which Pyomo adds, are put in where all is affine. Equations without
+**A complementarity row** is ≥ 0 if its variable is at the lower bound, ≤ 0 at the upper bound, and 0 between. Its
+dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side. Variables
+that only name the value of such a row, which Pyomo adds, are substituted if all rows are affine. Equations without
 complementarities keep the bounds of variables; SOLVED means that they hold. Without an objective all bounds of a
 variable belong to its complementarity, as PATH and AMPL take them, and the message names one that the complementarity
 does not state if a variable stops at it. Inequalities without a partner, and bounds of a variable without a
@@ -45,7 +45,7 @@ are evaluated apart from the problem.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, names from ``.col`` and ``.row``. What is
-corrupt, or contradicts itself, is an `UnreadableFile` with its line or byte, and no count of a file is believed before
+corrupt, or contradicts itself, is an `UnreadableFile` with its line or byte, and no count of a file is used before
 it is compared with the file's length.
 """
 

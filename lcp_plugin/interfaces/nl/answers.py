@@ -40,8 +40,8 @@ CODES = {
     Status.DIVERGED: 501,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
-MAX_SEARCH_NODES = 1000  # of a search that nobody asked for
-OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
+MAX_SEARCH_NODES = 1000  # of a search that the user did not request
+OBJECTIVE = 1e-3  # tolerance for the objective: an expanded one has lost digits
 TAKEN = (
     "tolerance",
     "max_iterations",
@@ -50,24 +50,24 @@ TAKEN = (
     "verbose",
     "threads",
     "prove",
-)  # beside an objective
+)  # of a program with an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
 @dataclass(frozen=True, eq=False)
 class NLAnswer:
-    """What a run found, in the variables and rows of the file.
+    """Result of a run, in the variables and rows of the file.
 
     Attributes
     ----------
     x : ndarray, shape (n,), or None
         None if a search found no solution.
     duals : ndarray, shape (m,), or None
-        Of a complementarity row its value w. Of a row of a program the derivative of the objective by the row's
+        For a complementarity row the value w. For a row of a program the derivative of the objective by the row's
         right-hand side, the convention of AMPL. 0 for the other rows of a complementarity problem.
     status : Status
     message : str
-        One line: how it ended, residual, iterations.
+        One line: outcome, residual, iterations.
     result : Result, QuadraticProgramResult or EquilibriumResult
     objective : float or None
     code : int
@@ -84,22 +84,22 @@ class NLAnswer:
 
     @property
     def is_solved(self) -> bool:
-        """Whether the status is SOLVED."""
+        """True if the status is SOLVED."""
         return self.status is Status.SOLVED
 
 
 @dataclass(eq=False, repr=False)
 class NLModel(ABC):
-    """What an ``.nl`` file states.
+    """Problem that an ``.nl`` file states.
 
     Attributes
     ----------
     content : NLContent
     problem : LCP, NonlinearProblem, QuadraticProgram or EquilibriumProgram
     unknowns : ndarray of int
-        The variable that each of its unknowns is.
+        Variable of the file that each unknown is.
     known : ndarray, shape (n,)
-        The values of the variables that are none of them.
+        Values of the variables that are not unknowns.
     """
 
     content: NLContent
@@ -120,7 +120,7 @@ class NLModel(ABC):
 
     @property
     def start(self) -> FloatVector:
-        """The start in the unknowns of the problem; 0 where the file names none."""
+        """The start in the unknowns of the problem; 0 for unknowns without a start in the file."""
         start: FloatVector = self.content.start[self.unknowns]
         return start
 
@@ -143,12 +143,12 @@ class NLModel(ABC):
 
 @dataclass(eq=False, repr=False)
 class ComplementarityModel(NLModel):
-    """A linear or nonlinear complementarity problem, or equations; from n on, unknowns are defined variables.
+    """A complementarity problem or a system; from n on, unknowns are defined variables.
 
     Attributes
     ----------
     arrangement : SquareModel
-        The problem in fewer unknowns, definitions put in.
+        The problem in fewer unknowns, with definitions substituted.
     pairs : ndarray of int
         The complementarity rows.
     constants : ndarray, shape (m,)
@@ -171,7 +171,7 @@ class ComplementarityModel(NLModel):
 
     @property
     def start(self) -> FloatVector:
-        """The start in the unknowns of the problem; 0 where the file names none."""
+        """The start in the unknowns of the problem; 0 for unknowns without a start in the file."""
         start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
         return start[self.unknowns][self.arrangement.elimination.kept]
 
@@ -209,7 +209,7 @@ class ComplementarityModel(NLModel):
         return other if other.is_solved or other.result.has_no_solution else None
 
     def _remark(self, x: FloatVector) -> str:
-        """Return which variable is at a bound that its complementarity does not state; else ""."""
+        """Return the name of a variable at a bound that its complementarity does not state; else ""."""
         content, at = self.content, x[self.content.partners[self.pairs]]
         both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
         for word, own, stated in zip(("lower", "upper"), *both, strict=True):
@@ -223,7 +223,7 @@ class ComplementarityModel(NLModel):
         return ""
 
     def _misreading(self, rows: FloatVector, result: Result) -> str:
-        """Return which row of the file, evaluated as it stands there, is another than was computed; else ""."""
+        """Return the name of a row of the file whose value differs from the computed one; else ""."""
         content, order = self.content, self.order
         is_row = order < rows.size
         limits, stated = (
@@ -231,7 +231,7 @@ class ComplementarityModel(NLModel):
             np.zeros(order.size),
         )
         stated[is_row] = (rows - limits)[order[is_row]]
-        # Equations, also those of defined variables, may leave a residual.
+        # Equations, also definitions of variables, may leave a residual.
         slip = float(np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair))).max(initial=0.0))
         found = self.arrangement.first_mismatch(result.z, result.w, stated, slip)
         if found is None:
@@ -255,13 +255,13 @@ class ComplementarityModel(NLModel):
 
     @cached_property
     def _is_of_pair(self) -> BoolVector:
-        """Which rows of the problem are complementarity rows of the file, shape (n,)."""
+        """Mask of the rows that are complementarity rows of the file, shape (n,)."""
         return np.isin(
             self.unknowns[self.arrangement.elimination.kept], self.content.partners[self.pairs]
         )
 
     def _without_bounds(self, result: Result, options: dict[str, Any]) -> Result:
-        """Return the result, of equations whose unknowns have bounds gone on without these: they excuse no equation."""
+        """Return the result, confirmed by a solve without the bounds of unknowns outside pairs."""
         problem = self.problem
         kept = ~self._is_of_pair & (np.isfinite(problem.lower) | np.isfinite(problem.upper))
         if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
@@ -278,14 +278,14 @@ class ComplementarityModel(NLModel):
 
 @dataclass(eq=False, repr=False)
 class ProgramModel(NLModel):
-    """A convex quadratic or linear program; without an objective, the question for a point that meets the rows.
+    """A convex quadratic or linear program; without an objective, the search for a feasible point.
 
     Attributes
     ----------
     sign : float
-        −1 where the objective of the file is to be maximized.
+        −1 if the file maximizes the objective.
     constant : float
-        What the objective adds.
+        Constant of the objective.
     matrix : CSR array, shape (m, unknowns)
         The rows of the file are matrix · unknowns + offset.
     offset : ndarray, shape (m,)
@@ -299,7 +299,7 @@ class ProgramModel(NLModel):
     offset: FloatVector
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
-        """Return the answer; infeasible and unbounded are said only with a proof, ``answer.result.proof``."""
+        """Return the answer; it is infeasible or unbounded only with a proof, ``answer.result.proof``."""
         found = solve_program(self.problem, algorithm, **options)
         status = found.status
         x = self.variables(found.solution.x)
@@ -311,7 +311,7 @@ class ProgramModel(NLModel):
             status, words = Status.STALLED, wrong
         has_objective = found.proof is None
         words += f", objective {objective:.9g}" if has_objective else ""
-        # The program's own residuals, on which the status rests, not those of its optimality conditions.
+        # The residuals of the program, on which the status relies, not the residuals of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
         told = objective if has_objective else None
@@ -320,7 +320,7 @@ class ProgramModel(NLModel):
     def _misreading(
         self, values: FloatVector, objective: float, found: QuadraticProgramResult
     ) -> str:
-        """Return which row, or the objective, is another in the file than in the program; else ""."""
+        """Return the name of a row, or the objective, that differs between file and program; else ""."""
         x, offset = found.solution.x, self.offset
         rows = self.matrix @ x + offset
         for k in mismatches(values, rows, abs(self.matrix) @ np.abs(x) + np.abs(offset))[:1]:
@@ -338,7 +338,7 @@ class EquilibriumModel(NLModel):
     Attributes
     ----------
     sign : float
-        −1 where the objective of the file is to be maximized.
+        −1 if the file maximizes the objective.
     pairs, columns : ndarray of int
         The complementarity rows, and the unknowns that are their values.
     """
@@ -357,15 +357,15 @@ class EquilibriumModel(NLModel):
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
-        """Return the answer, optimal only with a gap that is closed; the message says whose bound it is.
+        """Return the answer, optimal only with a closed gap; the message names the source of the bound.
 
         Parameters
         ----------
         algorithm : str
-            "auto": SCIP where it is installed, else branch and bound.
+            "auto": SCIP if it is installed, else branch and bound.
         **options
-            Of :func:`lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`; ``max_iterations`` is
-            its ``max_nodes``, ``threads`` is taken and changes nothing.
+            Options of :func:`~lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`;
+            ``max_iterations`` is its ``max_nodes``, ``threads`` is taken and changes nothing.
 
         Raises
         ------
@@ -403,7 +403,7 @@ class EquilibriumModel(NLModel):
         return NLAnswer(x, duals, status, message, result, objective, CODES[status])
 
     def _as_stated(self, x: FloatVector, duals: FloatVector, value: float) -> tuple[float, str]:
-        """Return the objective as the file states it, and what its rows say against the answer, if anything."""
+        """Return the objective as the file states it, and the violation of its rows, if any."""
         content, sign = self.content, self.sign
         rows, objectives = evaluated(content, x)
         objective = float(objectives[0]) if objectives.size else 0.0
@@ -433,7 +433,7 @@ def _mismatch(name: str, value: float, computed: float) -> str:
 
 
 def _of_search(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that a search takes, of those of any model; raise InvalidOption for any other wish."""
+    """Return the options that a search takes; raise InvalidOption for others."""
     from ...problems.equilibria.branch_and_bound import OPTIONS
 
     plain = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}

@@ -1,4 +1,4 @@
-"""What an answer is held against: the rows of the file as they stand, and side conditions of its complementarities.
+"""Checks of a solution by the rows of the file and by side conditions.
 
 Side conditions are inequalities without a partner, bounds of variables without a complementarity, and complementarities
 whose rows hold no unknown. Bounds of a variable with a complementarity all belong to it, stated there or not, as PATH
@@ -71,7 +71,7 @@ def sizes_of(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
 def pair_bounds(
     content: NLContent, rows: Indices, *, as_stated: bool
 ) -> tuple[FloatVector, FloatVector]:
-    """Return the bounds that complementarity rows speak of: those they state, or all of their variables; else ∓∞."""
+    """Return the bounds that complementarity rows state, or all bounds of their variables; else ∓∞."""
     columns, bits = content.partners[rows], content.partner_bounds[rows]
     lower, upper = content.lower[columns], content.upper[columns]
     if not as_stated:

@@ -1,4 +1,4 @@
-"""What an ``.nl`` file says, text or binary alike: plain arrays, nothing computed."""
+"""Content of an ``.nl`` file, text or binary alike: plain arrays, nothing computed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ LITTLE_ENDIAN, BIG_ENDIAN = 1, 2  # the kinds of arithmetic that can be read; 0 
 
 
 class Token(IntEnum):
-    """What stands at a place of an expression tree."""
+    """Type of a token of an expression tree."""
 
     NUMBER = 0  # its value
     VARIABLE = 1  # the number of a variable; from n on, of a defined variable
@@ -61,16 +61,16 @@ class Token(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Trees:
-    """Expression trees, one after the other, each in prefix order: an operator, then its operands.
+    """Expression trees in one array, each in prefix order: an operator, then the operands.
 
     Attributes
     ----------
     kinds : ndarray of uint8, shape (t,)
-        Of every token, as `Token` numbers them.
+        Type of every token, a `Token`.
     values : ndarray of float64, shape (t,)
         The number, or the number of the variable, operator, function or string.
     counts : ndarray of int64, shape (t,)
-        How many operands follow; 0 for what is neither operator nor call.
+        Number of operands that follow; 0 unless the token is an operator or a call.
     starts : ndarray of int64, shape (k + 1,)
         Tree j is the tokens starts[j] to starts[j + 1]; every tree has at least one, a linear row the number 0.
     strings : tuple of bytes
@@ -112,33 +112,33 @@ class NLContent:
     partners : ndarray of int, shape (m,)
         The variable that a complementarity row goes with; −1 for any other row.
     partner_bounds : ndarray of int, shape (m,)
-        Which bounds of it are finite: 1 the lower, 2 the upper, 3 both, 0 none.
+        Finite bounds of the partner: 1 the lower, 2 the upper, 3 both, 0 none.
     linear : CSR array, shape (m, n)
-        The linear terms of the rows; what is in a tree as well is stored as 0 here.
+        The linear terms of the rows; a variable that also occurs in the tree is stored as 0 here.
     trees : Trees
         The nonlinear terms of the rows, m trees.
     is_maximized : ndarray of bool, shape (o,)
-        Of each objective.
+        True for an objective that is maximized.
     objective_linear, objective_trees
-        As of the rows.
+        Terms of the objectives, stored like the rows.
     defined_linear : CSR array, shape (d, n + d)
-        The linear terms of defined variables, each of which uses only those before it.
+        The linear terms of defined variables; each uses only variables defined before.
     defined_trees : Trees
     is_integer : ndarray of bool, shape (n,)
     logical_rows : int
-        How many logical constraints there are; what they say is not kept.
+        Number of logical constraints, which are not kept themselves.
     functions : tuple of str
         Names of the external functions.
     start : ndarray, shape (n,)
-        0 where the file says nothing.
+        0 if the file gives no start.
     has_start : ndarray of bool, shape (n,)
-        Where the file gives a start.
+        True if the file gives a start.
     names, row_names : list of str or None
-        Of ``.col`` and ``.row`` files beside it.
+        Names in the ``.col`` and ``.row`` files.
     options : tuple of int
         The numbers of the first line, which the ``.sol`` file repeats.
     tolerance : float or None
-        What some writers put into the first line with them.
+        Tolerance, which some writers add to the first line.
     """
 
     lower: FloatVector

@@ -1,6 +1,6 @@
 """Expression trees and linear terms of an ``.nl`` file as linear combinations of unknowns and of elementary functions.
 
-Each operator makes one sum of those of its operands; functions are collected by level and kind, and evaluated so.
+Each operator sums the combinations of its operands; functions are collected by level and type, and evaluated so.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from .operators import (
     value_of,
 )
 
-UNKNOWNS = 0  # the key of the only source that is no function
-MOST_FILL = 4  # how much of what there is may be put in for defined variables
-MOST_NESTED = 1000  # functions in one another: each level is one more that derivatives go through
+UNKNOWNS = 0  # the key of the only source that is not a function
+MOST_FILL = 4  # largest fill when definitions are substituted, relative to the entries
+MOST_NESTED = 1000  # functions in one another: derivatives go through every level
 SUMS = (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION)
 
 
@@ -48,13 +48,13 @@ class Sum:
 
     @property
     def is_constant(self) -> bool:
-        """Whether it has no terms."""
+        """True if it has no terms."""
         return not self.terms
 
     def scaled(
         self, factor: float, operation: Callable[[float, float], float] = operator.mul
     ) -> Sum:
-        """Return it times, or divided by, a number."""
+        """Return the sum times, or divided by, a number."""
         if factor == 1.0:
             return self
         terms = {column: operation(value, factor) for column, value in self.terms.items()}
@@ -86,9 +86,9 @@ class _ExpressionReader:
     results : list of Sum
         Rows, then objectives.
     definitions : dict of int to Sum
-        Of each defined variable that is an unknown, what is 0.
+        Sum that is 0, for each defined variable that is an unknown.
     functions, arguments, levels : list
-        Of each function: which it is, its arguments, how many functions are nested there with it.
+        For each function: its operator, its arguments, and its nesting level.
     """
 
     def __init__(self, content: NLContent, known: list[float | None]) -> None:
@@ -118,10 +118,10 @@ class _ExpressionReader:
         return evaluated_tree(trees, k, self._leaf, self._operation)
 
     def _define(self, number: int) -> None:
-        """Settle what a defined variable is.
+        """Decide how a defined variable is represented.
 
-        If several use it, all hold its terms, or it is a quantity of its own: a function, or where it is affine, one
-        more unknown with an equation.
+        If several sums use it, all hold its terms, or it is a separate quantity: a function or, if it is affine, an
+        additional unknown with an equation.
         """
         if not self._uses[number]:
             self._defined.append(Sum({}, 0.0))
@@ -146,7 +146,7 @@ class _ExpressionReader:
         self._defined.append(found)
 
     def _use(self, number: int) -> Sum:
-        """Return a defined variable, which changes hands where only one sum has it."""
+        """Return a defined variable, which is moved, not copied, if only one sum uses it."""
         found = self._defined[number]
         return found if self._uses[number] == 1 else replace(found, terms=dict(found.terms))
 
@@ -232,7 +232,7 @@ class _ExpressionReader:
 
 
 def _counted_uses(content: NLContent) -> list[int]:
-    """Return how many sums use each defined variable."""
+    """Return the number of sums that use each defined variable."""
     n, linear = content.lower.size, content.defined_linear
     used = [linear.indices[linear.data != 0.0]]
     for trees in (content.trees, content.objective_trees, content.defined_trees):
@@ -245,7 +245,7 @@ def _counted_uses(content: NLContent) -> list[int]:
 
 
 class Expressions:
-    """All rows and objectives of a file over the unknowns that have no known value, and over functions.
+    """Rows and objectives of a file over the unknowns that have no known value, and over functions.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ class Expressions:
     definitions : ndarray of int
         The combinations that are zero, one for each defined variable among the unknowns.
     matrix : CSR array
-        Of the rows, of the objectives, then of arguments of functions: over the unknowns, then the functions.
+        Rows, then objectives, then arguments of functions: over the unknowns, then the functions.
     offset : ndarray
     """
 
@@ -296,7 +296,7 @@ class Expressions:
         linear.resize((len(sums), self.unknowns.size + count))
         self.matrix = sp.csr_array(linear + _matrix(sums, place, linear.shape))
         self.matrix.eliminate_zeros()
-        # Where each source begins: the unknowns, then each group of one function on one level.
+        # First column of each source: the unknowns, then each group of one function on one level.
         begins = [k for k in range(count) if k == 0 or keys[order[k]] != keys[order[k - 1]]]
         self._starts = np.array(
             [0, *(self.unknowns.size + k for k in (*begins, count))], dtype=np.int64
@@ -306,7 +306,7 @@ class Expressions:
 
     @cached_property
     def compiler(self) -> Compiler:
-        """The functions, group by group; what is put in is put in before."""
+        """The functions, group by group; definitions are substituted before."""
         compiler = Compiler()
         for begin, end in pairwise([*self._begins, len(self._functions)]):
             function = self._functions[begin]
@@ -317,14 +317,14 @@ class Expressions:
         return compiler
 
     def put_in(self, definitions: Indices, columns: Indices) -> None:
-        """Put unknowns in wherever they stand, each by the combination that is 0 and defines it, and forget them.
+        """Substitute unknowns by the combinations that are 0 and define them.
 
         Parameters
         ----------
         definitions : ndarray of int, shape (k,)
             Combinations.
         columns : ndarray of int, shape (k,)
-            Of the unknowns.
+            Columns of the unknowns.
         """
         whole, self.offset = put_in_all(self.matrix, self.offset, definitions, columns)
         keep = np.delete(np.arange(whole.shape[1]), columns)
@@ -334,7 +334,7 @@ class Expressions:
         self._starts[1:] -= columns.size
 
     def is_affine(self) -> Any:
-        """Return of each combination whether it holds no function."""
+        """Return the mask of combinations that hold no function."""
         nonlinear = np.concatenate([[0], np.cumsum(self.matrix.indices >= self.unknowns.size)])
         return np.diff(nonlinear[self.matrix.indptr]) == 0
 
@@ -380,7 +380,7 @@ class Expressions:
     def _without_copies(
         self, matrix: sp.csr_array, offset: FloatVector
     ) -> tuple[sp.csr_array, FloatVector]:
-        """Return combinations in which the quantities that only stand for others are put in."""
+        """Return combinations in which quantities that only name others are substituted."""
         n = self.unknowns.size
         is_copy = np.array([function is functions.SAME for function in self._functions], dtype=bool)
         while is_copy[matrix.indices[matrix.indices >= n] - n].any():
@@ -396,7 +396,7 @@ class Expressions:
 
 
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
-    """Return the terms of sums, a row each, their columns put in these places."""
+    """Return the terms of sums, one row each, with their columns mapped to the given ones."""
     counts = [len(one.terms) for one in sums]
     columns = place[
         np.fromiter(

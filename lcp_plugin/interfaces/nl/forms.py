@@ -1,6 +1,6 @@
 """The two forms of ``.nl`` files: text, line by line, or bytes. Both give letters, numbers and names in the same order.
 
-A place is the byte at which what has been read last begins.
+A place is the byte at which the last item read begins.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .content import PARTNER
 
 STRING = re.compile(rb"h(\d{1,9}):")
 BOUNDS = ("dd", "d", "d", "", "d", "ii")  # the numbers behind the kind of a bound
-#: What makes words numbers, whole ones (i) or not (d).
+#: Conversion of words to numbers, integers (i) or not (d).
 CONVERTERS: dict[str, list[type]] = {
     form: [int if kind == "i" else float for kind in form]
     for form in ("", "i", "ii", "iii", "id", "d", "dd")
@@ -27,7 +27,7 @@ WRONG_KIND = f"a bound's kind is 0 to {PARTNER}"
 
 
 class Fault(ValueError):
-    """What is wrong with a file, and in which line or at which byte."""
+    """Fault of a file, with its line or byte."""
 
     def __init__(self, place: int, what: str) -> None:
         super().__init__(what)
@@ -66,7 +66,7 @@ class Text:
         return self._numbers("i" * count, self._words)
 
     def real(self, letter: str) -> float:
-        """Return the number behind a letter that says of which kind it is."""
+        """Return the number that follows a letter of type."""
         value: float = self._numbers("d", self._words)[0]
         return value
 
@@ -75,7 +75,7 @@ class Text:
         return self._numbers(form, self._line().split())
 
     def bound(self) -> list[Any]:
-        """Return the kind of a bound and what stands behind it."""
+        """Return the type of a bound and the numbers that follow."""
         kind, *words = self._line().split() or [b""]
         (number,) = self._numbers("i", [kind])
         if not 0 <= number < len(BOUNDS):
@@ -83,7 +83,7 @@ class Text:
         return [number, *self._numbers(BOUNDS[number], words)]
 
     def text(self) -> bytes:
-        """Return a string, whose length stands before it; it may go over lines."""
+        """Return a string that follows its length; the string may span lines."""
         match = STRING.match(self.data, self.at)
         end = match.end() + int(match[1]) if match else -1
         stop = self.data.find(b"\n", end)
@@ -93,7 +93,7 @@ class Text:
         return self.data[match.end() : end]
 
     def fail(self, what: str) -> NoReturn:
-        """Raise a Fault of what has been read last."""
+        """Raise a Fault at the last item read."""
         raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
 
     def _line(self) -> bytes:
@@ -140,7 +140,7 @@ class Binary:
         return numbers
 
     def real(self, letter: str) -> float:
-        """Return the number behind a letter that says of which kind it is."""
+        """Return the number that follows a letter of type."""
         return float(self._numbers(NUMBERS[letter])[0])
 
     def row(self, form: str) -> list[Any]:
@@ -149,20 +149,20 @@ class Binary:
         return self._numbers(form)
 
     def bound(self) -> list[Any]:
-        """Return the kind of a bound and what stands behind it."""
+        """Return the type of a bound and the numbers that follow."""
         kind = self.letter()
         if kind not in {str(number) for number in range(len(BOUNDS))}:
             self.fail(WRONG_KIND)
         return [int(kind), *self._numbers(BOUNDS[int(kind)])]
 
     def text(self) -> bytes:
-        """Return a string, whose length stands before it."""
+        """Return a string that follows its length."""
         (length,) = self._numbers("i")
         begin = self._take(length)
         return self.data[begin : self._next]
 
     def fail(self, what: str) -> NoReturn:
-        """Raise a Fault of what has been read last."""
+        """Raise a Fault at the last item read."""
         raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
 
     def _numbers(self, form: str) -> list[Any]:
@@ -172,7 +172,7 @@ class Binary:
         return list(struct.unpack_from(self.data, self._take(struct.size)))
 
     def _take(self, length: int) -> int:
-        """Return where so many bytes begin, and go behind them."""
+        """Return the start of a given number of bytes, and move on by it."""
         begin, left = self._next, len(self.data) - self._next
         if not 0 <= length <= left:
             raise Fault(begin, f"{length} bytes are needed here, and {left} follow")

@@ -1,4 +1,4 @@
-"""What the content of an ``.nl`` file states: a complementarity problem, or a quadratic program."""
+"""Problem that an ``.nl`` file states: a complementarity problem or a quadratic program."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def read_nl(path: str | PathLike[str]) -> NLModel:
     Raises
     ------
     UnreadableFile
-        Where it is missing or corrupt.
+        If the file is missing or corrupt.
     UnsupportedModel
-        Naming the row or variable that is not taken.
+        Names the row or variable that is not supported.
     """
     return model_of(read_content(path))
 
@@ -83,7 +83,7 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
 
 
 def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
-    """Return the program that an ``.nl`` file states, to be minimized, and what its objective adds; else raise."""
+    """Return the program of an ``.nl`` file, to be minimized, and the constant; else raise."""
     model = read_nl(path)
     if isinstance(model, ProgramModel):
         return model.problem, model.sign * model.constant
@@ -93,7 +93,7 @@ def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
 
 
 class FileStatement:
-    """The rows of a file, sorted by what they say.
+    """Rows of a file, sorted by type.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class FileStatement:
 
     @cached_property
     def right(self) -> FloatVector:
-        """The right-hand sides of equations, 0 for those of defined variables."""
+        """The right-hand sides of equalities; 0 for the definitions of variables."""
         right = np.zeros(self.expressions.offset.size)
         right[: self.m] = self.content.row_lower
         return right
@@ -167,7 +167,7 @@ class FileStatement:
             )
 
     def _known(self, leaves_out: BoolVector) -> FloatVector:
-        """Return the values of variables that no row but those left out holds: fixed ones, and those in none."""
+        """Return the values of fixed variables and of variables that occur in no remaining row."""
         content, occurs = self.content, self.is_paired.copy()
         parts = (
             (content.trees, content.linear, leaves_out),
@@ -195,7 +195,7 @@ class FileStatement:
         return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
 
     def is_complementarity_problem(self) -> bool:
-        """Return whether it is one: what has an objective is a program, and so are affine rows that are not square."""
+        """Return whether the file has an objective, or affine rows that are not square."""
         if self.pairs.size:
             return True
         if self.has_objective():
@@ -211,7 +211,7 @@ class FileStatement:
         return bool(is_free.all()) and unknowns.size == self.equations.size > 0
 
     def has_objective(self) -> bool:
-        """Return whether there is an objective that is no constant."""
+        """Return whether there is an objective that is not constant."""
         row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
         return row is not None and row.nnz > 0
 
@@ -339,7 +339,7 @@ class FileStatement:
         )
 
     def _statement(self, is_free: BoolVector) -> Statement:
-        """Return the unknowns with their bounds, those of some variables forgotten."""
+        """Return the unknowns with their bounds, without the bounds of some variables."""
         content, found = self.content, self.expressions
         free = np.full(content.defined_trees.size, np.inf)
         lower = np.append(np.where(is_free, -np.inf, content.lower), -free)[found.unknowns]
@@ -363,10 +363,10 @@ class FileStatement:
             self.expressions = Expressions(content, self.known)
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
-        """Return the complementarity rows that hold no unknown, where there are as many equations too many.
+        """Return the complementarity rows without unknowns, if as many equations are surplus.
 
-        So Pyomo's mpec.nl writes the pair of a variable that is fixed, as a price which is the unit: an equation gives
-        the other side a name, and no unknown is left that gives way.
+        Pyomo's mpec.nl writes such a row for the pair of a fixed variable, for example the price of the numeraire: an
+        equation names the other side, and no unknown is complementary to it.
         """
         found = self.expressions
         constant = pairs[np.diff(found.matrix.indptr)[pairs] == 0]
@@ -375,7 +375,7 @@ class FileStatement:
         return next((spare for spare in choices if spare.size == surplus), pairs[:0])
 
     def _without_empty(self, equations: Indices) -> Indices:
-        """Leave out the equations that hold no unknown; raise where they do not hold."""
+        """Leave out the equations that have no unknown; raise if they are violated."""
         content, found = self.content, self.expressions
         is_empty = np.diff(found.matrix.indptr)[equations] == 0
         empty: Indices = equations[is_empty]

@@ -1,6 +1,6 @@
-"""AMPL's operators by their numbers: what each is called, what it becomes, and trees of them evaluated.
+"""AMPL's operators by number: names, representation, and the evaluation of expression trees.
 
-Trees are read backwards: operands come before their operator then, so that no recursion is needed, however deep one is.
+Trees are read backwards: operands come before their operator then, so that any depth needs no recursion.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ FOLDED: dict[Arithmetic, Any] = {
 def evaluated_tree(
     trees: Trees, k: int, leaf: Callable[[int, float], T], operation: Callable[[int, list[T]], T]
 ) -> T:
-    """Return what tree k is, from what its leaves are, by kind and value, and what operators make of their operands."""
+    """Return the value of tree k, by rules for leaves (type and value) and operators."""
     part = slice(trees.starts[k], trees.starts[k + 1])
     columns = (getattr(trees, name)[part][::-1].tolist() for name in ("kinds", "values", "counts"))
     stack: list[T] = []
@@ -95,7 +95,7 @@ def evaluated_tree(
 
 
 def check_operators(content: NLContent) -> None:
-    """Raise UnsupportedModel where an expression holds what no rule is for, naming the row and the operator."""
+    """Raise UnsupportedModel for an expression without a rule, naming the row and the operator."""
     for trees, called in (
         (content.trees, content.row),
         (content.objective_trees, "objective {}".format),
@@ -113,7 +113,7 @@ def check_operators(content: NLContent) -> None:
 
 
 def _refusal(content: NLContent, kind: Token, value: float) -> str:
-    """Return what is said of a part of an expression that is not taken."""
+    """Return the description of a part of an expression that is not supported."""
     if kind is Token.NUMBER:
         return f"holds the number {value}; constants must be finite"
     if kind is not Token.OPERATOR:
@@ -126,7 +126,7 @@ def _refusal(content: NLContent, kind: Token, value: float) -> str:
 
 
 def value_of(rule: Arithmetic | Function, operands: list[Any]) -> Any:
-    """Return what an operator makes of numbers; not finite, with numpy's warning, where it has no value."""
+    """Return the value of an operator; not finite, with numpy's warning, if it is undefined."""
     return (
         rule.value(*map(np.float64, operands))
         if isinstance(rule, Function)

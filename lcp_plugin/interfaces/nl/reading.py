@@ -35,7 +35,7 @@ from .forms import NO_NUMBERS, Binary, Fault, Text
 
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
-#: How many numbers stand behind the letter of a segment; a name follows in F and S.
+#: How many numbers follow the letter of a segment; a name follows in F and S.
 HEADS = {
     "C": 1,
     "L": 1,
@@ -66,10 +66,10 @@ TOKENS = {
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
-IS_AS_STATED = 4  # a bound of this kind may be 1e20
+IS_AS_STATED = 4  # a bound with this code may be 1e20
 LINES = 10  # of the head, which are text in binary files too
 MOST_LINE_BYTES, MOST_DIGITS = 4096, 18  # of a line of the head, and of a number in it
-#: Of the lines of the head behind the first: how many numbers must stand there, what they are, and what each is called.
+#: Lines of the head after the first: how many numbers are required, their meaning, and the name of each.
 HEAD = {
     2: (
         3,
@@ -93,7 +93,7 @@ HEAD = {
     9: (2, "lengths of names", "row_name_length name_length"),
     10: (5, "defined variables", "defined defined1 defined2 defined3 defined4"),
 }
-#: What stands in a file, each in a byte at least.
+#: Items of a file, each of at least one byte.
 STORED = {
     "variables",
     "rows",
@@ -115,17 +115,17 @@ def source_of(path: str | PathLike[str]) -> Path:
 
 
 def read_content(path: str | PathLike[str]) -> NLContent:
-    """Return what an ``.nl`` file says, text or binary, with the names in ``.col`` and ``.row`` files beside it.
+    """Return the content of an ``.nl`` file, with the names in its ``.col`` and ``.row`` files.
 
     Parameters
     ----------
     path : str or Path
-        The file; its ending may be left out, as AMPL does. Bounds of 1e20 and beyond are no bounds.
+        The file; its ending may be left out, as AMPL does. Bounds of size 1e20 and above are infinite.
 
     Raises
     ------
     UnreadableFile
-        Where it is missing, corrupt or contradicts itself; the message names the line, in a binary file the byte.
+        If it is missing, corrupt or contradicts itself; the message names the line, in a binary file the byte.
     """
     source = source_of(path)
     with opened(source, ".nl file") as file:
@@ -141,7 +141,7 @@ def read_content(path: str | PathLike[str]) -> NLContent:
 
 
 def _place(data: bytes, fault: Fault) -> str:
-    """Return where a fault is: the line and what it says, or the byte."""
+    """Return the position of a fault: the line and its text, or the byte."""
     begin = fault.place
     line = data.count(b"\n", 0, begin) + 1
     if data[:1] == b"b" and line > LINES:
@@ -177,7 +177,7 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
 
 
 def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
-    """Return the numbers of the first line, the first of which says how many follow, and the tolerance."""
+    """Return the numbers of the first line, which begins with their count, and the tolerance."""
     words = text.split(b"#")[0].split()
     try:
         count = int(words[0]) if words else 0
@@ -211,14 +211,14 @@ def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: i
 
 
 class _Rows:
-    """Linear terms: indices and values of all rows, and where those of each begin and end."""
+    """Linear terms: indices and values of all rows, and the start and end of each row."""
 
     def __init__(self) -> None:
         self.indices, self.values = array("q"), array("d")
         self.spans: dict[int, tuple[int, int]] = {}
 
     def matrix(self, height: int, width: int) -> sp.csr_array:
-        """Return them as CSR."""
+        """Return the terms as a CSR array."""
         items, starts = _gathered(self.spans, height, (0, 0))
         kind = np.int32 if max(items.size, width) < 2**31 else np.int64
         parts = (
@@ -230,7 +230,7 @@ class _Rows:
 
 
 class _Reader:
-    """What has been read of a file."""
+    """Items read from a file so far."""
 
     def __init__(self, data: bytes) -> None:
         self.header, begin = _header(data)
@@ -239,7 +239,7 @@ class _Reader:
             Binary(data, begin, order) if self.header.is_binary else Text(data, begin)
         )
         rows, objectives, defined = self.header.rows, self.header.objectives, self.header.defined
-        self.owners = {  # how many there are of what a segment belongs to
+        self.owners = {  # number of possible owners of a segment
             "C": rows,
             "J": rows,
             "L": self.header.logical_rows,
@@ -257,7 +257,7 @@ class _Reader:
         self.functions: dict[int, str] = {}
 
     def read_segments(self) -> None:
-        """Read all of them, in whatever order they stand."""
+        """Read all segments, in any order."""
         header, source = self.header, self.source
         n, d = header.variables, header.defined
         while letter := source.letter():
@@ -289,7 +289,7 @@ class _Reader:
                 self._skip("id" if is_real else "ii", numbers[1])
 
     def _owner(self, letter: str, numbers: list[int]) -> int:
-        """Return whose the segment is, numbered from 0; raise where it belongs to nothing."""
+        """Return the number of the segment's owner, from 0; raise if it has no owner."""
         if letter not in self.owners:
             return 0
         first = self.header.variables if letter == "V" else 0
@@ -355,7 +355,7 @@ class _Reader:
             self.source.fail(f"an operator cannot have {count} operands here")
 
     def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
-        """Read so many indices below `reach` with their values, and keep them in order."""
+        """Read `count` indices below `reach` with their values, and keep them in order."""
         source, rows, found = self.source, self.rows[letter], dict[int, float]()
         if count < 0:
             source.fail(NO_NUMBERS)
@@ -402,7 +402,7 @@ class _Reader:
             )
         earlier.add(variable)
 
-    # --- What they say together ---
+    # --- Consistency of all segments ---
 
     def content(self, path: Path) -> NLContent:
         """Return the content."""
@@ -447,7 +447,7 @@ class _Reader:
         header, bounds, trees = self.header, self.bounds, self.trees
         pairs = header.linear_pairs + header.nonlinear_pairs
         slopes, announced_slopes = len(self.rows["G"].values), header.objective_nonzeros
-        if 0 < slopes < announced_slopes:  # AMPL counts what simplifications removed later
+        if 0 < slopes < announced_slopes:  # AMPL counts entries that simplifications removed later
             announced_slopes = slopes
         for line, announced, given, what in (
             (2, header.variables, len(bounds["b"]), "bounds of variables"),
@@ -465,7 +465,7 @@ class _Reader:
                 raise Fault(header.places[line], said)
 
     def _trees(self, letter: str, count: int) -> Trees:
-        """Return one tree for each owner in their order; the number 0 where there is none."""
+        """Return a tree for each owner in order; the number 0 for an owner without a tree."""
         end = len(self.kinds)
         items, starts = _gathered(self.trees[letter], count, (end, end + 1))
         return Trees(
@@ -477,7 +477,7 @@ class _Reader:
         )
 
     def _integers(self) -> Any:
-        """Return which variables are integer: the last ones of each group in the order of the format."""
+        """Return the mask of integer variables, the last ones of each group of the format."""
         header, n = self.header, self.header.variables
         is_integer = np.zeros(n, dtype=bool)
         for end, count in (
@@ -496,7 +496,7 @@ class _Reader:
 def _gathered(
     spans: dict[int, tuple[int, int]], count: int, none: tuple[int, int]
 ) -> tuple[Indices, Indices]:
-    """Return the items of each owner in their order, and where those of each start; `none` are those of the others."""
+    """Return the items of all owners in order, and their starts; `none` fills empty ones."""
     begins, ends = (
         np.array([spans.get(k, none) for k in range(count)], dtype=np.int64).reshape(-1, 2).T
     )
@@ -510,8 +510,8 @@ def _columns(rows: list[tuple[float, float, int, int]]) -> Any:
 
 
 def _names(path: Path, count: int, longest: int) -> list[str] | None:
-    """Return the names in a file beside this one, or None if it is not of this problem."""
-    if not longest or not path.is_file():  # a length of 0 says that none were written
+    """Return the names in an accompanying file, or None if it belongs to another problem."""
+    if not longest or not path.is_file():  # a length of 0 means that no names were written
         return None
     try:
         names = path.read_text(encoding="utf-8", errors="replace").splitlines()

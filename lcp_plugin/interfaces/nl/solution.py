@@ -1,4 +1,4 @@
-"""``.sol`` files, which answer an ``.nl`` file: message, dual and primal values, and a code of what came out.
+"""``.sol`` files: message, dual and primal values, and the code of the outcome.
 
 Always text: AMPL's reader takes text after a binary ``.nl`` as well, and others read nothing else.
 """
@@ -57,7 +57,7 @@ def write_sol(
     for given, size, what in ((duals, m, "y"), (values, n, "x")):
         if given is not None and given.shape != (size,):
             raise InvalidProblem(f"{what} must have the shape ({size},), got {given.shape}")
-    # A blank line ends the message, and a line that says Options would.
+    # A blank line ends the message, and also a line that starts with Options.
     lines = [line.rstrip() or " " for line in message.strip().splitlines()]
     lines = [f"- {line}" if line.lstrip().startswith(OPTIONS) else line for line in lines]
     lines.append("")

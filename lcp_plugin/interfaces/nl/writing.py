@@ -28,21 +28,21 @@ ALSO_STRINGS = 1  # its type: it takes texts as well
 
 
 def write_nl(problem: Any, path: str | PathLike[str]) -> None:
-    """Write a problem or a model as a text ``.nl`` file, with ``.col`` and ``.row`` files of the names beside it.
+    """Write a problem or model as a text ``.nl`` file, its names as ``.col`` and ``.row``.
 
     Parameters
     ----------
     problem : LCP, QuadraticProgram, NLContent, NLModel, or a Pyomo model
-        A Pyomo model may hold complementarities, which ``model.write`` rejects. The file states it as it is solved:
-        what is only held against the answer afterwards is not in it, and a ``ModelWarning`` names it.
+        A Pyomo model may hold complementarities, which ``model.write`` rejects. The file states the solved problem:
+        conditions that are only checked afterwards are not in it, and a ``ModelWarning`` names them.
     path : str or Path
 
     Raises
     ------
     InvalidProblem
-        Where the format cannot say it: a function written in Python, integer variables among others.
+        If the format cannot state it, for example a function written in Python or integer variables.
     UnsupportedModel
-        Naming the component of a Pyomo model that is not taken.
+        Names the component of a Pyomo model that is not supported.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
 
 
 def _content_of(problem: Any) -> NLContent:
-    """Return what a file of the problem holds."""
+    """Return the content of a file of the problem."""
     if hasattr(problem, "component_data_objects"):
         from ..pyomo.answers import content_of
 
@@ -148,7 +148,7 @@ class TextWriter:
         self.out: list[bytes] = []
 
     def parts(self) -> list[bytes]:
-        """Return the file in pieces."""
+        """Return the file as a list of strings."""
         content, n = self.content, self.content.lower.size
         self.out.append(self._head().encode())
         for number, name in enumerate(content.functions):
@@ -266,7 +266,7 @@ def tokens_of(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
 
 
 def count_behind(operator: int, count: int) -> int:
-    """Return the number that stands behind an operator: of operands, of slopes, or 0 where none does."""
+    """Return the number that follows an operator: operands or slopes; 0 if none follows."""
     return {NARY: count, PIECEWISE: count // 2}.get(ARITY[operator], 0)
 
 
@@ -288,7 +288,7 @@ def stated_bounds(
 
 
 def _has_variables(trees: Trees) -> Any:
-    """Return which trees hold anything but one number."""
+    """Return the mask of trees that are not a single number."""
     return (np.diff(trees.starts) > 1) | (trees.kinds[trees.starts[:-1]] != Token.NUMBER)
 
 
@@ -315,7 +315,7 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     if ends.size <= 2 and int(ends[-1]) in (first, n) and max(in_rows, in_objectives) <= first < n:
         own = int(
             content.is_integer[:first].sum()
-        )  # the last ones of those that are nonlinear, and of the others
+        )  # the last variables of the nonlinear and of the linear group
         return first, first, (integers.size - own, own, 0, 0)
     if integers[0] != n - integers.size:
         raise InvalidProblem(

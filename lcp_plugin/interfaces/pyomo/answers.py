@@ -50,7 +50,7 @@ class PyomoAnswer:
 
     @property
     def is_violated(self) -> bool:
-        """True if the pairs are solved, and something that stands beside them does not hold."""
+        """True if the pairs are solved and a side condition is violated."""
         return self.found.result.is_solved and not self.found.is_solved
 
     @property
@@ -86,28 +86,28 @@ class PyomoAnswer:
                 suffix.update(values)
 
     def keep(self, path: Path, labels: bool) -> None:
-        """Write the ``.nl`` file as it was solved, with names beside it where they are asked for."""
+        """Write the ``.nl`` file of the solved model, with files of names if these are requested."""
         content = self.statement.in_a_file
         write_nl(content if labels else replace(content, names=None, row_names=None), path)
 
 
 def content_of(model: Any) -> NLContent:
-    """Return what a file of a Pyomo model holds: the model as it is solved."""
+    """Return the content of a Pyomo model, as it is passed to the solver."""
     with TemporaryDirectory() as folder:
         statement = stated(model, Path(folder) / "model.nl")
     return statement.in_a_file
 
 
 def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
-    """Return the answer to a Pyomo model, which is not changed.
+    """Return the solution of a Pyomo model, which is not changed.
 
     Parameters
     ----------
     model : Block
     options : dict
-        Of :func:`lcp_plugin.solve`.
+        Options of :func:`lcp_plugin.solve`.
     path : Path
-        Where Pyomo writes the rows.
+        Path of the file that Pyomo writes.
     """
     statement = stated(model, path)
     problem = _problem(statement)
@@ -132,7 +132,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
 
 
 def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
-    """Return the variables that the model mentions and its file does not: all that they stand in is 0."""
+    """Return the variables that the model mentions and its file omits: all their coefficients are 0."""
     found = ComponentMap()
     for stated_one in model.component_data_objects(
         (Objective, Constraint), active=True, descend_into=True
@@ -172,7 +172,7 @@ def _problem(statement: PyomoStatement) -> NLModel:
 def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVector:
     """Return the gradient of the objective less the rows' multipliers times their gradients, shape (n,).
 
-    By all variables, also those whose equal bounds make them numbers in the program.
+    The gradient is by all variables, including variables with equal bounds, which are constants in the program.
     """
     weights = np.append(-duals, np.ones(content.is_maximized.size))
     slopes: FloatVector = jacobian(content, x, np.arange(weights.size)).T @ weights
@@ -180,7 +180,7 @@ def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVect
 
 
 def imported(model: Any, name: str) -> Any:
-    """Return the suffix of that name that wants values from solvers, the nearest to the root, or None."""
+    """Return the suffix of that name nearest to the root that imports values, or None."""
     suffixes = model.component_objects(
         Suffix, active=True, descend_into=True, sort=SortComponents.deterministic
     )

@@ -1,4 +1,4 @@
-"""A Pyomo model as the content of an ``.nl`` file: its rows by Pyomo's own writer, its pairs as they are stated."""
+"""A Pyomo model as the content of an ``.nl`` file; Pyomo writes the rows."""
 
 from __future__ import annotations
 
@@ -62,18 +62,17 @@ TINY = (
 
 @dataclass(frozen=True, eq=False)
 class PyomoStatement:
-    """A Pyomo model as arrays, and what leads back to it.
+    """A Pyomo model as arrays, with the map back to its components.
 
     Attributes
     ----------
     content : NLContent
     variables : list of VarData
-        As the content numbers them.
-    rows : list
-        What each row states: a ConstraintData, a ComplementarityData that is an equation, a Pair, or the name of an
-        unknown that was added, whose equation it is.
+        In the order of the content.
+    Component that each row states: a ConstraintData, an equality given as ComplementarityData, or a Pair. For an
+        added unknown, its name: the row is its equation.
     added : frozenset of int
-        The numbers of unknowns that were added.
+        Numbers of the added unknowns.
     """
 
     content: NLContent
@@ -83,7 +82,7 @@ class PyomoStatement:
 
     @property
     def in_a_file(self) -> NLContent:
-        """The content as other readers of ``.nl`` files take it: of a pair's variable all finite bounds are its own."""
+        """The content for readers of ``.nl`` files: a pair's variable has all its finite bounds."""
         content = self.content
         if content.is_maximized.size:
             return content
@@ -95,13 +94,13 @@ class PyomoStatement:
 
 
 def stated(model: Any, path: Path) -> PyomoStatement:
-    """Return what a Pyomo model, or a block of one, states; nothing in it is changed.
+    """Return the content of a Pyomo model or of one of its blocks, without changing the model.
 
     Parameters
     ----------
     model : Block
     path : Path
-        Where Pyomo writes the ``.nl`` file.
+        Path of the ``.nl`` file that Pyomo writes.
 
     Raises
     ------
@@ -165,7 +164,7 @@ def _require_known(model: Any) -> None:
 
 
 class _Draft:
-    """The rows of a model in one of their own, which shares the user's variables.
+    """Rows of a model, in a temporary model that shares the user's variables.
 
     Parameters
     ----------
@@ -225,7 +224,7 @@ class _Draft:
         self.state(pair.row, pair, 0.0, None)
 
     def look_at(self, pair: Pair) -> None:
-        """Take the row of a pair whose held side is fixed: of one sign at a bound, an equation between them."""
+        """Take the row of a fixed pair: an inequality at a bound, a spare equality between them."""
         lower, held, upper = pair.held.lower, number(pair.held.body), pair.held.upper
         if lower < held < upper:
             self.spare.append(pair)
@@ -270,7 +269,7 @@ class _Draft:
         return PyomoStatement(content, variables, rows, numbers)
 
     def _through(self, path: Path) -> tuple[NLContent, list[Any], list[Any]]:
-        """Write and read the rows; return their content, the variables, and what each row states."""
+        """Write and read the rows; return content, variables, and the component of each row."""
         information = self._write(path, [])
         written = {id(variable) for variable in information.variables}
         absent = [variable for variable, _ in self.partners.values() if id(variable) not in written]
@@ -353,9 +352,10 @@ class _Draft:
         )
 
     def _own_bounds_count(self, variable: Any, pair: Pair) -> bool:
-        """Return whether the own bounds of a pair's variable need no row: in a search only if the pair implies them.
+        """Return whether the bounds of a pair's variable need no row.
 
-        Otherwise they count as if the pair stated them, unless they exclude its bounds.
+        In a search, only bounds that the pair implies need none. Otherwise bounds count as if the pair stated them,
+        unless they exclude its bounds.
         """
         lower, upper = _own_bounds(variable)
         if self.is_search:

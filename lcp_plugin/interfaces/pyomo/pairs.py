@@ -1,4 +1,4 @@
-"""The complementarities of a Pyomo model as rows and partners, read as they are stated and changing nothing."""
+"""The complementarities of a Pyomo model as rows and partners; the model is not changed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ...core.representation import format_count
 
 @dataclass(frozen=True, eq=False)
 class PairSide:
-    """One side of a pair: lower ≤ body ≤ upper, infinite where nothing is stated, equal for an equation."""
+    """Side of a pair, lower ≤ body ≤ upper; an absent bound is infinite."""
 
     lower: float
     body: Any
@@ -51,7 +51,7 @@ class PairSide:
 
     @property
     def slack(self) -> Any:
-        """What is ≥ 0 at the one finite bound: body − lower or upper − body."""
+        """The expression that is ≥ 0 at the one finite bound: body − lower or upper − body."""
         if math.isfinite(self.upper):
             return difference(self.upper, self.body)
         return difference(self.body, self.lower) if self.lower else self.body
@@ -59,14 +59,14 @@ class PairSide:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A pair of sides with two finite bounds together: `held` lies within its bounds, `row` has the sign that goes.
+    """A pair of sides with two finite bounds in total; `held` decides the sign of `row`.
 
     Attributes
     ----------
     stated : ComplementarityData
     held : PairSide
     row : expression
-        ≥ 0 where the held body is at its lower bound, ≤ 0 at its upper bound, 0 between.
+        ≥ 0 if the held body is at its lower bound, ≤ 0 at its upper bound, 0 between.
     """
 
     stated: Any
@@ -80,7 +80,7 @@ def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
     Raises
     ------
     UnsupportedModel
-        Where they have not two finite bounds together, or a bound that is not constant.
+        If the pair has not exactly two finite bounds, or a bound that is not constant.
     """
     if getattr(stated, "_args", None) is None:
         raise UnsupportedModel(
@@ -172,15 +172,15 @@ def number(expression: Any) -> float:
 
 
 def paired(stated: Any, sides: tuple[PairSide, PairSide], is_taken: Callable[[Any], bool]) -> Pair:
-    """Return a pair with that side held which is ranged, else one that is a variable not taken, else a fixed one.
+    """Return a pair. Held is the ranged side, else a variable that is not taken, else a fixed side.
 
     Parameters
     ----------
     stated : ComplementarityData
     sides : tuple of PairSide
-        Its sides, none of them an equation.
+        Both sides, neither an equality.
     is_taken : callable
-        Whether a variable goes with another row already.
+        Tells whether a variable already belongs to another row.
     """
     first, second = sides
     if first.bounds == 0 or second.bounds == 0:

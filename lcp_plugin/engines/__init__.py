@@ -1,9 +1,9 @@
-"""Other people's solvers of convex programs: a statement in, a point with multipliers out.
+"""External solvers of convex programs: each takes the data of a program and returns a point with multipliers.
 
-An engine is a file here and a line of `ENGINES`. It knows nothing of tolerances, statuses and kinds of problems: what
-its point is worth the judge of programs says (:mod:`lcp_plugin.problems.programs.criterion`), after one step to the
-linear system of the case that the point names (:mod:`lcp_plugin.engines.polish`). That an engine calls a program
-infeasible or unbounded is a hint where to look for a proof.
+An engine is a file here and a line of `ENGINES`. Its point is polished on its active set
+(:mod:`lcp_plugin.engines.polish`) and then tested by the criterion of programs
+(:mod:`lcp_plugin.problems.programs.criterion`), because engines use tolerances of their own. An engine that reports
+infeasible or unbounded only starts the search for a proof.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = [
 
 @cache
 def engine_class(name: str) -> type[Engine]:
-    """Return the class of the engine of that name; its file, and what it wraps, are loaded now.
+    """Return the class of the engine of that name; the call imports the engine's module.
 
     Examples
     --------

@@ -33,7 +33,7 @@ OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_a
 
 
 class DAQP(Engine):
-    """DAQP: a dual active set, whose factor is changed row by row.
+    """DAQP: a dual active set method, which updates its factorization row by row.
 
     References
     ----------
@@ -104,16 +104,16 @@ class DAQP(Engine):
         items: Iterable[int],
         seconds: float = 0.0,
     ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
-        """Yield x, multipliers of bounds and rows, both signs, daqp's exit flag and its steps, for some of a stack.
+        """Yield x, signed multipliers of bounds and rows, daqp's exit flag and number of steps, per item of a stack.
 
-        NaN if daqp has no answer: what it hands back then it has never written to.
+        NaN if daqp has no solution, because daqp then returns uninitialized arrays.
 
         Parameters
         ----------
         P, c, C, d, lower, upper : arrays
             Shapes (B or 1, n, n), (B, n), (B or 1, rows, n), (B, rows), (B, n), (B, n).
         m : int
-            How many rows are inequalities; the others are equations.
+            Number of inequalities; the remaining rows are equalities.
         """
         count, n = c.shape
         sense = np.zeros(n + d.shape[1], np.intc)

@@ -1,4 +1,4 @@
-"""What an engine is given and what it gives back."""
+"""Interface of external solvers: the program, limits and options in, a point with multipliers and a status out."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ProgramData(NamedTuple):
 
 
 class Multipliers(NamedTuple):
-    """At a solution P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0, and all but `equality` are ≥ 0."""
+    """Multipliers: P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0, all but `equality` ≥ 0."""
 
     inequality: FloatVector
     equality: FloatVector
@@ -45,12 +45,12 @@ class Multipliers(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a caller allows and wants: an engine obeys what it can, as its `obeys` says.
+    """Time limit and verbosity of a run; `Engine.obeys` lists the limits that an engine supports.
 
     Attributes
     ----------
     seconds : float
-        ∞ for no limit.
+        ∞ if the time is not limited.
     is_verbose : bool
         Whether the engine prints its own log.
     """
@@ -60,7 +60,7 @@ class Limits(NamedTuple):
 
 
 class EngineStatus(Enum):
-    """What an engine says of its point: it is not believed, but shows where to look."""
+    """Status that an engine reports: a hint for the search of a proof, never a proof."""
 
     OPTIMAL = "optimal"
     INFEASIBLE = "infeasible"
@@ -70,7 +70,7 @@ class EngineStatus(Enum):
 
 
 class EngineAnswer(NamedTuple):
-    """A point x with multipliers, how many steps led there, and what the engine says of it."""
+    """Final point x of an engine, its multipliers, the number of steps, and the reported status."""
 
     x: FloatVector
     multipliers: Multipliers
@@ -79,25 +79,25 @@ class EngineAnswer(NamedTuple):
 
 
 class Engine(ABC):
-    """An engine with its options, by the names that it has given them: ``PIQP(max_iter=50)``.
+    """External solver with its options, under the solver's names of options: ``PIQP(max_iter=50)``.
 
     Attributes
     ----------
     name : str
     solves : str
-        Which programs.
+        Programs that the engine accepts.
     cost, reference : str
-        As of an :class:`~lcp_plugin.algorithms.Algorithm`.
+        Same meaning as the fields of an :class:`~lcp_plugin.algorithms.Algorithm`.
     obeys : str
-        Which of `max_seconds`, `verbose` and Ctrl-C it heeds while it runs, and what it does of the others.
+        Effect of `max_seconds`, `verbose` and Ctrl-C during a run.
     defaults : mapping
         The options that differ from the engine's own defaults.
     steps : str
-        Its option for the largest number of steps.
+        Name of the engine's option for the largest number of steps.
     ends_with_a_case : bool
-        Whether its point solves the linear system of a case: an active set method.
+        True for active set methods: the final point solves the linear system of its active set.
     is_for_linear_alone : bool
-        Whether it takes no P.
+        True if the engine accepts linear programs only (no P).
     """
 
     name: ClassVar[str]
@@ -118,18 +118,18 @@ class Engine(ABC):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All options that are not the engine's own defaults."""
+        """Options that differ from the defaults of the external solver."""
         return {**self.defaults, **self.options}
 
     @abstractmethod
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
-        """Return the point that the engine ends at."""
+        """Return the final point of the engine."""
 
 
 def split_bound_multipliers(
     slack: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
-    """Return the multipliers of lower and upper bounds that signed ones mean, 0 where a bound is infinite.
+    """Return the multipliers of lower and upper bounds for signed multipliers; 0 for an infinite bound.
 
     Examples
     --------

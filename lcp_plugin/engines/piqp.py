@@ -58,7 +58,7 @@ class PIQP(Engine):
         G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
         rows = (_to_csc(G), None, h) if h.size else (None, None, None)
         solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
-        if limits.seconds < math.inf:  # PIQP has no limit of seconds: one step shows how many fit
+        if limits.seconds < math.inf:  # PIQP has no time limit: one step is timed
             steps, begun = solver.settings.max_iter, time.perf_counter()
             solver.settings.max_iter = 1
             solver.solve()

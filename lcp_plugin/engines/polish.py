@@ -1,13 +1,13 @@
-"""Newton steps on the active set that a point names: which rows act and which unknowns are at a bound.
+"""Polish: Newton steps on the active set of a point (its active rows and its unknowns at a bound).
 
-With the rows W that act and the free unknowns F, the conditions of optimality are linear. From the point (x, y) the
+With the active rows W and the free unknowns F, the conditions of optimality are linear. From the point (x, y) the
 step solves
 
-    [P_FF + δ I   C_WFᵀ] [Δx_F]   [what is left of the gradient]
-    [C_WF         −δ I ] [Δy_W] = [what is left of the rows    ],
+    [P_FF + δ I   C_WFᵀ] [Δx_F]   [residual of the gradient]
+    [C_WF         −δ I ] [Δy_W] = [residual of the rows    ],
 
-a few times with the same factor: for δ > 0 it exists in any order (Vanderbei 1995, doi:10.1137/0805005), and the
-repeated steps tend to a solution of the system without δ, the nearest one where there are several.
+a few times with one factorization, which exists in any order for δ > 0 (Vanderbei 1995, doi:10.1137/0805005). The
+repeated steps tend to a solution of the system without δ, the nearest solution if there are several.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ SHIFTS = 2.0**-26, 2.0**-50  # δ relative to the largest entry of its row
 def polish_steps(
     program: ProgramData, point: EngineAnswer, rounds: int = ROUNDS
 ) -> Iterator[EngineAnswer]:
-    """Yield the point after the steps, one of Newton's on min(multiplier, slack) = 0, and again with a smaller δ.
+    """Yield the point after Newton's step on min(multiplier, slack) = 0, and again with a smaller δ.
 
-    A round begins at the point of the last one, and ends the polish if its active set has been met before, or if its
-    system is singular.
+    Each round begins at the last point. The polish ends when an active set repeats or its system is singular.
 
     Parameters
     ----------
     program : ProgramData
-        Whose rows are of one size: slacks are compared with multipliers.
+        Rows must be of one size, because slacks are compared with multipliers.
     point : EngineAnswer
         Finite.
 
@@ -89,7 +88,7 @@ def polish_steps(
 
 
 def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
-    """Return what solves with the matrix above, by LDLᵀ where it is sparse; None if no factor is found.
+    """Return a solver with the matrix above, by LDLᵀ if it is sparse; None if it is singular or too large.
 
     δ is `shift` times the largest entry of its row.
     """

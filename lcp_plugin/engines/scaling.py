@@ -1,7 +1,7 @@
-"""What an engine is given of a program: other units of unknowns, rows and objective, without limits that are far away.
+"""Scaling of a program for an engine: unknowns, rows and objective; very large right-hand sides become ∞.
 
-Engines stop by tolerances of their own, relative to sizes that they take from the data. All scaling is by powers of two
-and a way to a point, nothing else: the point is tested on the program as it was given.
+Scaling is needed because engines stop by tolerances of their own, relative to sizes that they take from the data. All
+scaling is by powers of two. It affects only the search: the point is tested on the unscaled program.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from ..core.checks import FloatVector, assemble_csr
 from ..core.matrix.matrix import largest_in_rows
 from .engine import EngineAnswer, Multipliers, ProgramData
 
-FAR = 1e7  # times the lower quartile of all limits: nobody is likely to reach a limit beyond
-MOST = 0.9  # of costs and sides are less than what is brought to 1
+FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active
+MOST = 0.9  # share of costs and right-hand sides that scaling brings to at most about 1
 
 
 class ScaledProgram(NamedTuple):
-    """A statement in other units, and the way back.
+    """Scaled program and the scale factors that recover the unscaled point.
 
     Attributes
     ----------
@@ -28,9 +28,9 @@ class ScaledProgram(NamedTuple):
     units : array, shape (n,)
         x = units · x of the statement.
     rows : array, shape (m + p,)
-        What the rows of G and A are multiplied by.
+        Factors of the rows of G and A.
     objective : float
-        What the objective is multiplied by.
+        Factor of the objective.
     """
 
     statement: ProgramData
@@ -42,7 +42,7 @@ class ScaledProgram(NamedTuple):
     def from_units(
         cls, given: ProgramData, units: FloatVector, rows: FloatVector, objective: float = 1.0
     ) -> ScaledProgram:
-        """Return the statement in these units, powers of two."""
+        """Return the program scaled by these powers of two."""
         of_G, of_A = np.split(rows, [given.h.size])
         statement = ProgramData(
             _scale_rows_and_columns(given.P, units * objective, units),
@@ -57,7 +57,7 @@ class ScaledProgram(NamedTuple):
         return cls(statement, units, rows, objective)
 
     def outward(self, point: EngineAnswer) -> EngineAnswer:
-        """Return the point in the given units."""
+        """Return the unscaled point."""
         inequality, equality, lower, upper = point.multipliers
         of_G, of_A = np.split(self.rows / self.objective, [inequality.size])
         of_bounds = 1.0 / (self.units * self.objective)
@@ -68,7 +68,7 @@ class ScaledProgram(NamedTuple):
 
 
 def scale_program(given: ProgramData, units: FloatVector) -> ScaledProgram:
-    """Return a statement with x in these units, rows whose largest coefficient is from 1 to 2, and costs about 1."""
+    """Return the scaled program: x in these units, largest coefficient of each row from 1 to 2, costs about 1."""
     sizes = (
         largest_in_rows(one)
         for one in (
@@ -90,7 +90,7 @@ def _power_below(sizes: Any) -> Any:
 
 
 def with_sides_about_one(fitted: ScaledProgram, given: ProgramData) -> ScaledProgram:
-    """Return the statement in units in which most limits and most costs are at most about 1."""
+    """Return the program scaled so that most right-hand sides and most costs are at most about 1."""
     one = fitted.statement
     t = _typical_size(one.h, one.b, one.lower, one.upper)
     return ScaledProgram.from_units(
@@ -99,7 +99,7 @@ def with_sides_about_one(fitted: ScaledProgram, given: ProgramData) -> ScaledPro
 
 
 def without_far_limits(given: ProgramData) -> ProgramData:
-    """Return a statement without limits of inequalities and bounds far beyond the others; the same one if none is.
+    """Return the program with ∞ for right-hand sides and bounds above `FAR`; the same object if all are smaller.
 
     Examples
     --------
@@ -123,14 +123,14 @@ def without_far_limits(given: ProgramData) -> ProgramData:
 
 
 def _typical_size(*values: FloatVector) -> float:
-    """Return the power of two near the size that most of the values do not exceed; 1 of none."""
+    """Return the power of two near the size that most of the values do not exceed; 1 if all are 0 or infinite."""
     sizes = np.abs(np.concatenate(values))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
     return float(np.exp2(np.round(np.log2(np.quantile(sizes, MOST))))) if sizes.size else 1.0
 
 
 def _scale_rows_and_columns(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
-    """Return A with rows and columns multiplied by these."""
+    """Return A with its rows and columns multiplied by `rows` and `columns`."""
     if not sp.issparse(A):
         return rows[:, np.newaxis] * A * columns
     data = A.data * np.repeat(rows, np.diff(A.indptr)) * columns[A.indices]

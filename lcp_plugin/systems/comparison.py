@@ -33,7 +33,7 @@ KRYLOV_STEPS = 60
 
 
 def comparison_of(M: Any) -> sp.csr_array:
-    """Return ⟨M⟩ for a CSR array, or for rows of one that begin with their own columns."""
+    """Return ⟨M⟩ for a CSR array, or for rows of an array whose first columns belong to these rows."""
     magnitudes = np.abs(M.data)
     signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
     return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
@@ -45,7 +45,7 @@ class ComparisonMatrix:
     Parameters
     ----------
     M : CSR array, shape (n, n)
-        Its diagonal has no zero.
+        Matrix with a nonzero diagonal.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class ComparisonMatrix:
     exponents : Exponents or None
         None if nothing was scaled.
     diagonal : array, shape (n,)
-        Of `matrix`; positive.
+        Diagonal of `matrix`, positive.
     """
 
     def __init__(self, M: Any) -> None:
@@ -73,7 +73,7 @@ class ComparisonMatrix:
 
     @cached_property
     def direct_solver(self) -> Solver | None:
-        """Rhs ↦ matrix⁻¹ rhs by a factor, or None if the matrix is singular or too large for one."""
+        """Rhs ↦ matrix⁻¹ rhs by a factorization; None if the matrix is singular or too large."""
         return solver_of(self.matrix) if factor_fits(self.matrix) else None
 
     def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
@@ -106,7 +106,7 @@ class ComparisonMatrix:
         return _finite(x)
 
     def to_caller(self, x: FloatVector) -> FloatVector:
-        """Return the vector in the caller's unit that belongs to x of the scaled matrix, shape (n,)."""
+        """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""
         return times_power(x, None if self.exponents is None else self.exponents.column)
 
 
@@ -116,7 +116,7 @@ def _finite(x: FloatVector) -> FloatVector | None:
 
 POWER_STEPS = 30
 NODA_STEPS = 40
-ENOUGH = 1e-9  # relative width at which nobody asks for better
+ENOUGH = 1e-9  # relative width of a sufficient enclosure
 FACTOR_LIMIT = 2_000
 
 
@@ -130,9 +130,9 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
 
     Notes
     -----
-    On each strongly connected block, min (Bx)_i/x_i ≤ ρ ≤ max (Bx)_i/x_i for every x > 0; the radius of the whole is
-    the largest of the blocks'. x comes from some power steps and, up to n = 2000, from Noda's iteration
-    (σI − B)x⁺ = x with σ = max (Bx)_i/x_i: σI − B is an M-matrix, so that small entries of x come out right too.
+    On each strongly connected block, min (Bx)_i/x_i ≤ ρ ≤ max (Bx)_i/x_i for every x > 0. The radius of B is the
+    largest radius of a block. Power steps compute x, followed up to n = 2000 by Noda's iteration (σI − B)x⁺ = x with
+    σ = max (Bx)_i/x_i. Small entries of x are also accurate then, because σI − B is an M-matrix.
 
     References
     ----------
@@ -150,7 +150,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     B.eliminate_zeros()
     n = B.shape[0]
     _, labels = strong_blocks(B)
-    B = within_blocks(B, labels)  # what leads from block to block is not felt by the radius
+    B = within_blocks(B, labels)  # entries between blocks do not change the radius
     B.eliminate_zeros()
     if B.nnz == 0:
         return 0.0, 0.0
@@ -188,7 +188,7 @@ class _IrreducibleBlocks:
         return x
 
     def noda_steps(self, x: FloatVector) -> Iterator[FloatVector]:
-        """Yield x after each step of Noda's iteration, all blocks at once, until a factor is singular."""
+        """Yield x after each step of Noda's iteration, all blocks at once, until a shifted matrix is singular."""
         for _ in range(NODA_STEPS):
             with np.errstate(all="ignore"):
                 ratio = (self.B @ x) / x

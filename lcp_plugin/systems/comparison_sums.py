@@ -1,4 +1,4 @@
-"""Sums of rows of the comparison matrix ⟨M⟩ with a rigorous bound of what rounding did to them, and exact ones."""
+"""Row sums of the comparison matrix ⟨M⟩: with a rigorous bound of the rounding error, and exact."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector
     Raises
     ------
     InvalidProblem
-        Where the shapes do not fit.
+        If the shapes do not fit.
 
     Examples
     --------

@@ -18,8 +18,8 @@ from .factors import PositiveFactor, factor_fits, positive_factor, positive_tria
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
 
-LARGEST_SHIFT = 1e-6  # a semidefiniteness up to more than this would say nothing
-SMALLEST_PIVOT = 2.0**-900  # what underflows is nothing beside it
+LARGEST_SHIFT = 1e-6  # a proof of semidefiniteness up to more than this is useless
+SMALLEST_PIVOT = 2.0**-900  # terms that underflow are negligible relative to it
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
 
 
@@ -34,9 +34,9 @@ def positive_definite_solver(P: Any) -> Solver | None:
     Notes
     -----
     P is scaled to a unit diagonal. Its factorization has a backward error of at most n γ_{k+1} in the 2-norm, k the
-    longest row of the factor: where the matrix less twice that margin still factorises with positive pivots, P is
-    positive definite. None means: it is not, or so nearly singular (condition number about 1/(n k ε)) that double
-    precision cannot tell. Cost: two factorizations; a diagonal P costs nothing.
+    longest row of the Cholesky factor. P is positive definite if the matrix minus twice that margin factorizes with
+    positive pivots. The result is None if P is indefinite, or so nearly singular (condition number about 1/(n k ε))
+    that double precision cannot decide. Cost: two factorizations, none for a diagonal P.
 
     References
     ----------
@@ -74,10 +74,10 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
 
     Notes
     -----
-    True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵²; it may be indefinite by less, and
-    no factorization can say more of a singular matrix. It is what may be asked of a P that was computed. False is a
-    proof that P is not semidefinite. None: δ > 1e-6 (n above some 67 000), or the fill of a factorization would be too
-    large.
+    True: P scaled to a unit diagonal has no eigenvalue below −2δ, δ = n (n + 4) 2⁻⁵². P may be indefinite by less,
+    which no factorization can exclude for a singular matrix. This test suits a computed P. False is a proof that P is
+    not semidefinite. The result is None if δ > 1e-6 (n above about 67 000), or if the fill of a factorization would be
+    too large.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
         if is_diagonal(P):
             return True
         filled, sizes = np.flatnonzero(diagonal), np.abs(P.data)
-        # A zero on the diagonal of a semidefinite matrix has nothing beside it.
+        # If a diagonal entry of a semidefinite matrix is zero, its row is zero.
         if sizes[(diagonal == 0.0)[P.indices]].any():
             return False
         if (np.bincount(row_numbers(P), sizes, diagonal.size) - diagonal <= diagonal).all():
@@ -104,7 +104,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
         if filled.size <= CHOLESKY_UP_TO or is_full:
             P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
             diagonal = diagonal[filled]
-    # The backward error of a Cholesky factor is as small beside √(p_ii p_jj) as that of the scaled matrix (Demmel).
+    # Relative to √(p_ii p_jj), Cholesky's backward error is as small as for the scaled matrix (Demmel).
     if isinstance(P, np.ndarray):
         if (diagonal >= SMALLEST_PIVOT).all() and positive_triangle(P) is not None:
             return True
@@ -178,13 +178,13 @@ def symmetric_part(M: Any) -> Any:
 
 
 def semidefinite_margin(P: Any) -> float:
-    """Return δ of "λ_min(P) ≥ −δ", which :func:`is_semidefinite_to_rounding` says, in the unit of P."""
+    """Return δ of λ_min(P) ≥ −δ, which :func:`is_semidefinite_to_rounding` proves, in the unit of P."""
     diagonal: FloatVector = np.array(P.diagonal())
     return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
 
 
 def is_diagonal(P: Any) -> bool:
-    """Return whether all entries beside the diagonal are zero."""
+    """Return whether all off-diagonal entries are zero."""
     nonzeros = P.nnz if sp.issparse(P) else np.count_nonzero(P)
     return int(nonzeros) == np.count_nonzero(P.diagonal())
 
@@ -194,7 +194,7 @@ def _margin(n: int, terms: int) -> float:
 
 
 def scaled_to(P: Any, scale: FloatVector) -> Any:
-    """Return P in these units of its rows and columns; None if it overflows, or is too large to be factorised."""
+    """Return P with scaled rows and columns; None if P overflows or is too large to be factorized."""
     if not sp.issparse(P):
         with np.errstate(over="ignore", invalid="ignore"):
             dense = scale[:, None] * P * scale
@@ -203,7 +203,7 @@ def scaled_to(P: Any, scale: FloatVector) -> Any:
         return None
     rows = sp.csr_array(P)
     data = rows.data * np.repeat(scale, np.diff(rows.indptr)) * scale[rows.indices]
-    # Of its transpose, which is the same.
+    # The transpose, which equals the symmetric matrix.
     return (
         sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape)
         if np.isfinite(data).all()
@@ -223,7 +223,7 @@ def factorised(unit: Any, shift: float) -> PositiveFactor | None:
     unit : ndarray or CSC array, shape (n, n)
         Symmetric, entries of moderate size.
     shift : float
-        In the unit of its entries.
+        Shift in the unit of the entries.
     """
     n = unit.shape[0]
     if sp.issparse(unit):

@@ -40,9 +40,9 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     Parameters
     ----------
     M : CSR array, shape (n, n)
-        Its diagonal has no zero.
+        Matrix with a nonzero diagonal.
     is_symmetric : bool
-        Then the scaled matrix is symmetric too.
+        If True, the scaled matrix is also symmetric.
     """
     pivots = np.abs(M.diagonal())
     smallest, largest = float(np.log2(pivots.min())), float(np.log2(pivots.max()))
@@ -70,7 +70,7 @@ def unit_diagonal(diagonal: FloatVector) -> Exponents:
 
 
 def equilibrating_exponents(M: Any, aims: Sequence[float], most: float = np.inf) -> Exponents:
-    """Return powers of two that bring the entries of a CSR array near 1, rows and columns in turn.
+    """Return powers of two that bring the entries of a CSR array near 1, rows and columns alternately.
 
     Parameters
     ----------

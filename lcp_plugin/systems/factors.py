@@ -1,10 +1,10 @@
 """Factors of square matrices: Cholesky and LU, dense and banded by LAPACK, sparse by SuperLU.
 
-Callers say what they need: any factor (:func:`factorise`), pivots from the diagonal, as an M-matrix has them
-(:func:`diagonal_pivot_factor`), or positive pivots, which prove a symmetric matrix definite (:func:`positive_factor`).
-:func:`factor_fits` says beforehand whether a factorization has its end in sight. None is begun that is predicted to end
-after the limit of a run; Ctrl-C acts after the one under way. :func:`bands` has the diagonals of a matrix, where a
-factor within them is small.
+Use :func:`factorise` for any factorization, :func:`diagonal_pivot_factor` for pivots on the diagonal, as for
+M-matrices, and :func:`positive_factor` for positive pivots, which prove a symmetric matrix definite.
+:func:`factor_fits` predicts whether a factorization ends in reasonable time. No factorization is started if its
+predicted end is after the time limit of the run. Ctrl-C acts after the current factorization. :func:`bands` returns the
+diagonals of a matrix if a banded factorization is small.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class PositiveFactor:
-    """A factor with positive pivots: `terms` is the longest sum of products in it.
+    """Factorization with positive pivots; `terms` is the number of terms in its longest sum of products.
 
     `superlu` holds L and U where the matrix is sparse, and is None if it is dense.
     """
@@ -91,12 +91,12 @@ def factorise(
     matrix : ndarray or CSR array, shape (n, n)
         Not modified.
     is_symmetric : bool
-        The matrix is symmetric up to rounding: Cholesky is tried first where it is dense, and a sparse one is
-        ordered by the pattern of A + Aᵀ, as others are where most of their pattern is symmetric.
+        The matrix is symmetric up to rounding. If it is dense, Cholesky is tried first. If it is sparse, the order is
+        computed from the pattern of A + Aᵀ, also used for unsymmetric matrices whose pattern is mostly symmetric.
     has_symmetric_pattern : bool
-        Of a sparse matrix: its entries come in pairs across the diagonal. The work is estimated, by equal columns.
+        Every entry of a sparse matrix has a mirror entry. The work is estimated, by equal columns.
     bandwidth : (int, int), optional
-        Numbers of sub- and superdiagonals of a sparse matrix, where they are known.
+        Numbers of sub- and superdiagonals of a sparse matrix, if known.
     """
     if not sp.issparse(matrix):
         return _dense(matrix, is_symmetric)
@@ -149,8 +149,8 @@ def dense_lu(
 ) -> Factor | None:
     """Return the LU factor of a dense matrix with partial pivoting, or None if a pivot is zero.
 
-    It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A. No rows are regular too, as on the
-    coarsest grid of a rank that has none left; LAPACK calls them an illegal value.
+    LAPACK factorizes Aᵀ without a copy, or A with `by_columns`. An empty matrix is regular, for example on the coarsest
+    grid of a rank without rows. LAPACK would report an illegal value for it.
     """
     from scipy.linalg import lapack
 
@@ -206,7 +206,7 @@ def _sparse_lu(
     try:
         factor = sparse_lu(
             matrix.T, **options
-        )  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
+        )  # CSR of A is CSC of Aᵀ: factorize Aᵀ and solve with its transpose
     except RuntimeError:
         return None
 
@@ -218,9 +218,9 @@ def _sparse_lu(
 
 
 def _suits_one_order(matrix: sp.csr_array, has_symmetric_pattern: bool) -> bool:
-    """Return whether rows and columns do best in one order, as those of grids with a wind: half the fill, or less.
+    """Return whether one order of rows and columns is best, as on grids with a wind: half the fill, or less.
 
-    The diagonal is large enough to be kept as pivots, and most entries have one on the other side of it.
+    The diagonal entries are large enough for pivots, and most entries have a mirror entry.
     """
     if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
         return False
@@ -238,13 +238,13 @@ def sparse_work(factor: Any) -> float:
 
 
 def sparse_lu(matrix: Any, **options: Any) -> Any:
-    """Return SuperLU's factor of a square sparse matrix; the options are those of scipy's `splu`.
+    """Return SuperLU's factorization of a square sparse matrix, with the options of scipy's `splu`.
 
     Raises
     ------
     RuntimeError
-        Where a pivot is exactly zero (SuperLU's own), or no order of the rows avoids one: SuperLU reads and writes
-        outside its arrays there.
+        If a pivot is exactly zero (SuperLU's error), or if no order of the rows avoids a zero pivot, because SuperLU
+        then reads and writes outside its arrays.
 
     Examples
     --------
@@ -341,14 +341,14 @@ def factor_fits(matrix: Any) -> bool:
 
 @fact
 def sizes_of_factor(matrix: Matrix) -> tuple[float, float]:
-    """Return the entries of L and the operations Σ count² of a factor of M; ∞ and ∞ where it is too large."""
+    """Return the entries of L and the operations Σ count² of a factorization of M; ∞ and ∞ if it is too large."""
     from .minimum_degree import factor_sizes
 
     return factor_sizes(matrix.csr, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)
 
 
 def factor_operations(matrix: Matrix, most: float) -> float:
-    """Return the operations of a factor of M; ∞ where a sparse one takes more than so many, which ends the count."""
+    """Return the operations of a factorization of M; ∞ if a sparse M takes more than `most`, which ends the count."""
     if matrix.is_dense:
         return matrix.n**3 / 3.0
     from .minimum_degree import factor_sizes
@@ -368,7 +368,7 @@ class Bands(NamedTuple):
     weights : ndarray, shape (n,)
         Powers of two that bring the rows to size 1.
     is_tridiagonal_z : bool
-        There is one diagonal on either side at most, no positive entry on them, and only such on the main one.
+        At most one diagonal on either side, without positive entries, and a positive main diagonal.
     """
 
     entries: FloatVector
@@ -379,7 +379,7 @@ class Bands(NamedTuple):
 
 @fact
 def bands(matrix: Matrix) -> Bands | None:
-    """Return the bands of M, None if a factor of them would be too large."""
+    """Return the bands of M; None if a banded factorization would be too large."""
     M = matrix.csr
     rows = row_numbers(M)
     offsets = M.indices - rows

@@ -27,18 +27,18 @@ LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
 KRYLOV_STEPS = 60
 CONVERGED = (
-    1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
+    1e-9  # relative residual; a larger one means no convergence, unless it is at rounding level
 )
 ROUNDING = 2.0**-44  # of the terms of a row
 SINGULAR = (
     1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
 )
-BADLY_SCALED = 1e4  # residual scales that differ by more are equilibrated before a factor is made
+BADLY_SCALED = 1e4  # residual scales that differ by more are equilibrated before a factorization
 EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 
 
 class FreeSystem:
-    """M_FF x = b and M_FFᵀ x = b for one F, by a factor or by Krylov steps on the hierarchy of M truncated to F.
+    """M_FF x = b and M_FFᵀ x = b for one F, by factorization or by Krylov steps on the hierarchy truncated to F.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class FreeSystem:
     free : array of bool, shape (n,)
         F.
     by_factor : bool
-        Use a factor, dense, banded or sparse, even where the hierarchy is likely to be cheaper.
+        Use a dense, banded or sparse factorization even if the hierarchy is likely to be cheaper.
 
     Attributes
     ----------
@@ -55,11 +55,10 @@ class FreeSystem:
 
     Notes
     -----
-    Solutions are refined as long as that halves their backward error. Nothing is computed before it is asked for;
-    a factor or a truncation serves for all right-hand sides. A block is called singular where it has no factor, or
-    terms 10¹³ times as large as their sum cancel in a solution. Such a system has no solution here but, where it is
-    asked for, one in the sense of a ridge or of least squares near a given point (:meth:`solve_near`), or that of least
-    norm (`pseudo_inverse`).
+    Solutions are refined as long as a step halves their backward error. Factorizations and truncations are computed on
+    first use and serve all right-hand sides. A block is called singular if its factorization fails, or if terms 10¹³
+    times as large as their sum cancel in a solution. For a singular block, :meth:`solve_near` computes a ridge or
+    least-squares solution near a given point, and `pseudo_inverse` gives the solution of least norm.
 
     Examples
     --------
@@ -89,16 +88,16 @@ class FreeSystem:
     def solve(
         self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL
     ) -> FloatVector | None:
-        """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None if none is to be had.
+        """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None if the solver fails.
 
-        The block is singular then, to working precision, or Krylov steps fail and it is too large for a factor.
+        It fails if the block is singular to working precision, or if Krylov steps fail on a block too large to factor.
 
         Parameters
         ----------
         right : array, shape (n,)
             Entries outside F are not read.
         goal : float
-            Where the solution is iterative, ‖residual‖₂ ≤ goal ‖right‖₂ is enough.
+            Stopping criterion of an iterative solution: ‖residual‖₂ ≤ goal ‖right‖₂.
         """
         if not self._is_direct:
             x = self._iterated(np.where(self.free, right, 0.0), transposed, goal)
@@ -111,10 +110,10 @@ class FreeSystem:
 
     @np.errstate(all="ignore")
     def solve_near(self, right: FloatVector, start: FloatVector) -> FloatVector | None:
-        """Return x with M_FF x_F = right_F as nearly as can be by a factor, 0 elsewhere; None if none is finite.
+        """Return x with the smallest residual in M_FF x_F = right_F, 0 elsewhere; None if no attempt is finite.
 
         If the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
-        start; where that leaves an error, the most accurate of all attempts is returned.
+        start. If the residual remains too large, the most accurate of all attempts is returned.
 
         Parameters
         ----------
@@ -162,10 +161,10 @@ class FreeSystem:
 
     @cached_property
     def determined_slack(self) -> BoolVector | None:
-        """Which rows of M x are the same for all solutions of M_FF x = b, shape (n,); None if that is not known."""
+        """Mask of the rows of M x that all solutions of M_FF x = b share, shape (n,); None if unknown."""
         if self.pseudo_inverse is None:
             return None
-        share = self.pseudo_inverse @ self.block  # of each change of x_F, what M x depends on
+        share = self.pseudo_inverse @ self.block  # of a change of x_F: M x depends on it
         columns = self.matrix.array[:, self.rows]
         left = np.asarray(abs(columns - columns @ share).max(axis=1)).ravel()
         determined: BoolVector = left <= CONSISTENT * abs(columns).max()
@@ -173,7 +172,7 @@ class FreeSystem:
 
     @cached_property
     def determined(self) -> BoolVector:
-        """Which unknowns are the same in all solutions of M_FF x = b, shape (|F|,); none if that is not known."""
+        """Mask of the unknowns that all solutions of M_FF x = b share, shape (|F|,); all False if unknown."""
         if not self.is_singular:
             return np.ones(self.rows.size, np.bool_)
         if self.pseudo_inverse is None:
@@ -192,12 +191,12 @@ class FreeSystem:
 
     @property
     def is_singular(self) -> bool:
-        """Whether a factor has shown that the block is singular to working precision; Krylov steps tell only later."""
+        """True if a factorization has shown the block to be singular to working precision; False for Krylov steps."""
         return self._is_direct and self._factor is None
 
     @cached_property
     def _is_direct(self) -> bool:
-        """Whether a factor is the first choice: on small sets and narrow bands, and where there are no grids."""
+        """True if a factorization is the first choice: for small sets, narrow bands, and matrices without grids."""
         matrix = self.matrix
         if self.by_factor or matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
             return True
@@ -207,18 +206,18 @@ class FreeSystem:
 
     @cached_property
     def _factor(self) -> Factor | None:
-        """The factor of the block, None if it is singular to working precision."""
+        """Factorization of the block; None if the block is singular to working precision."""
         factor = self._doubtful_factor
         return None if factor is None or self._cancels(factor) else factor
 
     @cached_property
     def _doubtful_factor(self) -> Factor | None:
-        """The factor of the block, None if a pivot is zero."""
+        """Factorization of the block; None if a pivot is zero."""
         return self._counted(self._even_factor(self.block))
 
     @cached_property
     def _ridge(self) -> Factor | None:
-        """The factor of the block with RIDGE on its diagonal."""
+        """Factorization of the block with RIDGE on its diagonal."""
         shift = RIDGE * self._scale
         block = self.block + (sp.diags_array(shift) if sp.issparse(self.block) else np.diag(shift))
         return self._counted(
@@ -247,9 +246,9 @@ class FreeSystem:
         return abs(self.block)
 
     def _even_factor(self, block: Any) -> Factor | None:
-        """Return a factor of a block like M_FF, with rows and columns of one size where those of M are not.
+        """Return the factorization of a block like M_FF, equilibrated if M is badly scaled.
 
-        Pivots that are large only by their unit would be preferred to those on the diagonal, and fill in.
+        Without equilibration, pivots that are large only by their unit would replace diagonal pivots and cause fill.
         """
         is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
         if not self._is_badly_scaled:
@@ -272,7 +271,7 @@ class FreeSystem:
         )
 
     def _cancels(self, factor: Factor) -> bool:
-        """Return whether terms much larger than their sum cancel in a solution: so they do beside a singular block.
+        """Return whether terms much larger than their sum cancel in a solution, as close to a singular block.
 
         Units of the unknowns that lie far apart can make a regular block look so, but not once they are equilibrated.
         """
@@ -308,7 +307,7 @@ class FreeSystem:
         transposed: bool = False,
         scale: FloatVector | None = None,
     ) -> FloatVector:
-        """Return the solution by a factor, refined."""
+        """Return the refined solution by a factorization."""
         self.work += factor.solve_work
         with np.errstate(all="ignore"):
             x: FloatVector = (factor.solve_transposed if transposed else factor.solve)(right)

@@ -1,4 +1,4 @@
-"""The graph of M: its blocks, its band; what rows and entries are beside each other."""
+"""Graph of M: diagonal blocks, bandwidth, neighbors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .comparison_sums import comparison_product, exact_comparison_row
 
 
 def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of M's entries.
+    """Return left_i right_j on the sparsity pattern of M.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def components(matrix: Matrix) -> int:
 
 @fact
 def diagonal_blocks(matrix: Matrix) -> tuple[int, IntVector]:
-    """Return the same of a Matrix, read-only."""
+    """Return the strongly connected blocks of a Matrix, read-only."""
     count, labels = strong_blocks(matrix.csr)
     return count, read_only(labels)
 

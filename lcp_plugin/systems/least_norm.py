@@ -1,4 +1,4 @@
-"""Inverses of many small blocks, generalized where they are singular: what a system without one solution has."""
+"""Inverses of many small blocks, pseudo-inverses if they are singular."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from ..core.checks import BoolVector
 from ..core.matrix.scaling import are_well_scaled
 
-SINGULAR = 2.0**-43  # of the largest singular value: what rounding of the entries makes of 0
-HALF = 2.0**26  # terms beside their sum, 1: half of the digits of a double cancel
+SINGULAR = 2.0**-43  # of the largest singular value: rounding error of a zero singular value
+HALF = 2.0**26  # size of terms relative to their sum, 1: half of the digits of a double cancel
 ALIKE, ENTRIES = (
     8,
     2**16,
-)  # blocks whose sizes differ by less are inverted together, of so many entries at a time
+)  # blocks with a smaller difference in size are inverted together, at most so many entries at a time
 
 
 def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
@@ -58,7 +58,7 @@ def products(M: Any, x: Any) -> Any:
 
 
 class FreeBlocks:
-    """The blocks J_FF of many matrices, those of about one size together, each with its inverse.
+    """Blocks J_FF of many matrices, grouped by similar size, each with its inverse.
 
     Parameters
     ----------
@@ -68,10 +68,10 @@ class FreeBlocks:
     Attributes
     ----------
     is_regular : array of bool, shape (k,)
-        Where fewer than half of the digits cancel in J_FF⁻¹ J_FF = I, whatever the units of rows and columns.
+        True if fewer than half of the digits cancel in J_FF⁻¹ J_FF = I, independent of the scaling.
     is_singular : array of bool, shape (k,)
-        Where J_FF is so to rounding, in one unit: its inverse is that of Moore and Penrose. What is neither is in
-        doubt, and `solve` gives nothing for it.
+        True if J_FF has one unit and is singular to rounding error; its inverse is the Moore–Penrose inverse. A block
+        that is neither regular nor singular is doubtful, and `solve` returns no solution for it.
     """
 
     def __init__(self, J: Any, free: Any) -> None:
@@ -84,7 +84,7 @@ class FreeBlocks:
         for count, items in self._alike(counts):
             rows = np.argsort(~free[items], axis=1, kind="stable")[
                 :, :count
-            ]  # others of the block are those of I
+            ]  # fixed rows of the block are rows of I
             own = free[items[:, np.newaxis], rows]
             which = (items if len(J) > 1 else np.zeros_like(items))[:, np.newaxis, np.newaxis]
             blocks = J[which, rows[:, :, np.newaxis], rows[:, np.newaxis]]
@@ -118,7 +118,7 @@ class FreeBlocks:
 
 
 def _least(blocks: Any, own: Any) -> tuple[Any, BoolVector]:
-    """Return pseudo-inverses of blocks, 0 in rows that are not their own, and which are singular in one unit."""
+    """Return pseudo-inverses of blocks, 0 in padding rows, and the mask of well-scaled singular blocks."""
     inverses, is_singular = np.zeros(blocks.shape), np.zeros(len(blocks), np.bool_)
     for count in np.unique(own.sum(axis=1)).tolist():  # free rows come first
         items = np.flatnonzero(own.sum(axis=1) == count)

@@ -1,8 +1,8 @@
 """The derivative at a solution: a linear system on the rows that are free, for one problem or for many in a row.
 
 With z = P(z − w/d), w = M z + q, and R_z dz + R_w dw = 0 the generalized derivative of the natural map, a row is free
-where R_w ≠ 0. Of a complementarity problem R_w is 1 on the rows between their bounds, of cones it couples the rows of a
-block. J = R_z + R_w M, h = dM z + dq, b the bounds that hold:
+if R_w ≠ 0. For a complementarity problem, R_w is 1 on the rows between their bounds. For cones, R_w couples the rows of
+a block. J = R_z + R_w M, h = dM z + dq, b the active bounds:
 
     dz_A = db_A,    J_FF dz_F = −(R_w (h + M db))_F
 
@@ -23,7 +23,7 @@ class LinearizedSystem:
         raise NotImplementedError
 
     def _by_slack(self, x: Any, *, transposed: bool = False) -> Any:
-        """Return R_w x, or R_wᵀx, of which only the free rows are looked at."""
+        """Return R_w x, or R_wᵀx; only the free rows are used."""
         return x
 
     def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
@@ -42,9 +42,9 @@ class LinearizedSystem:
         h : array
             dM z + dq.
         held : array, optional
-            The changes of the bounds that hold, 0 in free rows; none without it.
+            Changes of the active bounds, 0 in free rows; by default all 0.
         more : array
-            What else changes of R, as by friction.
+            Other changes of R, for example by friction.
         """
         if held is not None and self._acts(held):
             return held + self._solve_free(-(self._by_slack(h + self._product(held)) + more))

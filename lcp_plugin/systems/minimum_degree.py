@@ -1,10 +1,10 @@
-"""What a sparse factor will take, before it is made: column counts in an order of minimum degree.
+"""Predicted size of a sparse factorization: column counts in an order of minimum degree.
 
 Eliminating an unknown joins its neighbors to each other. They are not written down: the eliminated ones stay as
 *elements*, lists of their neighbors, and an element whose unknowns another one has is absorbed, so that the graph
 never grows. Degrees are approximate, no smaller than the true ones; unknowns with the same neighbors are eliminated
-together. So the counts come with the order, in a time near that of reading the pattern. SuperLU's and QDLDL's orders
-are of the same kind: the factors they make have about as many entries.
+together. The order therefore gives the counts, in a time close to the time for reading the pattern. SuperLU and QDLDL
+use similar orders, so that their factorizations have about as many entries.
 
 References
 ----------
@@ -27,7 +27,7 @@ FULL = (10.0, 1.0)
 TOUCHED, TOUCHED_AT_LEAST = (
     6,
     10_000_000,
-)  # of lists, beside their entries: grids take 2 to 10; no more than is counted
+)  # of lists relative to their entries: grids take 2 to 10; the count ends at this limit
 
 
 def factor_sizes(
@@ -38,9 +38,9 @@ def factor_sizes(
     Parameters
     ----------
     matrix : CSR or CSC array, shape (n, n)
-        Its pattern counts, not its numbers.
+        Matrix; only its pattern is used.
     most_entries, most_operations : float
-        Where one of them is exceeded the count ends: both are ∞ then, as where counting itself takes too long.
+        Limits of the count. If the count exceeds a limit or takes too long, both results are ∞.
 
     Examples
     --------
@@ -79,11 +79,11 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     Parameters
     ----------
     begins : array of int, shape (n + 1,)
-        Of each unknown's list of neighbors.
+        First index of each unknown's list of neighbors.
     workspace : array of int
-        The lists, and at least 2 n places behind them; overwritten.
+        The lists, and at least 2 n free entries behind them; overwritten.
     last : float
-        Rows that every column has besides.
+        Number of additional rows in every column.
     """
     n = begins.size - 1
     begin, size, elements = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
@@ -111,7 +111,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
         head[least] = after[p]
         if after[p] >= 0:
             before[after[p]] = -1
-        # Lists move together where there is no space for another one.
+        # Compact the lists if there is no space for another list.
         if free + left > workspace.size:
             free = _together(begin, size, weight, elements, is_gone, workspace, free)
         # The neighbors of p make a new element of it.
@@ -151,7 +151,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
                     outside[e] = (outside[e] if outside[e] >= base else base + degree[e]) - weight[
                         i
                     ]
-        # Their lists become shorter: what the new element has is in none of them.
+        # Remove the members of the new element from the lists of its neighbors.
         for m in range(start, free):
             i = workspace[m]
             count, near, total, sum_of = 0, 0, 0, p
@@ -170,7 +170,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
                 if weight[j] > 0 and mark[j] != tag:
                     held[count] = j
                     count, total, sum_of = count + 1, total + weight[j], sum_of + j
-            if count == 0:  # it has no other neighbor: it is eliminated with p
+            if count == 0:  # without other neighbors: eliminated with p
                 together, reached = together + weight[i], reached - weight[i]
                 weight[i] = 0
                 continue
@@ -181,7 +181,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
             degree[i] = min(degree[i], total)
             key[i] = sum_of % n
             chain[i], bucket[key[i]] = bucket[key[i]], i
-        # Those with the same neighbors become one.
+        # Unknowns with the same neighbors are merged.
         for m in range(start, free):
             i = workspace[m]
             if weight[i] == 0 or bucket[key[i]] < 0:
@@ -238,7 +238,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
 def _together(begin, size, weight, elements, is_gone, workspace, end):  # type: ignore[no-untyped-def]
     """Move the lists still in use, before `end`, to the front; return where the free space behind them begins.
 
-    Where a list begins stands a number below zero that names it meanwhile.
+    The first entry of a list meanwhile contains a negative number that identifies the list.
     """
     for i in range(begin.size):
         is_used = weight[i] != 0 or not (is_gone[i] or elements[i] != 0)

@@ -1,4 +1,4 @@
-"""How far a matrix is from its transpose, for verdicts: entry by entry exactly, and beside the size of the rows."""
+"""Distance of a matrix from its transpose, for verdicts: exactly per entry, and relative to the size of the rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..core.matrix.matrix import Matrix, fact
 
 @fact
 def asymmetry(matrix: Matrix) -> float:
-    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
+    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 if M is exactly symmetric."""
     M = matrix.csr
     transposed = M.T.tocsr()
     if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(

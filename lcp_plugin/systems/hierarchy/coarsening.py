@@ -1,13 +1,13 @@
-"""Which unknowns go to the coarser grid, and how the others are interpolated from them; compiled, arrays only.
+"""Choice of the coarse unknowns, and interpolation of the fine unknowns from them; compiled, arrays only.
 
 Unknown i depends strongly on j where −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
-pass of Ruge and Stüben: take the unknown on which most others depend, interpolate those from it, and prefer from
-then on what these depend on. Interpolation is direct: row i, scaled so that a constant is reproduced where the row
-of M sums to zero; positive couplings are lumped into the diagonal, so that no weight is negative.
+pass of Ruge and Stüben: take the unknown on which most unknowns depend, interpolate its dependents from it, and prefer
+the neighbors of the dependents from then on. Interpolation is direct: row i, scaled to reproduce constants if the row
+of M sums to zero. Positive couplings are lumped into the diagonal, so that no weight is negative.
 
-If couplings jump from edge to edge, many a fine unknown has no coarse neighbor. There interpolation is extended: a
-fine unknown on which i depends strongly, and which has no coarse one in common with it, is replaced by what its own row
-interpolates it from, i included. Only the largest weights of such a row are kept.
+If couplings jump from edge to edge, many fine unknowns have no coarse neighbor. Then interpolation is extended: a fine
+unknown on which i depends strongly, and which shares no coarse unknown with i, is replaced by the unknowns that
+interpolate it in its row, including i. Only the largest weights of such a row are kept.
 
 References
 ----------
@@ -57,7 +57,7 @@ def strong_couplings(  # type: ignore[no-untyped-def]
 
 @kernel
 def unmirrored(begin, last, columns, first_row, end_row):  # type: ignore[no-untyped-def]
-    """Return how many more columns stand right of the diagonal than left of it; −n² if one lacks its mirror.
+    """Return the number of columns right of the diagonal minus the number left of it; −n² if a mirror is missing.
 
     Row i holds the columns columns[begin[i]:last[i]], sorted.
     """
@@ -83,14 +83,14 @@ def choose_coarse(  # type: ignore[no-untyped-def]
 ):
     """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
 
-    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it; where that is the same
-    for all i, `is_mutual`, all of them are FINE once i is COARSE.
+    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] depend on i. If both sets agree
+    for all i (`is_mutual`), all of them are FINE once i is COARSE.
 
     The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
-    again; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
-    unknown has lost weight since goes to the list where it belongs when its turn comes. `weight`, shape (n,), `entry`
-    and `after`, each of shape (n + number of columns,), are work space; `head`, full of −1, has two entries more than
-    twice the largest number of dependents.
+    again; −1 if it is decided. One list per weight contains the unknowns that had this weight at some time. When the
+    search meets an entry whose unknown has lost weight, the entry moves to the list of its weight. `weight`, shape
+    (n,), `entry` and `after`, each of shape (n + number of columns,), are work space; `head`, full of −1, has two
+    entries more than twice the largest number of dependents.
     """
     one = uintp(1)
     n = uintp(last.size)
@@ -212,7 +212,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
-        count = np.int64(0)  # numba would compile what a plain 0 is passed to again for that number
+        count = np.int64(0)  # numba would compile a function again for a literal 0
         diagonal = 0.0
         all_negative = 0.0
         interpolating = 0.0
@@ -263,7 +263,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
 
 @kernel
 def _strong_coarse(indptr, indices, is_strong, kind):  # type: ignore[no-untyped-def]
-    """Return where the strong couplings to coarse unknowns stand: near[first[i]:first[i + 1]] of row i."""
+    """Return the positions of the strong couplings to coarse unknowns: near[first[i]:first[i + 1]] of row i."""
     one, size = uintp(1), uintp(0)
     first, near = np.empty(indptr.size, indptr.dtype), np.empty(indices.size, indptr.dtype)
     for i in range(uintp(indptr.size - 1)):
@@ -280,11 +280,11 @@ def _strong_coarse(indptr, indices, is_strong, kind):  # type: ignore[no-untyped
 def _through_fine(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
 ):
-    """Spread the strong couplings of row i to fine unknowns without a common coarse one over what interpolates those.
+    """Distribute the strong couplings of row i to fine unknowns without a common coarse neighbor.
 
-    Returns the sum of these couplings, what of it comes back to i, how many coarse unknowns row i has met, and how many
-    entries were read. All unknowns are own ones: who shares the rest of a row elsewhere need not know of neighbors'
-    neighbors.
+    Such a coupling is distributed over the unknowns that interpolate the fine unknown. Returns the sum of these
+    couplings, the part that returns to i, the number of coarse unknowns of row i, and the number of entries read. All
+    these unknowns are local, so that no rank needs the neighbors of its neighbors.
     """
     one = uintp(1)
     direct, own = count, uintp(indptr.size - 1)
@@ -343,9 +343,9 @@ def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
 
 @kernel
 def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
-    """Return the sum of the positive off-diagonal entries, that of all in absolute value, and how many rows lack.
+    """Return the sums of the positive and of all absolute off-diagonal entries, and the number of lacking rows.
 
-    A row lacks what would let it sum to zero where its negative couplings outweigh all else noticeably.
+    A row is lacking if its sum is noticeably negative: negative couplings outweigh the diagonal and positive couplings.
     """
     one = uintp(1)
     positive, total, lacking = 0.0, 0.0, 0.0
@@ -363,7 +363,7 @@ def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
                 diagonal = data[k]
         if diagonal + row_positive < (1.0 - LACKING) * (row_total - row_positive):
             lacking += 1.0
-        if largest > 0.0:  # each row counts alike, whatever its unit
+        if largest > 0.0:  # all rows have equal weight in any units
             positive += row_positive / largest
             total += row_total / largest
     return positive, total, lacking

@@ -1,10 +1,10 @@
 """The matrix of the coarser grid, PᵀMP, and its truncation; compiled, arrays only.
 
-Truncation to a set of free unknowns zeroes the rows of P of all others, and of fine ones that what is fixed holds: that
-took nearly all of their couplings (`vectors.HELD`). P would let those follow their coarse neighbors, as if nothing
-held them; where couplings jump, conjugate gradients then take ten times as many steps. A row of the coarse matrix
-changes only if it meets an unknown whose row of P comes or goes, or a changed row of the finer matrix: only those
-rows are computed again.
+Truncation to a set of free unknowns zeroes the rows of P of all fixed unknowns, and of fine unknowns with nearly all
+couplings to fixed unknowns (`vectors.HELD`). P would interpolate such a fine unknown from its coarse neighbors, and if
+couplings jump, conjugate gradients would take ten times as many steps. A row of the coarse matrix changes only if it
+meets an unknown whose row of P is zeroed or restored, or a changed row of the finer matrix. Only such rows are computed
+again.
 
 Positions are unsigned, which spares the test for a negative index at each access: a third of the time.
 """
@@ -49,7 +49,7 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
 
 
 def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
-    """Return how many products of three entries PᵀMP takes."""
+    """Return the number of products of three entries in PᵀMP."""
     size = np.diff(p_indptr).astype(
         np.float64
     )  # not of integers, of which more than 64 bits may take
@@ -95,7 +95,7 @@ def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, 
 
 
 def _row_space(width: int, dtype: Any) -> tuple[Indices, Indices, FloatVector]:
-    """Return workspace for a row of so many columns: where each stands, zero if nowhere; which they are; their sums."""
+    """Return workspace for a row of `width` columns: positions (zero if absent), column numbers, sums."""
     return np.zeros(width, dtype), np.empty(width, dtype), np.empty(width)
 
 
@@ -131,7 +131,7 @@ def _product_rows(  # type: ignore[no-untyped-def]
 ):
     """Compute the rows [first, end) of R M P from `next_row` on; return the first that may not fit, or `end`.
 
-    A row of R M comes first: it meets a fine unknown many times, and so multiplies by its row of P but once.
+    A row of R M is computed first, because it adds up all couplings to a fine unknown before the product with P.
     """
     one = uintp(1)
     capacity = uintp(c_indices.size)
@@ -183,13 +183,13 @@ def _product_rows(  # type: ignore[no-untyped-def]
 
 
 def mark_rows(*operands: Any) -> None:
-    """Mark the rows whose contribution to the coarse matrix changed; the operands are those of `_mark_rows`."""
+    """Mark the rows whose contribution to the coarse matrix changed; same operands as `_mark_rows`."""
     share(partial(_mark_rows, *operands), operands[0].size - 1, SHARED_FROM)
 
 
 @kernel
 def _mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first, end):  # type: ignore[no-untyped-def]
-    """All three flags are bytes."""
+    """Mark rows; all three flags are bytes."""
     one = uintp(1)
     for i in range(uintp(first), uintp(end)):
         touched[i] = is_row_changed[i]
@@ -246,9 +246,9 @@ def _update_rows(  # type: ignore[no-untyped-def]
     first,
     end,
 ):
-    """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
+    """Update rows in the order of `_product_rows`: if all unknowns are free, the result is the coarse matrix exactly.
 
-    A coarse unknown all of whose fine ones are fixed or held, or whose pivot is not positive, is fixed itself.
+    A coarse unknown is fixed if all of its fine unknowns are fixed or held, or if its pivot is not positive.
     """
     one = uintp(1)
     products = 0.0

@@ -1,8 +1,8 @@
-"""What a hierarchy consists of: matrices as bare arrays, ways between grids, grids; immutable.
+"""Parts of a hierarchy: matrices as bare arrays, transfers between grids, grids; immutable.
 
-Threads share a grid by blocks of rows, no row of which meets one of the next block but one. A sweep takes the even
-blocks first and then the odd ones, backward the other way round: a Gauss–Seidel sweep in an order that the matrix alone
-decides, whoever takes which block. Rows of a new matrix are written in pieces, which are joined.
+Threads share a grid by blocks of rows: rows of block k have no entries in block k + 2. A forward sweep takes the even
+blocks first and then the odd blocks, a backward sweep the reverse. The matrix determines the order of this Gauss–Seidel
+sweep, independent of the threads. Threads write the rows of a new matrix in chunks, which are joined.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """One grid: its matrix with every diagonal entry stored, where those stand, inverses of the pivots."""
+    """Grid: matrix with every diagonal entry stored, positions of the diagonal, inverses of the pivots."""
 
     matrix: Operator
     split: NDArray[Any]
@@ -77,7 +77,7 @@ class Grid:
 
     @property
     def spread(self) -> float:
-        """How many times the least pivot the largest one is, ∞ where not all are positive."""
+        """Ratio of the largest to the least pivot; ∞ if a pivot is not positive."""
         largest, least = (
             float(self.inverse.max(initial=0.0)),
             float(self.inverse.min(initial=np.inf)),
@@ -90,7 +90,7 @@ class Grid:
         return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data
 
     def dense(self, values: FloatVector) -> NDArray[np.float64]:
-        """Return the matrix with these values in the place of its own."""
+        """Return the dense matrix with these values on the pattern of the grid's matrix."""
         indptr, indices, _ = self.matrix.arrays
         dense = np.zeros((self.n, self.n))
         dense[np.repeat(np.arange(self.n), np.diff(indptr)), indices] = values
@@ -128,13 +128,13 @@ FEWEST = 4  # two of either kind
 
 
 class RowBlocks(NamedTuple):
-    """Where blocks begin, with the end of the last, and how far a row reaches where there are several."""
+    """First rows of the blocks, with the end of the last block, and the reach of a row if there are several blocks."""
 
     edges: NDArray[np.int64]
     reach: int
 
     def count(self, colour: int) -> int:
-        """Return how many blocks are even (0) or odd (1)."""
+        """Return the number of even (0) or odd (1) blocks."""
         return (self.edges.size - colour) // 2
 
     @property
@@ -167,7 +167,7 @@ SMALLEST_PIECE = 16384  # rows
 
 
 def joined(pieces: list[Arrays]) -> Arrays:
-    """Return the CSR rows of consecutive pieces of rows; the first may have space for those of the others behind it."""
+    """Return the CSR rows of consecutive chunks; the first chunk may have space for the rest behind its rows."""
     sizes = [int(indptr[-1]) for indptr, _, _ in pieces]
     ends = np.cumsum(sizes, dtype=pieces[0][0].dtype)
     further = [piece[0][1:] + before for piece, before in zip(pieces[1:], ends, strict=False)]
@@ -192,7 +192,7 @@ def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
 def rows_from_kernel(
     kernel: Any, operands: tuple[Any, ...], more: int, smallest: int
 ) -> tuple[Arrays, int]:
-    """Return the rows of P that a kernel writes with space for those of M and `more` a row, and what else it tells."""
+    """Return the rows of P that a kernel writes (space: rows of M plus `more` per row), and its other result."""
     indptr, indices = operands[:2]
     n = indptr.size - 1
 
@@ -212,7 +212,7 @@ def rows_from_kernel(
 
 
 def pivots(matrix: Operator, smallest: float) -> tuple[NDArray[Any], FloatVector]:
-    """Return where the diagonal entries stand, and their inverses: 0 of an entry not above `smallest`."""
+    """Return the positions of the diagonal entries and their inverses: 0 for an entry not above `smallest`."""
     indptr, indices, data = matrix.arrays
     row = np.repeat(np.arange(indptr.size - 1, dtype=indices.dtype), np.diff(indptr))
     split = np.flatnonzero(indices == row).astype(indptr.dtype)

@@ -1,7 +1,7 @@
-"""The grids of one matrix, from the finest to the coarsest; immutable, so that all runs on the matrix share them.
+"""Hierarchy of the grids of one matrix, from the finest to the coarsest; immutable, so that all runs share it.
 
-Memory, five-point matrix, at 12 bytes an entry: 1.4 times the entries of M in all coarser matrices together, 0.8 times
-in P and as many in its transpose; a run adds the value of each coarse entry while some unknowns are fixed.
+Memory for a five-point matrix, 12 bytes per entry: 1.4 times the entries of M in all coarser matrices together, 0.8
+times in P and 0.8 times in Pᵀ. A run also stores the value of each coarse entry while some unknowns are fixed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation 
 
 
 class Interpolation(NamedTuple):
-    """The rows of P, and who is coarse; where it `extends`, so many entries were `read` for it."""
+    """Rows of P, the mask of coarse unknowns, and the number of entries `read` for an extended interpolation."""
 
     indptr: NDArray[Any]
     columns: NDArray[Any]
@@ -78,9 +78,9 @@ def build_hierarchy(
         A grid with at most so many unknowns is not made coarser.
     strength : float, optional
         Couplings smaller than this share of the row's largest are not used for interpolation. By default 0.25, and on
-        grids with noteworthy positive couplings 0.5: those of a rotated anisotropy mislead the weak ones.
+        grids with noteworthy positive couplings 0.5, because a rotated anisotropy makes weak couplings misleading.
     scales_rows : bool
-        Whether the restriction first divides each row by its diagonal entry, Pᵀ D⁻¹: then rows of M may have any size,
+        If True, the restriction Pᵀ D⁻¹ first divides each row by its diagonal entry. Rows of M may then have any size,
         but coarse matrices of a symmetric M are not symmetric.
 
     Examples
@@ -111,7 +111,7 @@ def build_hierarchy(
         interpolation = _interpolation(grid, strength, scaling, extends)
         if interpolation is None:
             break
-        extends = interpolation.extends  # what holds on the finest grid
+        extends = interpolation.extends  # the choice on the finest grid applies to all grids
         work += interpolation.read
         finer = grid
         stored += finer.entries
@@ -164,18 +164,18 @@ def chosen_kinds(
     is_strong: NDArray[np.bool_],
 ) -> NDArray[np.uint8]:
     """Return who is COARSE and who FINE, decided among the unknowns that have rows; fill `is_strong`."""
-    # Allocated here and not in the kernels: numpy asks for large pages, which makes the first touch four times cheaper.
+    # Allocated here and not in the kernels: numpy uses large pages, which makes the first touch four times cheaper.
     n = indptr.size - 1
     columns, last = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
     operands = indptr, indices, data, strength, n, is_strong, columns, last
     share(partial(coarsening.strong_couplings, *operands), n, SMALLEST_PIECE)
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
-    # Where the strong couplings are mutual, as on regular grids, no transpose is needed: a third of the set-up.
+    # If the strong couplings are mutual, as on regular grids, no transpose is needed: a third of the set-up.
     mirror = partial(coarsening.unmirrored, *depends)
     dependents, is_mutual = depends, sum(share(mirror, n, SMALLEST_PIECE)) == 0
     if not is_mutual:
         starts = np.append(0, np.cumsum(last - indptr[:-1])).astype(indices.dtype)
-        end = int(indptr[-1])  # other rows may stand behind these
+        end = int(indptr[-1])  # other rows may follow
         strong = indices[:end][is_strong[:end]]
         first, rows, _ = galerkin.transposed(n, starts, strong, np.ones(strong.size))
         dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
@@ -191,7 +191,7 @@ def _interpolation(
 ) -> Interpolation | None:
     """Return the interpolation from coarse unknowns; None if nothing is coupled any more.
 
-    Whether it reaches through fine unknowns is said by `extends`, or found out where that is None.
+    If `extends`, interpolation reaches through fine unknowns. None means that this function decides.
     """
     indptr, indices, data = grid.matrix.arrays
     if scaling is not None:
@@ -227,7 +227,7 @@ def _coarser(
     count = int(np.count_nonzero(is_coarse))
     restriction = galerkin.transposed(count, *prolongation.arrays)
     if scales_rows:
-        # The rows of M V, not those of M, are brought to one size.
+        # The rows of M V are brought to one size, not the rows of M.
         inverse = grid.inverse if scaling is None else grid.inverse / scaling**2
         with np.errstate(over="ignore"):
             restriction[2][:] *= inverse[restriction[1]]

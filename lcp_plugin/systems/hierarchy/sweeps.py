@@ -1,4 +1,4 @@
-"""What a V-cycle and a nested iteration do on one grid; compiled, arrays only.
+"""Sweeps and residuals of a V-cycle and a nested iteration on one grid; compiled, arrays only.
 
 `inverse` holds 1/diagonal, and 0 for an unknown that is fixed: it keeps the value 0 and passes no residual on.
 """
@@ -21,7 +21,7 @@ from .grids import RowBlocks
 
 Matrix = tuple[
     NDArray[Any], NDArray[Any], NDArray[Any], FloatVector
-]  # in CSR, and where diagonals stand
+]  # CSR arrays and the positions of the diagonal
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
@@ -150,7 +150,7 @@ def _swept(
     backward: bool,
     x: FloatVector,
 ) -> None:
-    """Sweep the blocks of one colour and then those of the other; the entries of row i end before ends[i]."""
+    """Sweep the blocks of one color and then the blocks of the other color; the entries of row i end before ends[i]."""
     indptr, *rest = rows
     operands, edges = (*rest, *vectors, sign, relaxation, is_first, backward, x), blocks.edges
     for colour in (1, 0) if backward else (0, 1):
@@ -216,8 +216,8 @@ def _sweep(  # type: ignore[no-untyped-def]
 ):
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
-    It does so in the blocks of one colour with these numbers. Where `lower` or `upper` is empty there is none. The
-    entries of row i end before ends[i]. The first sweep takes x for 0.
+    The sweep covers the blocks of one color with these numbers. An empty `lower` or `upper` means no bound. The entries
+    of row i end before ends[i]. The first sweep starts from x = 0.
     """
     has_lower, has_upper = lower.size > 0, upper.size > 0
     for counted in range(last_block - first_block):
@@ -281,7 +281,7 @@ def _free_rows(  # type: ignore[no-untyped-def]
     first,
     end,
 ):
-    """Do what `free_rows` says to these rows, one after the other; a NaN is the largest residual."""
+    """Apply `free_rows` to the rows from first to end, in order; a NaN is the largest residual."""
     one, largest, changed = uintp(1), 0.0, 0
     for i in range(uintp(first), uintp(end)):
         w = _plus_products(q[i], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, z)

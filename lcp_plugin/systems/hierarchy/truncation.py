@@ -1,4 +1,4 @@
-"""A hierarchy with some unknowns of its finest grid fixed, and the V-cycle on what is free; one object a run.
+"""Hierarchy with fixed unknowns on the finest grid, and the V-cycle on the free unknowns; one object per run.
 
 A V-cycle preconditions Krylov steps on the free rows.
 """
@@ -16,8 +16,8 @@ from . import galerkin, sweeps, vectors
 from .grids import Grid, Hierarchy
 from .vectors import add_both, add_within, dot, largest_product, span
 
-COARSEST_SWEEPS = 10  # there and back, where it is large
-FACTORISED_UP_TO = 150  # unknowns: the factor takes no more than sweeps over some thousand entries
+COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
+FACTORISED_UP_TO = 150  # unknowns: no slower than sweeps over a few thousand entries
 
 
 class TruncatedGrid:
@@ -28,25 +28,25 @@ class TruncatedGrid:
         n = grid.n
         self.new_values = (
             None if is_finest else grid.matrix.data.copy()
-        )  # the finest keeps the matrix as it is
+        )  # the finest grid shares the values of the matrix
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
         self.is_free = np.ones(n, np.bool_)
         self.free_changed = np.zeros(n, np.bool_)
-        self.is_interpolated = np.ones(n, np.bool_)  # free, and not held by what is fixed
+        self.is_interpolated = np.ones(n, np.bool_)  # free, with enough couplings to free unknowns
         self.held = np.zeros(0, np.intp)
         self.row_changed = np.zeros(n, np.bool_)
         self.touched = np.zeros(n, np.bool_)
-        self.is_whole = True  # nothing was ever fixed here, or it was released again
+        self.is_whole = True  # no unknown is fixed on this grid
         self.x, self.b, self.residual = (np.zeros(n) for _ in range(3))
         self._factor: Factor | None = None
         self._is_factorised = False
 
     def factor(self) -> tuple[Factor | None, float]:
-        """Return the factor of the free block, the identity elsewhere, and the work; None if there is none.
+        """Return the factorization of the free block (identity elsewhere) and the work; None if singular or too large.
 
-        Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
+        If couplings jump, sweeps would converge slowly for blocks that are connected only by weak couplings.
         """
         n = self.grid.n
         if self._is_factorised or n > FACTORISED_UP_TO:
@@ -59,7 +59,7 @@ class TruncatedGrid:
         return self._factor, n**3 / 3.0
 
     def forget_factor(self) -> None:
-        """Say that values or free unknowns have changed."""
+        """Drop the factorization, because values or free unknowns have changed."""
         self._factor, self._is_factorised = None, False
 
     def release(self) -> float:
@@ -99,7 +99,7 @@ class Truncation:
         ] = []  # memory touched for the first time is dearer than what is done with it
 
     def vector(self) -> FloatVector:
-        """Return a vector for the own values of the finest grid, shape (n,), filled with anything."""
+        """Return an uninitialized vector for the local values of the finest grid, shape (n,)."""
         return self.spare.pop() if self.spare else np.empty(self.grids[0].grid.n)
 
     def take_work(self) -> float:
@@ -114,7 +114,7 @@ class Truncation:
             self.work += level.release()
 
     def update(self) -> None:
-        """Carry what changed in `is_free` of the top grid (marked in `free_changed`) down to the coarser grids."""
+        """Propagate the changes of `is_free` on the top grid (marked in `free_changed`) to the coarser grids."""
         top = self.grids[self.top]
         top.is_whole = False
         top.forget_factor()
@@ -194,7 +194,7 @@ class Truncation:
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def restrict(self, k: int, residual: FloatVector) -> None:
-        """Write into b of grid k + 1 what it has to answer."""
+        """Write the restricted residual into b of grid k + 1."""
         held = self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
@@ -203,7 +203,7 @@ class Truncation:
 
     @np.errstate(all="ignore")
     def _solves_directly(self, level: TruncatedGrid) -> bool:
-        """Solve the coarsest system by its factor, if that gives finite numbers."""
+        """Solve the coarsest system by factorization; return whether the result is finite."""
         factor, work = level.factor()
         self.work += work
         if factor is None:
@@ -225,15 +225,15 @@ class Truncation:
 class KrylovCorrection:
     """An approximate c with (M c)_F = residual_F and c = 0 elsewhere, improved step by step.
 
-    Conjugate gradients where M is symmetric, otherwise generalized conjugate residuals with all directions kept: they
-    make the residual least in the norm of its rows divided by the diagonal, which may have any unit.
+    Conjugate gradients if M is symmetric, otherwise generalized conjugate residuals with all directions kept. The
+    latter minimize the norm of the residual divided by the diagonal, which is independent of the scaling of rows.
 
     Parameters
     ----------
     truncation : Truncation
-        Seen from its finest grid; its free rows are F.
+        Truncation whose top is the finest grid; its free rows are F.
     residual : ndarray, shape (n,)
-        −w on the free rows, 0 elsewhere; overwritten by what is left of it.
+        −w on the free rows, 0 elsewhere; overwritten by the remaining residual.
     is_symmetric : bool
     """
 

@@ -1,14 +1,14 @@
-"""What Krylov steps do to whole vectors, the ways between two grids, and the scaling of the unknowns.
+"""Vector operations of Krylov steps, transfers between two grids, and the scaling of the unknowns.
 
-Sums are cut into pieces at the same places whatever the number of threads. The scaling is that in which an error that
-sweeps leave over is locally constant: interpolation reproduces constants, which is right where rows of M sum to about
-zero. Of D M D, or of M with scaled columns, others do: those v > 0 with M v about zero. A few sweeps on M v = 0 find
-one, if they begin not too far from it. Where they begin is tried: as it is given, and in the scaling that brings the
+Sums are split into the same chunks for any number of threads. The scaling makes a smooth error (one that sweeps reduce
+slowly) locally constant, because interpolation reproduces constants. Constants are smooth if rows of M sum to about
+zero. For D M D, or M with scaled columns, the smooth vectors are v > 0 with M v about zero. A few sweeps on M v = 0
+find such a vector from a start close to it. Two starts are tried: the unscaled matrix, and the scaling that brings the
 diagonal of V M V, or of M V, to 1.
 
-`inverse` holds 1/diagonal, and 0 for an unknown that is fixed. A fine unknown is held where fixed ones have seven
-eighths of its couplings. P would let it follow its free coarse neighbors as if nothing held it, so it is not
-interpolated then: where couplings jump, conjugate gradients took ten times as many steps with its row of P.
+`inverse` contains 1/diagonal, and 0 for a fixed unknown. A fine unknown is called held if seven eighths of its
+couplings lead to fixed unknowns. A held unknown is not interpolated, because P would let it follow its free coarse
+neighbors. If couplings jump, conjugate gradients took ten times as many steps with its row of P.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def add_both(
     other: FloatVector,
     to_other: FloatVector,
 ) -> None:
-    """Add factor · vector to one vector, and other_factor · other to another one."""
+    """Add factor · vector to the first target, and other_factor · other to the second target."""
 
     def add(part: slice) -> None:
         to[part] += factor * vector[part]
@@ -86,7 +86,7 @@ def largest_product(one: FloatVector, other: FloatVector) -> float:
 
 
 def _by_parts(work: Callable[[slice], T], size: int) -> list[T]:
-    """Return what work says of consecutive parts of a vector of that size."""
+    """Return the results of `work` for consecutive parts of a vector of that size."""
 
     def piece(first: int, end: int) -> list[T]:
         return [
@@ -102,12 +102,12 @@ def span(vector: FloatVector) -> float:
 
 
 LACKING = (
-    0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the scaling
+    0.1  # of the diagonal entry: a row with a sum below minus this share speaks against the scaling
 )
-NOTEWORTHY_LACKING = 0.02  # share of such rows from which on other scaling is tried
-GAINED = 0.5  # and kept, if they leave at most so many times as many
-FARTHEST = 2.0**400  # a unit from that of another unknown: their squares are divided by
-TRIAL_SWEEPS, SWEEPS = 3, 12  # there and back: to choose where to begin, and from there
+NOTEWORTHY_LACKING = 0.02  # share of such rows above which a scaling is tried
+GAINED = 0.5  # a scaling is kept if it reduces the number of such rows at least by this ratio
+FARTHEST = 2.0**400  # largest ratio of the units of two unknowns: their squares are divisors
+TRIAL_SWEEPS, SWEEPS = 3, 12  # forward and backward: to choose the start, and from the start
 
 
 def scaling_of_unknowns(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
@@ -116,9 +116,9 @@ def scaling_of_unknowns(matrix: Any, lacking: float) -> tuple[FloatVector | None
     Parameters
     ----------
     matrix : csr_array, shape (n, n)
-        With a positive diagonal.
+        Matrix with a positive diagonal.
     lacking : float
-        How many rows sum to less than zero.
+        Number of rows that sum to less than zero.
     """
     n = matrix.indptr.size - 1
     if not lacking > NOTEWORTHY_LACKING * n:
@@ -194,7 +194,7 @@ def prolong(
 def add_prolonged(
     transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector
 ) -> None:
-    """Add P coarse to x where `flags`, of the own rows at least, say so."""
+    """Add P coarse to x in the rows with set `flags`, which cover at least the local rows."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *NO_BOUNDS, x
     shared(partial(_interpolate, *operands), transfer.is_coarse.size)
 
@@ -203,9 +203,9 @@ def add_prolonged(
 def _interpolate(  # type: ignore[no-untyped-def]
     indptr, indices, data, source, adds, flags, lower, upper, to, first, end
 ):
-    """To ← A source; or, where it `adds`, add that where flags are set, cut off at the bounds if any.
+    """Set to ← A source; if `adds`, add A source in the rows with set flags and clip at the bounds, if any.
 
-    Return how many were cut.
+    Return the number of clipped values.
     """
     one = uintp(1)
     cut, has_bounds = 0, lower.size > 0
@@ -230,7 +230,7 @@ def _interpolate(  # type: ignore[no-untyped-def]
 
 
 def find_held(*operands: Any) -> int:
-    """Find the held rows among the touched ones; the operands are those of `_find_held`, what it returns is summed."""
+    """Find the held rows among the touched rows; same operands as `_find_held`, whose counts are summed."""
     return sum(share(partial(_find_held, *operands), operands[-1].size, SHARED_FROM))
 
 
@@ -249,10 +249,10 @@ def _find_held(  # type: ignore[no-untyped-def]
     first,
     end,
 ):
-    """Say which touched rows are interpolated; return how many of them are held or change for others' sake.
+    """Set which touched rows are interpolated; return the number of rows that are held or change with neighbors.
 
-    `is_changed` says who was fixed or freed, and afterwards who changed besides; `whole` are the values of the matrix
-    while all is free.
+    `is_changed` marks the fixed or freed rows on entry and the rows of P that change on return. `whole` contains the
+    values of the matrix with all unknowns free.
     """
     one, found = uintp(1), 0
     for i in range(uintp(first), uintp(end)):

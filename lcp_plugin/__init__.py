@@ -22,6 +22,7 @@ describes each of them; these pages describe a whole subject:
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,8 @@ __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 -
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'lcp_plugin' has no attribute {name!r}")
+        message = f"module 'lcp_plugin' has no attribute {name!r}"
+        raise AttributeError(message, name=name, obj=sys.modules[__name__])  # Python adds a guess
     home = _HOME[name]
     module = import_module(f"{__name__}.{home}")
     globals()[name] = value = module if home == name else getattr(module, name)

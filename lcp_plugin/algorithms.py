@@ -93,6 +93,8 @@ def algorithm_class(name: str) -> type[Algorithm]:
         raise refused
     if name not in REGISTRY:
         hint = did_you_mean(name, {"auto", *REGISTRY, *ENGINES}, is_listed=True)
+        if ".py" in name:
+            hint += "; pass a class of your own as an object, in Python: solve(problem, Mine())"
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{hint}")
     module, _, word = REGISTRY[name].partition(":")
     found: type[Algorithm] = getattr(import_module(f".{module}", __package__), word)

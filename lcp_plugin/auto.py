@@ -128,7 +128,8 @@ def _quick_stages(problem: LCP) -> Iterator[Stage]:
     passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
     order = _triangle(problem) if has_positive_diagonal(problem.matrix).all() else None
     is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
-    narrow = Stage(Banded(), f"M is a narrow band, solved in about the time of {passes:.0f} sweeps")
+    time = "one sweep" if passes < 1.5 else f"{passes:.0f} sweeps"
+    narrow = Stage(Banded(), f"M is a narrow band, solved in about the time of {time}")
     if passes <= TRIAL_SWEEPS:
         yield narrow
     elif order is not None:
@@ -307,9 +308,10 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
         return algorithm
     if isinstance(algorithm, str) and algorithm == "auto":
         if options:
+            hint = did_you_mean(next(iter(options)), (), OF_SOLVE)
+            name_one = "" if "did you mean" in hint else "; name an algorithm as well"
             raise InvalidOption(
-                f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
-                f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
+                f'algorithm="auto" has no options, got {sorted(options)}{name_one}{hint}'
             )
         return None
     if isinstance(algorithm, type):

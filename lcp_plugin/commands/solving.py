@@ -156,7 +156,9 @@ def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
     for pair in [*([] if relaxation is None else [f"relaxation={relaxation}"]), *pairs]:
         key, equals, text = pair.partition("=")
         if not equals or not key:
-            raise InvalidOption(f"--option requires name=value, got {pair!r}")
+            raise InvalidOption(
+                f"--option requires name=value, got {pair!r}; write --option relaxation=1.5"
+            )
         if key in own:
             raise InvalidOption(
                 f"{key} is not an option of an algorithm; see lcp-plugin solve --help"

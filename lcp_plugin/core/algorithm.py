@@ -76,8 +76,8 @@ class Algorithm(ABC):
     - ``slack(z)``, w = M z + q; ``nearest_to_zero``, z°; ``residual_scale``, the d_i of the residual;
     - ``np.clip(z, problem.lower, problem.upper)`` for the projection, and `require_positive_diagonal` of this module.
 
-    ``solve(problem, Mine())`` runs it, ``study`` and ``error_against_time`` compare it with others, and
-    ``lcp-plugin solve FILE -a mine.py:Mine`` takes it on the command line.
+    ``solve(problem, Mine())`` runs it; ``study`` and ``error_against_time`` compare it with others. The command line
+    takes the registered names only.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf
     """Raise unless the option is a number in (0, below)."""
     value = getattr(algorithm, option)
     if not is_number(value) or not 0.0 < value < below:
-        limit = "" if below == math.inf else f" and below {below:g}"
+        limit = "" if below == math.inf else f" below {below:g}"
         raise InvalidOption(
             f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}"
         )

@@ -71,7 +71,8 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
         check_kind(M.dtype, "M must hold real numbers")
     matrix = M if is_sparse else real_array(M, "M must hold real numbers")
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}")
+        hint = "" if len(matrix.shape) == 2 else "; the matrix comes first: LCP(M, q)"
+        raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, "M"), None
     _check_finite(matrix, "M")
@@ -362,7 +363,12 @@ def check_order(lower: FloatVector, upper: FloatVector) -> None:
         i = int(np.argmin(is_right))
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and admit a number, "
-            f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"
+            f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}; "
+            + (
+                "swap them"
+                if upper[i] < lower[i]
+                else "use -inf for no lower and inf for no upper bound"
+            )
         )
 
 

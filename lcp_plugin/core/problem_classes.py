@@ -49,9 +49,13 @@ def refusal(function: str, given: Any) -> str:
     """Return the message of a function that does not take what it was given."""
     *most, last = TAKES.get(function, ("LCP",))
     needs = with_article(f"{', '.join(most)} or {last}" if most else last)
+    step = ""
     if function == "derivative":
         needs = f"the result of {needs}"
-    return f"{function} needs {needs}, got {type(given).__name__}"
+        step = "; write derivative(solve(problem))" if class_of(given) else ""
+    elif function == "solve":
+        step = "; for a matrix M and a vector q write solve(LCP(M, q))"
+    return f"{function} needs {needs}, got {type(given).__name__}{step}"
 
 
 def with_article(word: str) -> str:

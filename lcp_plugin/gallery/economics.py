@@ -268,8 +268,8 @@ def binomial_put(
     Raises
     ------
     InvalidOption
-        Where volatility, maturity or steps is not positive, or the steps are so long that the tree's
-        probabilities leave (0, 1).
+        If volatility, maturity or steps is not positive, if steps is not an integer, or if the steps are so long that
+        the tree's probabilities leave (0, 1).
 
     Notes
     -----
@@ -289,6 +289,8 @@ def binomial_put(
     """
     for name, value in (("volatility", volatility), ("maturity", maturity), ("steps", steps)):
         require(value > 0, f"binomial_put: {name} must be positive, got {value}")
+    is_whole = isinstance(steps, (int, np.integer))
+    require(is_whole, f"binomial_put: steps must be an integer ≥ 1, as 1000, got {steps!r}")
     time_step = maturity / steps
     up, growth = math.exp(volatility * math.sqrt(time_step)), math.exp(rate * time_step)
     probability = (growth - 1.0 / up) / (up - 1.0 / up)

@@ -22,7 +22,7 @@ from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
 from .files.files import PARTS, arrays_in, checked_path, names_in
-from .files.matrix_market import folder_arrays
+from .files.matrix_market import folder_arrays, in_folder
 from .nl.model import lcp_in_nl, program_in_nl
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
@@ -362,7 +362,7 @@ def _from_mps(source: Path) -> LoadedProgram:
             f"{source} is read by HiGHS; install it with: pip install highspy"
         ) from error
     if not source.is_file():
-        raise UnreadableFile(f"no such file: {source}")
+        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
 
     class Silent(highspy.Highs):
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""

@@ -35,7 +35,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import canonical_csr, is_number, real_array, rectangular_matrix
+from ..core.checks import canonical_csr, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, ModelWarning
 from ..core.solving.result import Result
 
@@ -362,7 +362,8 @@ def contacts_of_bodies(
     _check_directions(J, mass, 1 + t)
     W, own = J @ inverse_by_components(mass) @ J.T, None
     if velocities.shape == (v,):
-        own, velocities = velocities, (J @ velocities).reshape(k, 1 + t)
+        own = checked_vector(velocities, "velocities", v)
+        velocities = (J @ own).reshape(k, 1 + t)
     elif velocities.ndim == 1:
         raise InvalidProblem(
             f"velocities must have shape ({v},), of the bodies, or ({k}, {1 + t}), of the contacts, got "
@@ -480,6 +481,11 @@ def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> Non
 
 
 def _refuse_velocities(size: int, velocities: FloatArray) -> None:
+    if not velocities.ndim:
+        raise InvalidProblem(
+            f"velocities must be an array, one row (normal, tangents) per contact, got the number {float(velocities)}; "
+            "friction comes before velocities: LCP.from_contacts(contacts, friction, velocities)"
+        )
     last = velocities.shape[-1] if velocities.ndim > 1 else 0
     d = last if last in (2, 3) else 3 if size % 3 == 0 else 2
     given = velocities.shape[-2] if velocities.ndim > 1 else velocities.size

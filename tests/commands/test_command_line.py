@@ -268,7 +268,7 @@ def write_inputs() -> None:
 
 SOLVE = "solve half_active:n=4 "
 BAD_INPUT = [
-    ("solve missing.npz", r"no such file: missing\.npz"),
+    ("solve missing.npz", r"no such file: missing\.npz; check the path"),
     ("solve missing", r"'missing' is neither a file nor a test problem.*known: "),
     ("solve empty", r"no such file: empty/M\.mtx"),
     ("solve half", r"M\.mtx has no companion half/q\.mtx"),
@@ -303,7 +303,7 @@ BAD_INPUT = [
         SOLVE + "-a piqp",
         r"piqp is an engine for convex programs.*solve\(problem\.to_qp\(\), 'piqp'\)",
     ),
-    (SOLVE + "-a psor -o relaxation", r"--option requires name=value, got 'relaxation'"),
+    (SOLVE + "-a psor -o relaxation", r"got 'relaxation'; write --option relaxation=1.5"),
     (
         SOLVE + "-a psor -o relaxtion=1.5",
         r"psor has no option 'relaxtion'; did you mean 'relaxation'\?",

@@ -204,7 +204,9 @@ BOUNDS = [
     bounds(r"lower must not hold NaN.*lower\[0\] = nan.*-inf", lower=NAN),
     bounds(r"upper must not hold NaN.*upper\[1\] = nan.*inf", upper=[1.0, NAN, 1.0]),
     bounds(
-        r"lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0", lower=[0.0, 2.0, 0.0], upper=1.0
+        r"lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0; swap",
+        lower=[0.0, 2.0, 0.0],
+        upper=1.0,
     ),
     bounds(r"lower ≤ upper.*lower\[0\] = 0.0 and upper\[0\] = -1.0", upper=-1.0),
     bounds(r"lower ≤ upper.*upper\[0\] = -inf", lower=-INF, upper=-INF),
@@ -246,6 +248,11 @@ RUNS = [
     run(r"'relaxation'.*beside an algorithm object.*NPSOR\(", NPSOR(), relaxation=1.5),
     row(
         InvalidOption,
+        r"march has no option 'propagater'; did you mean 'propagator'\?",
+        lambda g: march(g.plain, np.zeros((1, 3)), propagater=-1.0),
+    ),
+    row(
+        InvalidOption,
         r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",
         lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
     ),
@@ -275,7 +282,9 @@ RUNS = [
     run(r"^npsplitting: .*\bsplitting\b.*\(3, 3\).*\(\)", "npsplitting", splitting=3.0),
     run(r"^npsplitting: .*\bsplitting\b.*complex", "npsplitting", splitting=np.eye(3) * 1j),
     run(r"splitting\b.*finite.*\[1, 2\] = nan", "npsplitting", splitting=with_entry(1, 2, NAN)),
-    row(InvalidOption, r"solve needs an LCP.* got ndarray", lambda g: solve(g.M, g.q)),
+    row(
+        InvalidOption, r"solve needs an LCP.* got ndarray; .*LCP\(M, q\)", lambda g: solve(g.M, g.q)
+    ),
     row(InvalidOption, r"solve needs an LCP.* got NoneType", lambda g: solve(None)),
 ]
 

@@ -34,6 +34,11 @@ WORDS = {
 }
 
 
+def in_folder(source: Path) -> str:
+    """Return the next step for a path that does not exist: the folder from which it was looked up."""
+    return "; check the path" if source.is_absolute() else f"; check the path, from {Path.cwd()}"
+
+
 @contextmanager
 def opened(source: Path, kind: str) -> Iterator[Any]:
     """Open a file of that format; an exception of its decoders is reported as a corrupt file."""
@@ -41,7 +46,7 @@ def opened(source: Path, kind: str) -> Iterator[Any]:
         with source.open("rb") as file:
             yield file
     except FileNotFoundError as error:
-        raise UnreadableFile(f"no such file: {source}") from error
+        raise UnreadableFile(f"no such file: {source}{in_folder(source)}") from error
     except LCPError:
         raise
     except Exception as error:
@@ -93,7 +98,7 @@ def folder_arrays(source: Path, layout: str) -> tuple[Path, dict[str, Any]]:
                 f"q.mtx; {layout}"
             )
         tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
-        raise UnreadableFile(f"no such file: {source}{tried}")
+        raise UnreadableFile(f"no such file: {source}{tried}{in_folder(source)}")
     if not Path(prefix + "q.mtx").exists():
         raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q next to it")
     found = {"M": read_matrix_market(Path(prefix + "M.mtx"))}

@@ -24,6 +24,13 @@ from . import March, checked_propagator, checked_rows, take_steps, take_steps_to
 from .on_band import bounded_side
 
 BOUNDS = "lower", "upper"
+OF_MARCH = (
+    "problem",
+    "forcing",
+    "propagator",
+    *BOUNDS,
+    "algorithm",
+)  # options of `march`, not of `solve`
 SIDE_BY_SIDE = 16  # marches in one array, so that a block of their steps stays in the cache
 
 
@@ -175,7 +182,7 @@ def _begin(
             )
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(
-            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}"
+            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*OF_MARCH, *OF_SOLVE))}"
         )
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
     axes = (2, 3) if are_many else (2,)

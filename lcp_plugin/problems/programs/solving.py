@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,8 @@ OF_THE_LCP = (
     1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
 )
 SMALL_RESIDUAL = 1e-4  # of the LCP, relative: a larger one is not worth a look at x
-LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
+LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
+PIVOTS = "lemke"  # on thousands of rows they take minutes; external solvers are next
 VECTORS = {"c", "h", "b", "lower", "upper"}
 
 ADVICE = {
@@ -272,7 +274,8 @@ class _ProgramRun:
         self.passing: FloatVector | None = None  # z of a run on the LCP whose x passes
         self.proof: QPInfeasibility | QPUnboundedness | None = None
         self.stages, self.history = list[StageRecord](), tuple[Sample, ...]()
-        self.is_interrupted, self.says = False, EngineStatus.GAVE_UP
+        self.is_interrupted, self.is_left = False, False
+        self.says = EngineStatus.GAVE_UP
 
     # --- Where points come from --------------------------------------------------------------------------------------
 
@@ -284,7 +287,7 @@ class _ProgramRun:
             yield self._vertex_by_costs()
         is_lcp_first = not has_rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
-            yield self.solve_lcp("auto", {})
+            yield self.solve_lcp("auto", {}, ends_before=PIVOTS)
         yield from self.engine_runs(None)
         if not is_lcp_first and reduced.n + reduced.constraints.rows <= FEW:
             yield self.solve_lcp("auto", {})
@@ -320,8 +323,10 @@ class _ProgramRun:
         )
         return EngineRun(solution, errors, says, StageRecord("costs", "boxes", 0, 0.0))
 
-    def solve_lcp(self, algorithm: Any, options: dict[str, Any]) -> EngineRun:
-        """Return what a run on the complementarity problem of the program comes to."""
+    def solve_lcp(
+        self, algorithm: Any, options: dict[str, Any], ends_before: str = ""
+    ) -> EngineRun:
+        """Return the point of a run on the complementarity problem of the program, which a method may end."""
         problem = optimality_conditions(self.program, self.settings.tolerance)
         wishes = {**options, **self.wishes, "max_seconds": seconds_left()}
         if self.start is not None and self.start.size == problem.n:
@@ -330,21 +335,30 @@ class _ProgramRun:
             del wishes["max_seconds"]
         try:
             result = solve_lcp(
-                problem, algorithm, tolerance=OF_THE_LCP, callback=self._ends_run, **wishes
+                problem,
+                algorithm,
+                tolerance=OF_THE_LCP,
+                callback=partial(self._ends_run, ends_before),
+                **wishes,
             )
         except (UnsuitableMatrix, UnsuitableProblem) as refusal:
             stated = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
         self.lcp_result, self.history = result, result.history
+        is_left = self.is_left or self.passing is not None
+        self.is_interrupted |= result.status is Status.INTERRUPTED and not is_left
         z, n = result.z if self.passing is None else self.passing, self.program.n
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
         errors = solution.errors_for(self.settings.tolerance)
         stage = StageRecord(result.algorithm, "complementarity problems", result.iterations, 0.0)
         return EngineRun(solution, errors, EngineStatus.GAVE_UP, stage)
 
-    def _ends_run(self, sample: Sample, z: FloatVector) -> bool:
+    def _ends_run(self, ends_before: str, sample: Sample, z: FloatVector) -> bool:
         """Return whether a run on the complementarity problem ends: x passes the test, or the callback wants it."""
         if self.callback is not None and self.callback(sample, z):
+            return True
+        if sample.label == ends_before:
+            self.is_left = True
             return True
         if sample.residual is None or sample.residual > SMALL_RESIDUAL:
             return False
@@ -370,7 +384,7 @@ class _ProgramRun:
             ):
                 self.proof = self.program.facts.accepted_proof(self.settings.tolerance)
             is_told = not is_proof_wanted and run.says in NO_MINIMUM and run.says is before
-            if passes or self.proof is not None or is_told or is_over():
+            if passes or self.proof is not None or is_told or self.is_interrupted or is_over():
                 return
             before = run.says
         if is_proof_wanted and not self._is_stopped and not is_over():

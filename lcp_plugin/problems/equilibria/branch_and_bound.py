@@ -1,10 +1,12 @@
-"""minimize_over_solutions(): the best of all solutions, by SCIP where it is installed, and by branch and bound.
+"""minimize_over_solutions(): minimize an objective over all solutions, by SCIP and by branch and bound.
 
-A few nodes of our own come first: they close many small problems with a proof, where SCIP may search long, or fail.
-SCIP's point gives the cases of a piece, which is solved again here. More nodes of ours follow where a proof is asked
-for, or SCIP is not here, or what it says, that no solution exists or no least one, waits for a proof: a node leaves
-some cases of each pair open, its children take one case each of the pair that its relaxation violates most. The search
-dives: of the children it continues with the lower bound, and when a dive ends, with the lowest bound of all.
+The search begins with a few built-in nodes, because they close many small problems with a proof, whereas SCIP may
+search long, or fail. If SCIP is installed, it searches next. The branches of its point define a complementarity
+piece, which is solved again here. More built-in nodes follow if the user requests a proof, if SCIP is not
+installed, or if SCIP reports that no solution or no least solution exists, which needs a proof. A node leaves
+several branches of each pair open. Each child of a node takes one branch of the pair that the relaxation of the
+node violates most. The search dives: it continues with the child of the lowest bound, and when a dive ends, with
+the lowest bound of all open nodes.
 
 References
 ----------
@@ -32,12 +34,12 @@ from .incumbents import LocalSearch
 from .relaxations import Node, Relaxations
 from .result import CONTRADICTED, ENDS, EquilibriumResult, Outside
 
-MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
-SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
+MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementary
+SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
-FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close leaders that SCIP searches for 5 s
-MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
+FIRST = 300  # nodes · pairs before SCIP: 9 nodes close 30 pairs that take SCIP 5 s
+MOST_UNASKED = 2000  # nodes if prove is False: a proof of SCIP's status may be too expensive
 
 
 def minimize_over_solutions(
@@ -51,43 +53,45 @@ def minimize_over_solutions(
     x0: ArrayLike | None = None,
     prove: bool = False,
 ) -> EquilibriumResult:
-    """Return the best solution of a program with complementarity constraints, and a bound of what any can reach.
+    """Return the best solution of a program with complementarity constraints, and a lower bound.
 
     Parameters
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        SOLVED means that value − bound is at most the tolerance beside the objective's own terms at x.
+        SOLVED means that value − bound is at most the tolerance times the terms of the objective at x.
     max_nodes : int, optional
-        How many nodes may be branched on.
+        Maximum number of branched nodes.
     max_seconds : float, optional
-        Wall-clock limit in seconds; the result has what was found until then.
+        Wall-clock limit in seconds; the result then contains the best solution so far.
     callback : callable, optional
-        Gets the search, with ``value``, ``lower_bound`` and ``nodes``, after each node; ends it by something true.
+        Called with the search, with ``value``, ``lower_bound`` and ``nodes``, after each node; a true return value
+        ends the search.
     verbose : bool
         Print a line at geometric intervals: nodes, value, bound, gap, seconds.
     x0 : array, shape (n,), optional
-        Where it is a solution, the result is no worse.
+        Starting point. If it is a solution, the result is not worse.
     prove : bool
-        Whether the bound has to be proved, also where SCIP is installed.
+        If True, the bound is proved here, even if SCIP is installed.
 
     Returns
     -------
     EquilibriumResult
-        ``bound_by`` says whether its bound is a "proof" or that of "SCIP", in floating point.
+        ``bound_by`` is "proof" for a rigorous bound and "SCIP" for SCIP's bound in floating point.
 
     Raises
     ------
     UnsupportedModel
-        Where a proof is asked for and pieces are not convex; where SCIP does not know a function.
+        If prove is True and pieces are not convex, or if SCIP does not support a function.
     InvalidOption
-        Where the tolerance is not between 0 and 1, a limit is negative, or the problem is of another kind.
+        If the tolerance is not between 0 and 1, a limit is negative, or the problem belongs to another class.
 
     Notes
     -----
-    Bounds of our own are rigorous for the stored doubles, every infeasible node proved so by multipliers that are
-    checked in rational arithmetic; ``result.verify()`` checks all of it again. The worst case is 2ᵏ nodes of k pairs.
-    SCIP (``pip install 'lcp_plugin[global]'``) takes objectives that are not convex, smooth rows and integers as well.
+    Built-in bounds are rigorous for the stored floating-point data. Multipliers that are checked in rational
+    arithmetic prove every infeasible node, and ``result.verify()`` checks all proofs again. The worst case is 2ᵏ nodes
+    for k pairs. SCIP (``pip install 'lcp_plugin[global]'``) also accepts objectives that are not convex, smooth rows
+    and integers.
 
     Examples
     --------
@@ -136,12 +140,12 @@ def _refuse_proof(problem: EquilibriumProgram) -> None:
 
 
 class BranchAndBound:
-    """The nodes of a search, the open ones in order of their bounds.
+    """Branch and bound; the open nodes are sorted by their bounds.
 
     Attributes
     ----------
     nodes : int
-        How many were branched on, SCIP's among them.
+        Number of branched nodes, including SCIP's.
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
@@ -150,7 +154,7 @@ class BranchAndBound:
         self.relaxations = Relaxations(problem, tolerance)
         self.local = LocalSearch(self.relaxations)
         self.outside: Outside | None = None
-        self._outside_value = math.inf  # of a point that is not confirmed
+        self._outside_value = math.inf  # of SCIP's point, until it is confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
         self.tree: list[Node] = []
@@ -165,7 +169,7 @@ class BranchAndBound:
 
     @property
     def lower_bound(self) -> float:
-        """What no solution is below."""
+        """Lower bound of the objective over all solutions."""
         waiting = [bound for bound, _, _ in self._open[:1]] + (
             [] if self._current is None else [self._current.bound]
         )
@@ -174,20 +178,20 @@ class BranchAndBound:
 
     @property
     def cutoff(self) -> float:
-        """A bound that closes a node."""
+        """The least bound that closes a node."""
         value = self.local.value
         return value - SHARE * self.allowed if value < math.inf else math.inf
 
     @property
     def allowed(self) -> float:
-        """The gap that is within the tolerance, beside the objective's own terms at best solution."""
+        """The gap within the tolerance, relative to the objective terms of the incumbent."""
         point = None if self.local.best is None else self.local.best.point
         return 0.0 if point is None else self.tolerance * self.problem.objective_size(point)
 
     def run(
         self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool
     ) -> EquilibriumResult:
-        """Return the result, once the gap is closed, or something ends the search."""
+        """Run the search until the gap is closed or a limit is reached, and return the result."""
         ended: Status | None = None
         try:
             ended = self._run(ends, x0, prove)
@@ -218,7 +222,7 @@ class BranchAndBound:
         return None
 
     def _root(self) -> None:
-        """Solve the relaxation with all cases open."""
+        """Solve the relaxation with all branches open."""
         self._current = root = self.relaxations.node(self.problem.all_cases)
         self.tree.append(root)
         self._is_infeasible = root.bound == math.inf
@@ -226,7 +230,7 @@ class BranchAndBound:
             self.local.from_point(root.point)
 
     def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
-        """Let a global solver search, and take what it says; return which limit ended it, or None."""
+        """Run a global solver and store its result; return the status of a limit it reached, or None."""
         before = self.nodes
 
         def report_progress(value: float, bound: float, nodes: int) -> bool:
@@ -255,7 +259,7 @@ class BranchAndBound:
         return value < math.inf and value - self.lower_bound <= self.allowed
 
     def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
-        """Branch on so many nodes, or until none is open; return which limit came first, or None."""
+        """Branch on at most `most` nodes; return the status of a limit reached, or None."""
         if not self.tree:
             self._root()
         last = self.nodes + most
@@ -266,7 +270,7 @@ class BranchAndBound:
         return None
 
     def _limit(self, ends: Callable[[], bool]) -> Status | None:
-        """Return which limit ends the search now, or None."""
+        """Return the status of a limit that is now reached, or None."""
         if self.nodes >= self.max_nodes:
             return Status.MAX_ITERATIONS
         if is_over():
@@ -274,7 +278,7 @@ class BranchAndBound:
         return Status.INTERRUPTED if ends() else None
 
     def _next(self) -> Node | None:
-        """Return the node to continue with, closing those that cannot hold anything better."""
+        """Return the node to continue with; close nodes whose bounds exclude a better solution."""
         while self._current is not None or self._open:
             if self._current is None:
                 self._current = heapq.heappop(self._open)[2]
@@ -309,7 +313,7 @@ class BranchAndBound:
                 children.append(child)
         children.sort(key=lambda child: child.bound)
         self.tree += children
-        node.pair = pair  # last: Ctrl-C may come between any two lines, and the leaves have to hold all pieces
+        node.pair = pair  # last, because Ctrl-C may come between any two lines and the leaves must cover all pieces
         self._current = None
         dives = children[0].bound < self.cutoff and children[0].point is not None
         for k, child in enumerate(children):
@@ -321,7 +325,7 @@ class BranchAndBound:
             self._current = children[0]
 
     def _pair(self, node: Node) -> int:
-        """Return the pair to branch on, −1 where the relaxation's point violates none that is open."""
+        """Return the pair to branch on; −1 if the relaxation's point violates no undecided pair."""
         x = node.point
         assert x is not None
         violations = self.problem.violations(x)
@@ -332,7 +336,7 @@ class BranchAndBound:
         return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
-        """Close a piece neither solved to its bound nor infeasible: it is unbounded below, or nothing is known."""
+        """Close a piece neither solved to its bound nor infeasible: it is unbounded below or undecided."""
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.facts.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):
@@ -342,7 +346,7 @@ class BranchAndBound:
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.local.best, self.local.value
-        # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
+        # The bound is computed from the leaves, because Ctrl-C may have removed a node from the heap.
         lower = (
             min([value, *(node.bound for node in self.tree if node.pair < 0)])
             if self.tree
@@ -387,7 +391,7 @@ class BranchAndBound:
 
 
 class _Log:
-    """Prints a search while it continues."""
+    """Progress lines of a search, at geometric intervals."""
 
     def __init__(self) -> None:
         self._next = 0.0

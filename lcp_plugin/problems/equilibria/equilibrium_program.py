@@ -28,7 +28,7 @@ Indices = NDArray[np.int64]
 #: The open branches of each pair, as a sum of LOWER, BETWEEN, UPPER.
 Cases = NDArray[np.uint8]
 
-# z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
+# Branches of a pair: z at its lower bound and w ≥ 0, or w = 0, or z at its upper bound and w ≤ 0.
 LOWER, BETWEEN, UPPER = 1, 2, 4
 CASES = (LOWER, BETWEEN, UPPER)
 _COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
@@ -47,10 +47,10 @@ class SmoothPart:
     Attributes
     ----------
     map : object
-        With ``value(x)`` = (f, g), shape (1 + m,), and ``jacobian(x)``, CSR of shape (1 + m, n); SCIP needs the program
-        of expressions that models become.
+        Object with ``value(x)`` = (f, g), shape (1 + m,), and ``jacobian(x)``, CSR of shape (1 + m, n). SCIP also
+        needs the expression program of a model.
     lower, upper : array, shape (m,)
-        Equal in an equation.
+        Bounds of g; equal for an equality.
     """
 
     map: Any
@@ -68,7 +68,7 @@ class EquilibriumProgram:
     Parameters
     ----------
     program : QuadraticProgram
-        Its P may be indefinite.
+        Objective, rows and bounds; P may be indefinite.
     first, second : array of int, shape (k,)
         The variables z = x_first and w = x_second of each pair: w ≥ 0 if z is at its lower bound, w ≤ 0 if z is at its
         upper bound, w = 0 between them; w = 0 if z has no bounds.
@@ -80,14 +80,14 @@ class EquilibriumProgram:
     integers : array of int, optional
         The variables that are integers.
     smooth : SmoothPart, optional
-        What is neither linear nor quadratic.
+        Terms and rows that are neither linear nor quadratic.
     names : sequence of str, optional
-        Of the variables, for messages; by default x[0], x[1], ….
+        Names of the variables, for messages; by default x[0], x[1], ….
 
     Raises
     ------
     InvalidProblem
-        Where the pairs are not two lists of variables of one length.
+        If the pairs are not two lists of variables of the same length.
 
     Examples
     --------
@@ -140,7 +140,7 @@ class EquilibriumProgram:
     def of_rows(
         cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike, offset: float = 0.0
     ) -> EquilibriumProgram:
-        """Return the problem with z = x_columns ⟂ w = M x + q, of which w becomes variables behind x.
+        """Return the problem with z = x_columns ⟂ w = M x + q; w is appended to x as new variables.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class EquilibriumProgram:
 
     @cached_property
     def all_cases(self) -> Cases:
-        """The cases that each pair has, shape (k,); a row a z + b w = 0 makes z = 0 a part of w = 0."""
+        """The branches of each pair, shape (k,); an equality a z + b w = 0 makes z = 0 a part of w = 0."""
         A = sp.csr_array(self.program.A)
         start = A.indptr[:-1][(np.diff(A.indptr) == 2) & (self.program.b == 0.0)]
         start = start[A.data[start] * A.data[start + 1] != 0.0]
@@ -195,7 +195,7 @@ class EquilibriumProgram:
         return cases
 
     def bounds(self, cases: Cases) -> tuple[FloatVector, FloatVector]:
-        """Return the bounds of x that hold in every open case; where lower > upper, no x is left."""
+        """Return the bounds of x common to all open branches; infeasible if some lower > upper."""
         lower, upper = np.array(self.program.lower), np.array(self.program.upper)
         z, w = self.first, self.second
         np.maximum.at(lower, z, np.where(cases == UPPER, self.upper, self.lower))
@@ -206,7 +206,7 @@ class EquilibriumProgram:
 
     @cached_property
     def has_convex_objective(self) -> bool:
-        """Whether P is not seen to be indefinite."""
+        """True unless P is found to be indefinite."""
         try:
             refuse_nonconvex(self.program)
         except UnsupportedModel:
@@ -215,17 +215,17 @@ class EquilibriumProgram:
 
     @property
     def is_convex(self) -> bool:
-        """Whether pieces are convex programs, integers fixed."""
+        """True if the pieces are convex programs once integers are fixed."""
         return self.smooth is None and self.has_convex_objective
 
     @property
     def is_provable(self) -> bool:
-        """Whether bounds of pieces can be proved."""
+        """True if bounds of pieces can be proved."""
         return self.is_convex and not self.integers.size
 
     @property
     def relaxation(self) -> QuadraticProgram:
-        """The program with all cases open."""
+        """The program with all branches open."""
         lower, upper = self.bounds(self.all_cases)
         return self.program.with_vectors(lower=lower, upper=upper)
 
@@ -254,7 +254,7 @@ class EquilibriumProgram:
         return nearest
 
     def objective(self, x: FloatVector) -> float:
-        """Return ½ xᵀP x + cᵀx + offset, and f(x) where there is a smooth part."""
+        """Return ½ xᵀP x + cᵀx + offset, plus f(x) if there is a smooth part."""
         smooth = 0.0 if self.smooth is None else float(self.smooth.map.value(x)[0])
         return self.program.objective(x) + self.offset + smooth
 

@@ -1,7 +1,7 @@
-"""Solutions early: from given values, and from piece to piece downhill.
+"""Early solutions: from given values, and by local descent over neighboring complementarity pieces.
 
-A solution belongs to one piece or more. The least point of a piece is no worse than any solution in it, so that cases
-are all that a start has to give; where pairs are degenerate there, a neighboring piece may be better still.
+A solution belongs to at least one piece. The minimizer of a piece is not worse than any solution in the piece, so a
+start only needs to determine branches. If pairs are degenerate at the minimizer, a neighboring piece may be better.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ...core.deadline import is_over
 from .equilibrium_program import BETWEEN, CASES, LOWER, Cases
 from .relaxations import Node, Relaxations
 
-MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
+MEETS = 1e-7  # relative to 1 + ‖x‖∞: distance up to which x belongs to a branch
 DESCENT = 1e-9  # of 1 + |f|
-NEAR = 1e-5  # relative to 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
+NEAR = 1e-5  # relative to 1 + ‖x‖∞: pairs of another solver's point whose branch is in doubt
 MOST_DOUBTFUL = 6
 MOST_NEIGHBOURS = 50
 
@@ -43,13 +43,13 @@ class LocalSearch:
 
     @property
     def value(self) -> float:
-        """Its objective, ∞ as long as there is none."""
+        """Objective of the best point; ∞ before the first point."""
         return math.inf if self.best is None else self.best.value
 
     def offer(self, cases: Cases, near: FloatVector | None = None) -> Node:
-        """Return the piece of these cases, one a pair, solved; keep it where it is the best.
+        """Solve the piece with one branch per pair, keep it if it is the best, and return it.
 
-        If pieces are not convex, or hold integers, it is solved near a point.
+        A piece that is not convex, or has integers, is solved near a point.
         """
         is_local = not self.problem.is_provable
         key = cases.tobytes() + (near.tobytes() if is_local and near is not None else b"")
@@ -64,10 +64,11 @@ class LocalSearch:
         return self._known[key]
 
     def descend(self, cases: Cases, near: FloatVector) -> Node:
-        """Return the last of the pieces from these cases on, each with a smaller value than the one before.
+        """Return the last piece of a descent that starts at these branches and lowers the value at each step.
 
-        The next one takes another case of pairs that are degenerate (z at a bound and w = 0) at the piece's solution:
-        of all to which its multipliers promise a descent, or else of one of these after the other.
+        Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
+        piece. It first changes all pairs with a descent direction by the multipliers, and then one pair after the
+        other.
         """
         piece = self.offer(cases, near)
         while (better := self._better_neighbour(piece)) is not None:
@@ -75,13 +76,13 @@ class LocalSearch:
         return piece
 
     def from_point(self, x: FloatVector, cases: Cases | None = None) -> Node | None:
-        """Return the last piece of a descent from the cases that a point is nearest to; None if it has no value."""
+        """Return the last piece of a descent from the branches nearest to a point; None if infeasible."""
         nearest = self.problem.nearest(x, self.problem.all_cases if cases is None else cases)
         piece = self.descend(nearest, x)
         return piece if piece.value < math.inf else None
 
     def confirm(self, x: FloatVector, value: float) -> None:
-        """Descend from the cases of a point that others found, and from others near it, until the value is reached."""
+        """Descend from the branches at and near another solver's point, until the value is reached."""
         self.from_point(x)
         near = self.problem.distances(x) <= NEAR * (1.0 + float(np.abs(x).max(initial=0.0)))
         chosen = self.problem.nearest(x, self.problem.all_cases)
@@ -114,10 +115,10 @@ class LocalSearch:
         return None
 
     def _find_promising(self, piece: Node) -> list[tuple[int, int]]:
-        """Return (pair, case) of other cases of degenerate pairs towards which the objective falls, the steepest first.
+        """Return (pair, branch) for degenerate pairs whose other branch lowers the objective, steepest first.
 
-        By the multipliers of the piece: where there is none, its solution is strongly stationary. All of them where
-        multipliers are not known.
+        The multipliers of the piece determine the slopes. If the list is empty, the solution is strongly
+        stationary. Without multipliers, all other branches are returned.
         """
         assert piece.point is not None
         others = self._other_cases(piece.point, piece.cases)
@@ -136,7 +137,7 @@ class LocalSearch:
         return [(i, case) for _, i, case in sorted(found, key=lambda one: (-one[0], *one[1:]))]
 
     def _other_cases(self, x: FloatVector, cases: Cases) -> list[tuple[int, int]]:
-        """Return (pair, case) of the cases that x belongs to as well."""
+        """Return (pair, branch) of all further branches to which x belongs."""
         meets = self.problem.distances(x) <= MEETS * (1.0 + float(np.abs(x).max(initial=0.0)))
         rows, pairs = np.nonzero(meets)
         return [

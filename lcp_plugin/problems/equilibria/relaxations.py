@@ -1,8 +1,9 @@
-"""The programs of nodes and pieces: solved, bounded, or proved infeasible.
+"""Convex programs of nodes and complementarity pieces: solved, bounded, or proved infeasible.
 
-A node leaves some cases of every pair open. What holds in all of them are bounds of variables, so that the programs of
-all nodes differ in these alone. The lower bound of a node is the rigorous one that any multipliers give
-(:mod:`lcp_plugin.problems.programs.dual_bounds`): whatever the solver did, it holds for every piece below.
+A node leaves some branches of each pair open. The conditions common to these branches are bounds of variables, so
+the programs of all nodes differ only in bounds. The lower bound of a node is rigorous for any multipliers
+(:mod:`lcp_plugin.problems.programs.dual_bounds`). It holds for every piece below, and does not rely on the accuracy
+of the solver.
 """
 
 from __future__ import annotations
@@ -27,31 +28,31 @@ from ..programs.solving import solve_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
 TINY = 1e-9  # of ‖x‖∞
-FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
-ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
-FAR = 1e4  # times the size of x that the data name: a farther point counts as unbounded
+FEASIBLE = 1e-7  # largest violation of a row by a solution, relative to its terms
+ENOUGH = 0.1  # of the tolerance: a bound this close to the value is not repaired
+FAR = 1e4  # times the size of x in the data: a point of larger norm counts as unbounded
 MOST_PROJECTIONS = 4  # onto the linearized rows of a piece
 
 
 @dataclass(eq=False)
 class Node:
-    """Open cases of all pairs, and what is proved of them.
+    """Open branches of all pairs, with the bound or the proof of infeasibility.
 
     Attributes
     ----------
     cases : ndarray of uint8, shape (k,)
     parent : Node or None
     pair : int
-        On which its children differ, −1 for a leaf.
+        The pair that was branched on; −1 for a leaf.
     bound : float
-        No x of any piece in it has a smaller objective; ∞ where there is none.
+        No x of any piece in it has a smaller objective; ∞ if the node is infeasible.
     point : ndarray or None
-        Where the relaxation is least, or falls.
+        Minimizer of the relaxation, or a point of large norm if it is unbounded.
     dual : pair of ndarray or None
         The point and the multipliers that prove the bound.
     proof : QPInfeasibility or None
     value : float
-        The objective at the point where the relaxation is solved, else ∞.
+        Objective at the point if the relaxation is solved, else ∞.
     """
 
     cases: Cases
@@ -65,18 +66,18 @@ class Node:
 
     @property
     def is_piece(self) -> bool:
-        """Whether every pair has one case left."""
+        """True if every pair has exactly one open branch."""
         return bool((case_counts(self.cases) == 1).all())
 
 
 class Relaxations:
-    """Solves the programs of nodes.
+    """Solver for the programs of nodes.
 
     Parameters
     ----------
     problem : EquilibriumProgram
     tolerance : float
-        Of the gap that is asked for.
+        Relative tolerance of the gap.
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float) -> None:
@@ -91,14 +92,14 @@ class Relaxations:
         return implied_box(self.problem.program)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
-        """Return the program of some cases; None if their bounds exclude each other."""
+        """Return the program of the open branches; None if some lower bound exceeds its upper bound."""
         lower, upper = self.problem.bounds(cases)
         if (lower > upper).any():
             return None
         return self.problem.program.with_vectors(lower=lower, upper=upper)
 
     def node(self, cases: Cases, parent: Node | None = None) -> Node:
-        """Return the node of some cases, solved, and bounded or proved infeasible."""
+        """Return the solved node of the open branches, with its bound or a proof of infeasibility."""
         node = self.solved_node(cases)
         node.parent = parent
         if (
@@ -121,7 +122,7 @@ class Relaxations:
         return node
 
     def solved_node(self, cases: Cases) -> Node:
-        """Return the node of some cases, solved or proved infeasible, but without a bound."""
+        """Return the node of the open branches, solved or proved infeasible, but without a bound."""
         self.solved += 1
         node, program = Node(cases), self.program(cases)
         if program is None:
@@ -146,7 +147,7 @@ class Relaxations:
         return node
 
     def _round_small(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
-        """Return x, with 0 for what is rounding beside ‖x‖∞ where the rows are met more closely so."""
+        """Return x with components at rounding level of ‖x‖∞ set to 0 if this reduces row violations."""
         is_tiny = np.abs(x) <= TINY * np.abs(x).max(initial=0.0)
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
         if np.array_equal(other, x):
@@ -171,7 +172,7 @@ class Relaxations:
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
         """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 
-        A convex piece is solved. Otherwise the point is moved as little as its rows, linearized, ask for.
+        A convex piece is solved. Otherwise x is projected onto the linearized rows, up to four times.
         """
         node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
         lower[whole] = upper[whole] = np.clip(
@@ -198,7 +199,7 @@ class Relaxations:
     def _projection(
         self, x: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> QuadraticProgram:
-        """Return the program of the point nearest to x that meets the rows, linearized at x."""
+        """Return the program that projects x onto the rows, linearized at x."""
         own, smooth = self.problem.program, self.problem.smooth
         rows = [sp.csr_array(own.G), sp.csr_array(own.A)]
         low, high = [np.full(own.h.size, -np.inf), own.b], [own.h, own.b]
@@ -219,7 +220,7 @@ class Relaxations:
         )
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
-        """Return the solution within a large box, at its edge where the objective is unbounded."""
+        """Return the solution within a large box; it is at the edge of the box if the program is unbounded."""
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes
         far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))
@@ -231,7 +232,7 @@ class Relaxations:
 
 
 def _solution_of(program: QuadraticProgram) -> QPSolution:
-    """Return the solution of a program; Ctrl-C, which ends a solve with a status, ends the search, too."""
+    """Return the solution of a program; raise KeyboardInterrupt if Ctrl-C ended the solve."""
     result = solve_program(program, prove_infeasibility=False)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""What a search for the best of all solutions says, and how that is checked again."""
+"""Result of a minimization over all solutions, and its verification."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ..programs.program import QuadraticProgram
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import FEASIBLE, Node, Relaxations
 
-CONTRADICTED = "contradicted"  # by a better point of ours
-ENDS = {  # SCIP's words
+CONTRADICTED = "contradicted"  # by a better point found here
+ENDS = {  # SCIP's names
     "timelimit": Status.MAX_SECONDS,
     "nodelimit": Status.MAX_ITERATIONS,
     "totalnodelimit": Status.MAX_ITERATIONS,
@@ -53,7 +53,7 @@ SAID = {
 
 
 class Outside(NamedTuple):
-    """What another solver said last: its word for how it ended, and its bound."""
+    """Last status and bound of another solver."""
 
     status: str
     bound: float
@@ -61,38 +61,40 @@ class Outside(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EquilibriumResult(Answer):
-    """The best solution found, and a bound of what any solution can reach.
+    """The best solution found, and a lower bound of the objective over all solutions.
 
     Attributes
     ----------
     problem : EquilibriumProgram
-        The problem that was given.
+        The problem passed by the caller.
     status : Status
-        SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are infeasible
-        by a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece is unbounded below. MAX_ITERATIONS,
-        MAX_SECONDS, INTERRUPTED: nodes, time, Ctrl-C or the callback ended the search. STALLED: some piece could be
-        neither solved nor proved infeasible, or nothing bounds the objective.
+        SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: a verified proof shows that the
+        linear constraints are infeasible. NO_SOLUTION: verified proofs show that every piece is infeasible. UNBOUNDED:
+        a piece is unbounded below. MAX_ITERATIONS, MAX_SECONDS, INTERRUPTED: nodes, time, Ctrl-C or the callback ended
+        the search. STALLED: some piece was neither solved nor proved infeasible, or no bound of the objective is
+        known.
     x : ndarray, shape (n,), or None
-        In every pair one side is at its bound, or zero, as a double; no row is missed by more than 1e-7 of its terms.
+        The best solution. In every pair one side is exactly at its bound, or exactly zero. The violation of every row
+        is at most 1e-7 of its terms.
     value : float
-        Its objective; ∞ without an x, −∞ where it is unbounded.
+        Objective at x; ∞ without an x, −∞ if the objective is unbounded.
     lower_bound : float
         No solution has a smaller objective.
     bound_by : str or None
-        "proof": the bound is proved, `verify` checks it. "SCIP": it is what SCIP says, in floating point. None if
-        there is no bound.
+        "proof": the bound is proved, and `verify` checks the proof. "SCIP": the bound was computed by SCIP in floating
+        point. None: no bound is known.
     nodes, programs : int
-        Nodes that were branched on, SCIP's among them, and convex programs that were solved here.
+        Branched nodes, including SCIP's, and convex programs solved here.
     seconds : float
         Wall-clock seconds.
     tolerance : float
-        Of the gap.
+        Relative tolerance of the gap.
     tree : tuple of Node
-        What `verify` checks.
+        Nodes of the search, which `verify` checks.
     descent : pair or None
-        The piece that is unbounded below, and the proof.
+        The piece that is unbounded below, and the proof of it.
     outside : Outside or None
-        What SCIP said, where it was asked.
+        SCIP's last status and bound, if SCIP ran.
     """
 
     problem: EquilibriumProgram = field(repr=False)
@@ -111,7 +113,7 @@ class EquilibriumResult(Answer):
 
     @property
     def gap(self) -> float:
-        """The value less the bound, beside the objective's own terms at x; ∞ without an x."""
+        """Value − bound, relative to the terms of the objective at x; ∞ without an x."""
         if self.value == self.lower_bound:
             return 0.0
         size = 0.0 if self.x is None else self.problem.objective_size(self.x)
@@ -123,9 +125,9 @@ class EquilibriumResult(Answer):
         return self.nodes
 
     def verify(self) -> bool:
-        """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf.
+        """Return whether the status, x and the bound are verified, in some milliseconds per leaf.
 
-        A bound by SCIP is not proved: False.
+        The checks use only the data. A bound by SCIP is not proved, and the result is then False.
         """
         if self.bound_by == "SCIP" or not self._x_holds():
             return False
@@ -137,7 +139,7 @@ class EquilibriumResult(Answer):
             holds = self.x is not None and self.gap <= self.tolerance
         elif self.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
             holds = self.x is None and self.lower_bound == math.inf
-        if not holds or self.lower_bound == -math.inf:  # which says nothing
+        if not holds or self.lower_bound == -math.inf:  # a bound of −∞ needs no proof
             return holds
         return self._tree_covers() and all(
             self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
@@ -154,7 +156,7 @@ class EquilibriumResult(Answer):
         )
 
     def _falls(self, relaxations: Relaxations) -> bool:
-        """Return whether the proof of descent is one, of a piece of this problem."""
+        """Return whether the proof of unboundedness is valid and belongs to a piece of this problem."""
         if self.descent is None:
             return False
         cases, proof = self.descent
@@ -167,7 +169,7 @@ class EquilibriumResult(Answer):
         )
 
     def _tree_covers(self) -> bool:
-        """Return whether the root has all cases, and the children of every node all that it has."""
+        """Return whether the root has all branches, and the children of each node cover its branches."""
         children: dict[int, list[Node]] = {}
         for node in self.tree:
             children.setdefault(id(node.parent), []).append(node)
@@ -194,7 +196,7 @@ class EquilibriumResult(Answer):
             return False
         if relaxations.bound(program, leaf.dual, self.lower_bound) >= self.lower_bound:
             return True
-        # what holds of more cases than its own holds of them
+        # A bound of the parent also holds for the leaf, because the leaf has fewer branches.
         parent = leaf.parent
         return (
             parent is not None
@@ -204,26 +206,26 @@ class EquilibriumResult(Answer):
 
     @property
     def objective(self) -> float | None:
-        """The value, where there is an x."""
+        """The value, or None without an x."""
         return None if self.x is None else self.value
 
     @property
     def algorithm(self) -> str:
-        """What ran."""
+        """Name of the algorithm."""
         if self.outside is None:
             return "branch and bound"
         return "SCIP, branch and bound" if self.tree else "SCIP"
 
     @property
     def proof(self) -> EquilibriumResult | None:
-        """The result itself, which can ``verify()``, where a status is proved."""
+        """The result itself, which can ``verify()``, if the status is proved; otherwise None."""
         return (
             self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
         )
 
     @property
     def advice(self) -> str:
-        """What the status means for this search, and behind ``next:`` what to do."""
+        """Meaning of the status for this search, followed by advice after ``next:``."""
         advice = ADVICE.get(self.status, self.status.value)
         if self.is_solved and self.bound_by == "SCIP":
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""

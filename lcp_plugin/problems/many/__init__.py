@@ -1,1 +1,1 @@
-"""What batches, marches and derivatives share: data with an axis for the problems, and sequences of answers."""
+"""Common parts of batches, time stepping and derivatives: batch data, and sequences of results."""

@@ -1,4 +1,4 @@
-"""Sequences of answers, one per problem."""
+"""Sequences of results, one per problem."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ T = TypeVar("T")
 
 
 class AnswerSequence(Sequence[T]):
-    """The answers to many problems, in order; ``self.at(k)`` puts item k together, 0 ≤ k < len(self).
+    """The results of a batch, in order; ``self.at(k)`` returns item k, 0 ≤ k < len(self).
 
     Attributes
     ----------
     status : sequence of Status
-        None where an item is no problem.
+        Status of each item; None if the data of an item are invalid.
     seconds : float
-        Wall-clock seconds of all of them.
+        Wall-clock seconds of the batch.
     """
 
     item = "problem"
@@ -30,7 +30,7 @@ class AnswerSequence(Sequence[T]):
 
         @property
         def status(self) -> Any:
-            """SOLVED, or why not."""
+            """SOLVED, or the reason why a problem is not solved."""
 
     def at(self, k: int) -> T:
         """Return item k."""
@@ -49,29 +49,29 @@ class AnswerSequence(Sequence[T]):
 
     @property
     def all_solved(self) -> bool:
-        """Whether every status is SOLVED."""
+        """True if every status is SOLVED."""
         return all(status is Status.SOLVED for status in self.status)
 
     @property
     def is_solved(self) -> bool:
-        """The same as `all_solved`."""
+        """Synonym of `all_solved`."""
         return self.all_solved
 
     def counts(self) -> str:
-        """Return how many there are of each status, in words."""
+        """Return the number of items per status, as text."""
         counted = Counter(f"no {self.item}" if one is None else one.name for one in self.status)
         return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
 
     @property
     def advice(self) -> str:
-        """What the status means of the first that is not SOLVED, in a sentence; of all where all are."""
+        """Meaning of the status of the first item that is not SOLVED, in one sentence."""
         shown = self._format_item()
         if shown < 0 or self.all_solved:
             return Status.SOLVED.value
         return f"{self.item} {shown}: {self._describe(shown, lambda one: str(getattr(one, 'advice', one)))}"
 
     def explain(self) -> str:
-        """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
+        """Return the number of items per status, and a summary of the first unsolved (or last) item."""
         shown = self._format_item()
         lines = [f"{len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s"]
         if shown >= 0:
@@ -85,19 +85,19 @@ class AnswerSequence(Sequence[T]):
         )
 
     def _describe(self, k: int, words: Callable[[T], str]) -> str:
-        """Return words of item k, or what is wrong with it."""
+        """Return a text on item k, or its error message."""
         try:
             return words(self.at(k))
         except LCPError as error:
             return f"no {self.item}: {error}"
 
     def require_solved(self) -> Self:
-        """Return this, or raise where one of them is not solved.
+        """Return this sequence, or raise NotConverged if some item is not solved.
 
         Raises
         ------
         NotConverged
-            With how many there are of each status, and what the first that is not solved says.
+            With the number of items per status and the summary of the first unsolved item.
         """
         if not self.all_solved:
             raise NotConverged(self.explain())

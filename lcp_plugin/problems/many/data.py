@@ -1,4 +1,4 @@
-"""Arrays with an axis for the problems, checked."""
+"""Checks of arrays with an axis for the problems."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...core.errors import InvalidProblem
 
 
 def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
-    """Return the values as an array of shape (B, n), or (1, n) where they are the same for all."""
+    """Return the values as an array of shape (B, n), or (1, n) if all problems share them."""
     is_bound = name in ("lower", "upper", "dlower", "dupper")
     size = {"h": "m", "b": "p"}.get(name, "n")
     need = f"{name} must have shape (B, {size}) or ({size},), {size} = {n}{', or be a number' if is_bound else ''}"
@@ -31,12 +31,12 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
 
 
 def length_of_all(counts: dict[str, int]) -> int:
-    """Return how many problems a batch has, from the lengths of the arrays with an axis for them; 1 without any.
+    """Return the number of problems from the lengths of the arrays with a batch axis; 1 without any.
 
     Raises
     ------
     InvalidProblem
-        Where they differ.
+        If the lengths differ.
     """
     if len(set(counts.values())) > 1:
         found = ", ".join(f"{name} {count}" for name, count in counts.items())

@@ -1,24 +1,25 @@
-"""How wrong an x is for a nonlinear problem: the residuals of its linearization at x, with F(x) for w.
+"""Certificate of a nonlinear problem: the residuals of its linearization at x, with F(x) for w.
 
-The scale d of the residual r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i) comes from F′(x) as it does from M
-(the diagonal, or where that is negligible the row's largest entry), and so does that of the reference r(x°), F(x°) for
-w, x° the point of the bounds nearest to 0: both change alike with the units of F and of x. On an affine F these are
-the residuals of the LCP. A row with an infinite slope (√x at 0) counts with d = 1. The components of the problem are
-those of F′(x), and each is judged by its own reference.
+The residual of row i is r_i(x) = x_i − mid(lower_i, upper_i, x_i − F_i(x)/d_i). Its scale d is computed from F′(x)
+as an LCP computes it from M: the diagonal, or the row's largest entry if the diagonal is negligible. The reference
+r(x°) has F(x°) for w, with x° the point of the bounds nearest to 0. Its scale is also computed from F′(x), because
+residual and reference then change alike with the units of F and of x. For an affine F these are the residuals of
+the LCP. A row with an infinite slope (√x at 0) counts with d = 1. The components of the problem are the components
+of F′(x), and each component has a reference of its own.
 
 No affine F with the derivative F′(x) has a larger ‖r_P(x°)‖∞ than
 
     ‖r_P(x)‖∞ + max_i (|x − x°|_i + (|F′(x)| |x − x°|)_i / d_i),  i in P,
 
-and so none is taken for the reference. If F(x°) is undefined or solves the component, it is ‖x − x°‖∞: x° is an
-answer, but not of a run that does not go there.
+so the reference is limited to this value. If F(x°) is undefined or solves the component, the reference is ‖x −
+x°‖∞: x° is a solution, but not the solution of a run that does not approach x°.
 
-A reference in the unit of x says little where F flattens as x runs away. So every row is judged in its own terms as
-well, T_i = |q_i| + Σ_j |m_ij x_j| with M = F′(x), q = F(x) − F′(x) x (:func:`term_residuals`); the relative residual is
-the largest of all.
+A reference in the unit of x is weak if F flattens as x diverges. Each row is therefore also compared with its
+terms, T_i = |q_i| + Σ_j |m_ij x_j| with M = F′(x), q = F(x) − F′(x) x (:func:`term_residuals`). The relative
+residual is the largest of all.
 
-F(x) is taken as F returns it. What rounding does in there is estimated where progress stops: F is asked at a few points
-so near x that its curvature does not show, and what is left of F(x + δ) − F(x) − F′(x) δ is rounding.
+F(x) is used as F returns it. The rounding error inside F is estimated when progress stops: F is evaluated at a few
+points so close to x that its curvature is negligible, and F(x + δ) − F(x) − F′(x) δ is then rounding error.
 """
 
 from __future__ import annotations
@@ -54,21 +55,21 @@ NEARBY = (
 )  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points
 NEARLY_THERE = 1e-4  # of the way from the start to x°
-VANISHING = 1e-3  # of its terms: more is no row that vanishes
-FAINT = 1e-2  # of the terms of every row: what an unknown adds, where rows that are right tell little of it
+VANISHING = 1e-3  # of its terms: a row with a larger value does not vanish
+FAINT = 1e-2  # of the terms of every row: rows that are satisfied barely determine such an unknown
 ROUNDED = 1.0 + 2.0**-40  # of sums of nonnegative terms: below it an affine F may not come
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What residuals are compared with: x°, the point of the bounds nearest to 0, and F there.
+    """Reference of the residuals: x°, the point of the bounds nearest to 0, and F(x°).
 
     Attributes
     ----------
     x, value : ndarray, shape (n,)
         x° and F(x°), which need not be defined.
     start : ndarray, shape (n,)
-        Where the run begins, within the bounds.
+        Start of the run, within the bounds.
     """
 
     x: FloatVector
@@ -77,12 +78,12 @@ class Reference:
 
     @classmethod
     def of(cls, problem: NonlinearProblem, start: FloatVector) -> Reference:
-        """Return that of a problem.
+        """Return the reference of a problem.
 
         Raises
         ------
         InvalidProblem
-            Where F is not defined at the start.
+            If F is not defined at the start.
         """
         value = problem.value(start)
         if not np.isfinite(value).all():
@@ -104,7 +105,7 @@ class Reference:
         return least, most
 
     def kinds(self, problem: LCP, x: FloatVector, value: FloatVector) -> list[str]:
-        """Return what each component's reference is, in words."""
+        """Return a text per component that names the reference of its residual."""
         most, where = self._ends_of_f(problem)[1], "the point of the bounds nearest to 0"
         limited = most > self._limit(problem, x, value)
         return [
@@ -126,13 +127,13 @@ class Reference:
         return np.where(spread_to_rows(problem, is_reached), self.x, x)
 
     def _ends_of_f(self, problem: LCP) -> VectorEnds:
-        """Return bounds of ‖r_P(x°)‖∞ of each component; ∞ where F is not defined there."""
+        """Return bounds of ‖r_P(x°)‖∞ of each component; ∞ if F is not defined at x°."""
         ends = _ends(problem, self.x, self.value, problem.residual_scale)
         smallest, largest = (largest_of_components(problem, end) for end in ends)
         return np.where(np.isinf(largest), np.inf, smallest), largest
 
     def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
-        """Return what ‖r_P(x°)‖∞ is at most for an affine F that has the value and the derivative of this one at x."""
+        """Return the bound of ‖r_P(x°)‖∞ for affine F with the value and the derivative of this F at x."""
         with np.errstate(all="ignore"):
             distance = np.abs(x - self.x)
             reached = distance + abs(problem.M) @ distance / problem.residual_scale
@@ -149,7 +150,7 @@ class NonlinearCertificate(Certificate):
     Attributes
     ----------
     problem : LCP
-        The linearization at x; ``derivative`` and ``explain`` look at it.
+        The linearization at x; ``derivative`` and ``explain`` use it.
     z : ndarray, shape (n,)
         The point x.
     nonlinear : NonlinearProblem
@@ -159,7 +160,7 @@ class NonlinearCertificate(Certificate):
     reference : Reference
         F at z°.
     relative_to : str
-        What the relative residual of the worst component is relative to: that, the limit, or the distance above.
+        Name of the reference of the worst component: F at x°, the limit of an affine F, or the distance from x°.
 
     Examples
     --------
@@ -183,7 +184,7 @@ class NonlinearCertificate(Certificate):
         Raises
         ------
         InvalidProblem
-            Where F or its derivative is not finite there.
+            If F or its derivative is not finite at x.
         """
         return cls(
             point.lcp, point.x, nonlinear=point.problem, value=point.value, reference=reference
@@ -201,10 +202,11 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each row is in its own terms, shape (n,); beside an unknown that they hardly show, in what it adds.
+        """Residual of each row relative to its terms, shape (n,).
 
-        A multiplier that runs away as its column flattens is such an unknown, and so is one that is negligible: without
-        that one the rows are right as well, F taken there.
+        An unknown that adds less than a hundredth to the terms of every row (a multiplier that diverges as its
+        column flattens, or a negligible unknown) requires more: each row is compared with the smallest share of
+        such an unknown, or the rows must be satisfied also with the faint unknowns at x°.
         """
         at = self.problem, self.z, self.value
         own, shares = term_residuals(*at), shares_of_unknowns(*at)
@@ -225,7 +227,7 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def relative_residual(self) -> float:
-        """The largest ‖r_P(x)‖∞ beside the reference of a component, rounded upwards, or term residual of a row."""
+        """The largest of all ‖r_P(x)‖∞ / reference, rounded upwards, and all residuals relative to terms."""
         return max(largest_ratio(*self.residuals_of_components), self.term_residual)
 
     @cached_property
@@ -235,7 +237,7 @@ class NonlinearCertificate(Certificate):
 
     @property
     def relative_to(self) -> str:
-        """What the relative residual of the worst component is relative to, in words."""
+        """Name of the reference of the worst component."""
         several = connected_components(self.problem.matrix)
         kinds = self.reference.kinds(self.problem, self.z, self.value)
         return kinds[
@@ -250,10 +252,11 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def rounding_floor(self) -> FloatVector:
-        """What rounding alone can make of each residual, estimated, shape (n,).
+        """Estimate of the rounding error in each residual, shape (n,).
 
-        k_i ε (|F′(x)||x| + |F(x)|)_i / d_i, k_i = entries of row i of F′ + 2, and what F adds to that on its way: the
-        largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, δ a few fractions of 1/64 of the step that the residual asks for.
+        k_i ε (|F′(x)||x| + |F(x)|)_i / d_i, k_i = entries of row i of F′ + 2, plus an estimate of the rounding
+        error inside F: the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step
+        to the projected point.
         """
         problem, x = self.problem, self.z
         scale = problem.residual_scale
@@ -288,15 +291,18 @@ def _ends(
 def term_residuals(
     problem: LCP, x: FloatVector, value: FloatVector, share: FloatVector | float = 1.0
 ) -> FloatVector:
-    """Return how wrong each row is in its own terms, shape (n,): the least s² to which it is right, 0 where it is.
+    """Return the residual of each row relative to its terms, the least s², shape (n,).
 
-    If F flattens as x runs away, d → 0 or is the noise of differences, and beside a pole d is anything. So only rows
-    that have to vanish, and nearly do, tell the size U = max T_i / d_i of the component, no larger than ‖x_P‖∞. With
-    v_i the part of F_i that has the wrong sign (|F_i| where x_i is off its bounds), row i is right to s if
+    If F flattens as x diverges, d → 0 or d is the rounding error of differences, and d is arbitrary close to a
+    pole. So the size U = max T_i / d_i of the component, at most ‖x_P‖∞, is computed only from rows that must
+    vanish and nearly do. Let v_i be the part of F_i that has the wrong sign (|F_i| if x_i is off its bounds). Row i
+    is satisfied to s if
 
     - v_i ≤ s^(3/2) T_i, 1e-6 T_i at a tolerance of 1e-8, and v_i ≤ s share_i T_i, or
-    - |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: it vanishes near 0, as it does not beside a pole, or
-    - x_i is no farther than s max(|x_i|, s U) from a bound where its sign is right, and the step there keeps that sign.
+    - |x_j| ≤ s² U for all unknowns of the row, and |q_i| ≪ T_i: the row vanishes near 0, which it does not near a
+      pole, or
+    - the distance of x_i from a bound at which the sign of F_i is correct is at most s max(|x_i|, s U), and the
+      step to the bound keeps that sign.
 
     Parameters
     ----------
@@ -305,7 +311,7 @@ def term_residuals(
     x, value : array, shape (n,)
         The point, and F there.
     share : float or array, shape (n,)
-        What an unknown that must be told adds to the terms.
+        Smallest share of a faint unknown in the terms, which the row has to determine.
     """
     with np.errstate(all="ignore"):
         distance = np.where(
@@ -325,7 +331,7 @@ def term_residuals(
         own = np.fmin(own, np.where(vanishes, unknowns / unit, np.inf))
         stays_right = ~(
             np.abs(value) - problem.diagonal * distance < 0.0
-        )  # as far as the diagonal entry tells
+        )  # as predicted by the diagonal entry
         of_bound = np.where(
             stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf
         )
@@ -336,9 +342,8 @@ def term_residuals(
 def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
     """Return the largest |m_ij x_j| / T_i over the rows that have to vanish, shape (n,).
 
-    ∞ at a bound, and for an unknown that no such row depends on.
-
-    At a bound is x_i also where it is nearer to it than F_i asks for.
+    ∞ at a bound, and for an unknown that no such row depends on. x_i also counts as at a bound if its distance from
+    the bound is less than the step |F_i| / d_i.
 
     Parameters
     ----------

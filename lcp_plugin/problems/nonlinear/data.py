@@ -32,20 +32,22 @@ class UndefinedDerivativeError(InvalidProblem):
 class NonlinearProblem:
     """Find x with lower ≤ x ≤ upper and F(x) complementary to it.
 
-    For every row i: F_i(x) ≥ 0 where x_i = lower_i, F_i(x) = 0 where lower_i < x_i < upper_i, and F_i(x) ≤ 0 where
-    x_i = upper_i. A row with bounds (−∞, ∞) is an equation. Nothing is called before ``solve`` needs it.
+    For every row i: F_i(x) ≥ 0 if x_i = lower_i, F_i(x) = 0 if lower_i < x_i < upper_i, and F_i(x) ≤ 0 if x_i =
+    upper_i. A row with bounds (−∞, ∞) is the equation F_i(x) = 0. The callables are first evaluated by ``solve``.
 
     Parameters
     ----------
     F : callable
-        ``F(x)`` returns shape (n,) for x of shape (n,), which is read-only. Smooth where the solution is. Where it is
-        not defined it may return NaN or infinities: steps that lead there are shortened. Its exceptions propagate.
+        ``F(x)`` returns shape (n,) for x of shape (n,), which is read-only. F should be smooth near the solution. F
+        may return NaN or infinities at points where it is not defined: steps that lead there are shortened. Exceptions
+        raised by F propagate.
     jacobian : callable, optional
-        ``jacobian(x)`` returns the derivative, a sparse array or an ndarray of shape (n, n). By default forward
-        differences on `pattern`, columns that share no row together; they leave about half of the digits, and take
-        every x_i for a number of size 1 at least: choose its unit so, or give a jacobian.
+        ``jacobian(x)`` returns the derivative, a sparse array or an ndarray of shape (n, n). By default the derivative
+        is computed by forward differences on `pattern`, with columns that share no row in one evaluation. Differences
+        have about half of the digits, and assume that every x_i has size 1 at least: choose the unit of x accordingly,
+        or pass a jacobian.
     lower, upper : scalar or array, shape (n,)
-        Bounds of x in its unit, lower ≤ upper; ±1e20 and beyond means none, as ±∞ does.
+        Bounds of x, lower ≤ upper; ±1e20 and beyond means none, as ±∞ does.
     pattern : sparse array, shape (n, n), optional
         Sparsity pattern of the derivative: the stored entries, with any values. Only without `jacobian`;
         without both the pattern is full, up to n = 1000.
@@ -53,7 +55,7 @@ class NonlinearProblem:
     Raises
     ------
     InvalidProblem
-        Where these state no such problem.
+        If the arguments do not define such a problem.
 
     Examples
     --------
@@ -95,12 +97,12 @@ class NonlinearProblem:
         self._differences: Differences | None = None
 
     def with_size(self, n: int) -> NonlinearProblem:
-        """Return the problem with n unknowns: this one, or where its bounds are numbers one with vectors of them.
+        """Return the problem with n unknowns: this problem, or a copy with vectors for scalar bounds.
 
         Raises
         ------
         InvalidProblem
-            Where it has another number.
+            If the problem has another number of unknowns.
         """
         if self.n == n:
             return self
@@ -123,7 +125,7 @@ class NonlinearProblem:
         Raises
         ------
         InvalidProblem
-            Where F returns no real vector of that length.
+            If F does not return a real vector of that length.
         """
         x = self._point(x)
         with np.errstate(all="ignore"):  # F may be undefined at x: its value shows it
@@ -141,12 +143,12 @@ class NonlinearProblem:
         ----------
         x : array, shape (n,)
         value : array, shape (n,), optional
-            F(x), where it is known.
+            F(x), if already computed.
 
         Raises
         ------
         InvalidProblem
-            Where it is not finite, or the callable returns something else.
+            If the derivative is not finite, or the callable returns another type or shape.
         """
         returned, name = self._call_jacobian(self._point(x), value)
         return _finite(returned, name, np.size(x))
@@ -167,19 +169,19 @@ class NonlinearProblem:
     def linearize(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
         """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
 
-        A row with an infinite slope, as √x has at 0, gets the slope 1 in x_i and no other: as far as its sign goes, F_i
-        is right there, and x_i stays at its bound or leaves it.
+        A row with an infinite slope, as √x has at 0, gets the slope 1 in x_i and 0 in all other unknowns. The sign of
+        F_i is then correct, and x_i stays at its bound or leaves it.
 
         Parameters
         ----------
         x : array, shape (n,)
         value : array, shape (n,), optional
-            F(x), where it is known.
+            F(x), if already computed.
 
         Raises
         ------
         InvalidProblem
-            Where F is not finite there, or its derivative is not a number.
+            If F is not finite at x, or its derivative is NaN.
         """
         x = self._point(x)
         value = self.value(x) if value is None else value
@@ -204,7 +206,7 @@ class NonlinearProblem:
         Raises
         ------
         InvalidProblem
-            Where an entry is not a number, or the callable returns something else.
+            If an entry is NaN, or the callable returns another type or shape.
         """
         returned, name = self._call_jacobian(x, value)
         returned, is_steep = _replace_infinite_rows(returned, x.size)
@@ -220,7 +222,7 @@ class NonlinearProblem:
 
 
 def _finite(derivative: Any, name: str, n: int) -> Any:
-    """Return the checked derivative; UndefinedDerivativeError where only its numbers are wrong."""
+    """Return the checked derivative; raise UndefinedDerivativeError if only its numbers are invalid."""
     try:
         return rectangular_matrix(derivative, name, n, n)
     except InvalidProblem as error:
@@ -235,7 +237,7 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
 
 
 def _replace_infinite_rows(derivative: Any, n: int) -> tuple[Any, BoolVector]:
-    """Return the derivative with the identity's rows where an entry is infinite, and which these are."""
+    """Return the derivative with identity rows for rows with an infinite entry, and their mask."""
     is_steep = np.zeros(n, dtype=bool)
     entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
     if np.shape(derivative) != (n, n) or entries.dtype.kind != "f" or not np.isinf(entries).any():
@@ -249,7 +251,7 @@ def _replace_infinite_rows(derivative: Any, n: int) -> tuple[Any, BoolVector]:
 
 
 class Linearization:
-    """The problem near one x: F(x), and the LCP that F′(x) makes of it, computed where it is looked at.
+    """The problem near a point x: F(x), and the LCP of F′(x), computed on first use.
 
     Parameters
     ----------
@@ -269,12 +271,12 @@ class Linearization:
 
     @cached_property
     def is_steep(self) -> BoolVector:
-        """Which rows have an infinite slope, shape (n,)."""
+        """Mask of the rows with an infinite slope, bool, shape (n,)."""
         return self.problem.slopes(self.x, self.value)[1]
 
     @cached_property
     def is_defined(self) -> bool:
-        """Whether F and its derivative are finite here."""
+        """True if F and its derivative are finite here."""
         if not np.isfinite(self.value).all():
             return False
         try:
@@ -307,7 +309,7 @@ class Linearizations:
         return found
 
     def keep(self, linearisation: Linearization) -> None:
-        """Remember one that was made elsewhere."""
+        """Store a linearization that was computed elsewhere."""
         self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
 
 

@@ -20,7 +20,7 @@ from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 
-DENSE_PATTERN_UP_TO = 1000  # unknowns, each of which costs an evaluation of F a derivative
+DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
 STEP = float(np.sqrt(EPSILON))  # of max(|x_i|, 1): rounding and curvature take about as many digits
 
 
@@ -40,12 +40,12 @@ class Differences:
 
     @classmethod
     def on(cls, pattern: sp.csc_array | None, n: int) -> Differences:
-        """Return the differences on a pattern, or where there is none on all places.
+        """Return the differences on a pattern; None means all entries.
 
         Raises
         ------
         InvalidProblem
-            Where all places would be too many.
+            If the pattern is None and n > 1000.
         """
         if pattern is None:
             if n > DENSE_PATTERN_UP_TO:
@@ -73,9 +73,10 @@ class Differences:
         lower: FloatVector,
         upper: FloatVector,
     ) -> sp.csr_array:
-        """Return the derivative at x, where F has that value; steps stay within the bounds where these are apart.
+        """Return the derivative at x, given value = F(x); steps stay within the bounds if these are apart.
 
-        Where F is not defined at one side of x, the other one is asked; what remains is NaN.
+        If F is not defined on one side of x, the step goes to the other side. Entries that neither side gives are
+        NaN.
         """
         step, derivative = _steps(x, lower, upper), np.empty(self.pattern.nnz)
         for members, places in self._groups():
@@ -90,7 +91,7 @@ class Differences:
         )
 
     def _groups(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[Any]]]:
-        """Yield the columns of each group, and the places of their entries."""
+        """Yield the mask of the columns of each group, and the indices of their entries."""
         of_entries = self.groups[self._columns]
         order = np.argsort(of_entries, kind="stable")
         ends = np.searchsorted(of_entries[order], np.arange(int(self.groups.max(initial=-1)) + 2))
@@ -114,7 +115,7 @@ class Differences:
 
 
 def _steps(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
-    """Return how far each unknown is moved: away from 0, but towards the bound that is farther where one is near."""
+    """Return the step of each unknown: away from 0, or to the farther bound if a bound is close."""
     length = STEP * np.maximum(np.abs(x), 1.0)
     above, below = upper - x, x - lower
     sign = np.where(x < 0.0, -1.0, 1.0)

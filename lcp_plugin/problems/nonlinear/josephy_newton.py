@@ -1,4 +1,4 @@
-"""Josephy–Newton: each step solves the LCP of the linearization, which `solve` does as it does any other."""
+"""Josephy–Newton: each step solves the LCP of the linearization with the algorithms of `solve`."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ SHORTER = 30  # times a step is halved
 GROWTH = 10.0  # of the residual, by which a full step may miss the least one
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
-FORCING = 0.01  # of the residual here, that a linearization is solved to while far away
+FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
 SMALLEST_TOLERANCE = 1e-14
-ENOUGH = 0.1  # of what the run asks for: no linearization need be solved to less
-PATIENCE = 25  # steps without a residual clearly below those of the window before it
-WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
+ENOUGH = 0.1  # of the tolerance of the run: a linearization needs no smaller residual
+PATIENCE = 25  # steps without a residual clearly below the residuals of the window before it
+WINDOW, GAIN = 12, 0.95  # a jump of the residual may start a long decrease
 RESTARTS, SMALL = 6, 1000  # starts; unknowns, beyond which a new start is too expensive
 FACTORS = 12  # of Newton without half the residual, on a large linearization
 PATHS = 2  # of pivots
@@ -51,23 +51,23 @@ class JosephyNewton(Algorithm):
     Parameters
     ----------
     points : Linearizations
-        Of the nonlinear problem.
+        Linearizations of the nonlinear problem.
     compared_with : Reference
-        Of its residuals, to which the tolerance of the linearizations is tied.
+        Reference of the residuals, which determines the tolerance of the linearizations.
     linear : str or Algorithm
-        What solves them.
+        Algorithm for the linearizations.
     tolerance : float
-        The relative residual that the run asks for.
+        The requested relative residual.
 
     Notes
     -----
-    The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
-    here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
-    A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points. A full Newton step is
-    taken also if its residual is at most ten times the least of these: on traffic networks the residual rises before it
-    falls. If no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual scale (proximal
-    steps); then small problems start elsewhere. A large linearization is given up after 12 active sets without half the
-    residual.
+    The merit is ‖Φ‖₂. Φ is the Fischer–Burmeister function with F(x) for w, scaled by the largest entry of each row of
+    F′ at the current point. The diagonal is not used, because it may vanish with x: the diagonal of a convex power is
+    zero at 0. A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four
+    points. A full Newton step is also taken if its residual is at most ten times the least residual of these points:
+    on traffic networks the residual rises before it falls. If no step helps, the LCP of F′(x) + μD is solved for
+    larger and larger μ, D the residual scale (proximal steps). After that, small problems are restarted from other
+    points. A large linearization is abandoned after 12 active sets that do not halve the residual.
 
     References
     ----------
@@ -83,7 +83,7 @@ class JosephyNewton(Algorithm):
     tolerance: float = 0.0
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then the point of each step, until nothing more can be done."""
+        """Yield the start, then the point of each step, until no step or restart helps."""
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -98,7 +98,7 @@ class JosephyNewton(Algorithm):
 
 
 class _NewtonRun:
-    """Where a run is, the last points, and the work since the last step."""
+    """State of a run: the current point, the last points, and the work since the last step."""
 
     def __init__(self, options: JosephyNewton, start: Linearization) -> None:
         self.options, self.first, self.here = options, start, start
@@ -190,7 +190,7 @@ class _NewtonRun:
     # --- what is measured ----------------------------------------------------------------------------------
 
     def _merit(self, point: Linearization) -> float:
-        """Return ‖Φ‖₂ beside the rows of the linearization here, each component in its unit; ∞ where F is undefined."""
+        """Return the scaled ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
         return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
@@ -214,16 +214,17 @@ class _NewtonRun:
         return largest_ratio(self._residuals(point), references)
 
     def _progress(self, point: Linearization) -> float:
-        """Return what must fall: where x runs away its residual goes to infinity, and rows' own terms tell."""
+        """Return the measure that must fall; residuals relative to terms are included at small residuals."""
         size = self._relative(point)
         if size > max(self.options.tolerance, SMALLEST_TOLERANCE):
             return size
         return NonlinearCertificate.at(point, self.options.compared_with).relative_residual
 
     def _solution(self, shift: float) -> FloatVector | None:
-        """Return a solution of (M + shift D)(x⁺ − x) + F(x) on the bounds, as sharp as the residual deserves, or None.
+        """Return a solution of (M + shift D)(x⁺ − x) + F(x) on the bounds, or None.
 
-        It is solved for x⁺ − x: the residual at x is then the reference, and of several solutions one near x is found.
+        The tolerance is tied to the relative residual at x. The unknown is x⁺ − x, because the residual at x is
+        then the reference, and of several solutions one near x is found.
         """
         lcp, w = self.here.lcp, self.here.value
         if shift:
@@ -260,7 +261,7 @@ class _NewtonRun:
 
 
 def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
-    """Return 1/(the reference of its component) for each row, shape (n,); where there is one component (1,) of 1."""
+    """Return 1/(reference of the component) for each row, shape (n,), or [1.0] for one component."""
     several = connected_components(start.lcp.matrix)
     if several is None:
         return np.ones(1)
@@ -272,7 +273,7 @@ def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
 
 
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
-    """Yield the stages of a linearization: no look for proofs, pivots come last, and no method comes twice."""
+    """Yield the stages of a linearization: without proofs, with pivots last, and no method twice."""
     tried: list[Algorithm] = []
     for stage in stages_of(problem, method, goal, prove_infeasibility=False):
         if stage.algorithm in tried:
@@ -286,9 +287,9 @@ def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iter
 
 
 def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
-    """Return the result of a run within another one, whose limits hold for it and whose Ctrl-C ends both.
+    """Solve a linearization within the limits of the current run; Ctrl-C ends both runs.
 
-    From the projected gradient step: the methods see a start and look for a solution near it.
+    The start is the projected gradient step, so that the methods find a solution near it.
     """
     left, clock = seconds_left(), Clock()
     method = method_of(algorithm, {})
@@ -308,7 +309,7 @@ class _Patience:
         self.lowest, self.idle, self.before = math.inf, 0, 0
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
-        """Return whether the run has had its time."""
+        """Return whether Newton has used its budget of factorizations."""
         residual = math.inf if sample.residual is None else sample.residual
         steps, self.before = sample.iteration - self.before, sample.iteration
         if residual <= 0.5 * self.lowest:

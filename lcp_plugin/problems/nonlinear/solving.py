@@ -1,4 +1,4 @@
-"""solve_nonlinear(): Josephy–Newton on the one loop, judged by the residual of F."""
+"""solve_nonlinear(): Josephy–Newton in the common loop, measured by the residual of F."""
 
 from __future__ import annotations
 
@@ -50,40 +50,41 @@ def solve_nonlinear(
     ----------
     problem : NonlinearProblem
     x0 : array, shape (n,), or a number for n = 1, optional
-        Where to begin, projected onto the bounds; by default the point of the bounds nearest to 0. If F or its
-        derivative is not finite there, at the point of the bounds nearest to 0, or else to 1, which ``explain()``
-        tells. F is given an array in any case.
+        Start, projected onto the bounds; by default the point of the bounds nearest to 0. If F or its derivative is
+        not finite at x0, the run starts at the point of the bounds nearest to 0, or else nearest to 1, and
+        ``explain()`` reports this. F always receives an array.
     algorithm : str or Algorithm
-        What solves the linear complementarity problem of each step.
+        Algorithm for the linear complementarity problem of each step.
     tolerance : float
-        SOLVED means that the measured residual of the returned x is at most this. As for :func:`lcp_plugin.solve`, with
-        F(x) for w, in the units that F is given in: in every component relative to the residual of F at the point of
-        the bounds nearest to 0, which counts for no more than that of an affine F with this derivative could be there
-        (``certificate.relative_to``), and every row in its own terms
+        SOLVED means that the measured residual of the returned x is at most this, as for :func:`lcp_plugin.solve`,
+        with F(x) for w and without rescaling of F. The residual of every component is relative to the residual of F at
+        the point of the bounds nearest to 0. This reference is limited to its maximum over all affine F with this
+        derivative (``certificate.relative_to``). The residual of every row is also relative to the terms of the row
         (:mod:`lcp_plugin.problems.nonlinear.certificate`).
     max_iterations : int, default 100 000
         Newton steps.
     max_seconds : float, optional
-        Wall-clock limit in seconds, obeyed as by :func:`lcp_plugin.solve`, inside a step as well.
+        Wall-clock limit in seconds, also checked inside a step, as :func:`lcp_plugin.solve` does.
     absolute_tolerance : float
-        In the unit of x, as for :func:`lcp_plugin.solve`; such a row need not be right in its own terms either.
+        Absolute residual, in the unit of x, as for :func:`lcp_plugin.solve`. A row below it is not compared with its
+        terms.
     record, callback
-        As for :func:`lcp_plugin.solve`, a sample each Newton step.
+        Same as in :func:`lcp_plugin.solve`, with one sample per Newton step.
     check_jacobian : bool
-        Compare a `jacobian` that was given with differences of F near the start; ``explain()`` names a row that
-        disagrees.
+        Compare the `jacobian` with differences of F near the start. ``explain()`` names the row with the largest
+        deviation.
     threads : int, optional
-        As for :func:`lcp_plugin.solve`; F itself is called in this thread.
+        Number of threads, see :func:`lcp_plugin.solve`. F itself is called in the calling thread.
     verbose : bool
-        Print the run, a line each Newton step at geometric intervals.
+        Print the run, one line per Newton step at geometric intervals.
 
     Returns
     -------
     Result
-        With z = x and w = F(x), whatever the status. INFEASIBLE is never claimed. STALLED: x is a stationary point of
-        the merit, or steps no longer gain; another start may find a solution. PRECISION_LIMIT rests on an estimate of
-        what rounding does in F. Ctrl-C ends the run, and the best x is returned, as soon as F is known at the start.
-        ``derivative(result)`` takes a change of F as dq.
+        Contains z = x and w = F(x) for every status. INFEASIBLE is never returned. STALLED: x is a stationary point of
+        the merit, or steps no longer reduce the residual; another start may find a solution. PRECISION_LIMIT uses an
+        estimate of the rounding error in F. Ctrl-C ends the run and the best x is returned, once F is computed at the
+        start. ``derivative(result)`` takes a change of F as dq.
 
     Raises
     ------
@@ -94,8 +95,8 @@ def solve_nonlinear(
 
     Notes
     -----
-    Each step solves the linear complementarity problem of F′(x), as exactly as the residual at x deserves; a line
-    search keeps ‖Φ‖ falling, Φ the Fischer–Burmeister function. What follows where that fails stands in
+    Each step solves the linear complementarity problem of F′(x), with a tolerance tied to the residual at x. A line
+    search keeps ‖Φ‖ falling, Φ the Fischer–Burmeister function. The fallbacks of a failed line search are described in
     ``help("lcp_plugin.problems.nonlinear.josephy_newton")``.
 
     Examples
@@ -147,9 +148,9 @@ def solve_nonlinear(
 
 
 def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, str]:
-    """Return where a run begins, and what is to be said of it: at the start, or nearest to 0 or 1 where F is defined.
+    """Return the start of a run and a note: x0, or the point nearest to 0 or 1 at which F is defined.
 
-    Where F is defined nowhere there it is the start, whose refusal says so.
+    If F is defined at none of these points, x0 is returned and raises an error later.
     """
     lower, upper = points.problem.lower, points.problem.upper
     if points.at(start).is_defined:
@@ -175,7 +176,7 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
 
 
 class NonlinearJudge(Judge):
-    """Measures by F; see :class:`Judge`."""
+    """Termination test that measures F; see :class:`Judge`."""
 
     words = {  # noqa: RUF012 - read only
         Status.SOLVED: "the residual is within the tolerance, as measured on F",
@@ -199,7 +200,7 @@ class NonlinearJudge(Judge):
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
         self.goal = settings.goal
-        self.reference = 1.0  # the certificate knows what each component is compared with
+        self.reference = 1.0  # the certificate divides each component by its reference
         self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
@@ -221,7 +222,7 @@ TANGENTS = (
 
 @np.errstate(all="ignore")
 def jacobian_warning(point: Linearization) -> str:
-    """Return the row in which differences of F contradict the derivative most, in words; "" if none does.
+    """Return a warning that names the row in which differences and jacobian differ most; "" if none does.
 
     Parameters
     ----------

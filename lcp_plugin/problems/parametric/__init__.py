@@ -1,13 +1,14 @@
 """Problems that depend on one parameter: the exact path of the solution.
 
-z(θ) of a linear complementarity problem whose q and bounds are affine in θ is piecewise affine. So are x and the
-multipliers of a quadratic program, and x of a least squares problem with a penalty.
+The solution z(θ) of a linear complementarity problem is piecewise affine if q and the bounds are affine in θ. The x
+and the multipliers of a quadratic program, and the x of a least squares problem with a penalty, are also piecewise
+affine.
 
-| file | what is in it |
+| file | content |
 |---|---|
 | `tracing` | :func:`lcp_plugin.trace` |
-| `path` | what it returns |
-| `families` | which data of a kind may move, its complementarity problem at θ, and the way back |
-| `staircases` | that problem, rows with a kink included, affine in θ |
-| `following` | from breakpoint to breakpoint |
+| `path` | the returned :class:`Path` |
+| `families` | per problem class: data that may move, complementarity problem at θ, inverse mapping |
+| `staircases` | complementarity problem with data affine in θ; rows may have a kink |
+| `following` | path following from breakpoint to breakpoint |
 """

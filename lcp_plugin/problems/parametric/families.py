@@ -1,4 +1,4 @@
-"""Families of problems of each kind that `trace` takes: data affine in θ, what is followed, and the way back."""
+"""Parametric problems of `trace`, per problem class: data, complementarity problem, inverse mapping."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from ..programs.solution import QPSolution
 from .staircases import Columns, GramColumns, Staircases
 
 LARGEST = 6000  # rows, of which a dense factorization is made
-MET = 1e-12  # of their terms: by how much bounds that meet may seem to cross
-NEARLY = 100.0  # times the goal: what is called a limit of precision
+MET = 1e-12  # of their terms: rounding error by which equal bounds may cross
+NEARLY = 100.0  # times the tolerance: up to here the status is PRECISION_LIMIT
 BOUNDS = ("lower", "upper")
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One piece of a path: x = x0 + (θ − begin) x1 for θ from begin to end.
+    """Affine segment of a path: x = x0 + (θ − begin) x1 for θ from begin to end.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class Piece:
         In the order in which the path is traced.
     x0, x1 : ndarray, shape (n,)
     case : ndarray of int, shape (n,)
-        −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0 where a penalty holds it there. Of a program x
-        first, then the rows of G: −1 where a row is slack, 0 where it acts; then those of A.
+        Active set: −1 at the lower bound, 0 between the bounds, 1 at the upper bound, 2 at 0 because of a penalty. For
+        a program, the entries of x are followed by the rows of G (−1 inactive, 0 active) and the rows of A.
     z0, z1 : ndarray
-        The same with the multipliers of rows behind x; x of other kinds.
+        For a program, x followed by the multipliers of rows, and their rates; x0 and x1 for other problem classes.
     """
 
     begin: float
@@ -81,11 +81,12 @@ class PathPoint:
     w : ndarray, shape (n,), or None
         M z + q of an LCP.
     solution : QPSolution or None
-        Of a program: x with the multipliers of all rows and bounds, and their residuals.
+        Program only: x with the multipliers of all rows and bounds, and their residuals.
     status : Status
-        As the kind's criterion says on the data at that value; at a breakpoint it may read PRECISION_LIMIT.
+        Status by the criterion of the problem class for the data at that value. At a breakpoint it may be
+        PRECISION_LIMIT.
     objective : float or None
-        In the kind's terms; None for an LCP.
+        Objective of the problem class; None for an LCP.
     """
 
     parameter: float
@@ -102,12 +103,12 @@ class PathPoint:
 
     @cached_property
     def objective(self) -> float | None:
-        """What is minimized, at x."""
+        """Objective at x."""
         return self._family.objective(self)
 
     @cached_property
     def status(self) -> Status:
-        """What the kind's criterion says."""
+        """Status by the criterion of the problem class."""
         return self._family.judge(self)
 
     @property
@@ -122,30 +123,30 @@ class PathPoint:
         Raises
         ------
         InvalidProblem
-            For another kind: see `solution` and `status`.
+            For other problem classes: see `solution` and `status`.
         """
         return Certificate.of(self.problem, self.x)
 
 
 class Family:
-    """Problems whose vectors are those of `problem` plus θ times a direction.
+    """Problems with the vectors of `problem` plus θ times a direction.
 
     Parameters
     ----------
     problem : LCP, QuadraticProgram or BoundedLeastSquares
     along : mapping from str to number or array
-        What moves, and its change for θ + 1.
+        Changes of the moving vectors per unit of θ.
     ends : (float, float)
-        The values of θ that a path is for.
+        Values of θ at which a path starts and stops.
     tolerance : float or None
         None means `TOLERANCE`.
 
     Attributes
     ----------
     MOVES : tuple of str
-        What may move.
+        Names of the vectors that may move.
     FIXED : dict
-        What else there is, and what to write.
+        Advice for each name that may not move.
     """
 
     MOVES: ClassVar[tuple[str, ...]] = ()
@@ -193,7 +194,7 @@ class Family:
 
     @property
     def is_monotone(self) -> bool:
-        """Whether the solutions at each θ are known to be one convex set: those of convex problems are."""
+        """True if the solutions at each θ are known to be a convex set, as for every convex problem."""
         return True
 
     def pair(self, name: str) -> FloatVector:
@@ -214,7 +215,7 @@ class Family:
         return moved
 
     def find_crossing(self) -> tuple[float, str]:
-        """Return the share of the way at which bounds cross first, and which, in words; −1 if they do at the start."""
+        """Return the first share of the way at which bounds cross (−1: at the start), and a message."""
         low, high = (
             np.array([[1.0, theta] for theta in self.ends]) @ self.pair(name) for name in BOUNDS
         )
@@ -236,39 +237,39 @@ class Family:
 
     @property
     def conditions(self) -> Any:
-        """The complementarity problem that is followed, at θ = 0."""
+        """The complementarity problem at θ = 0 whose solution is followed."""
         return self.problem
 
     def rows(self) -> list[FloatVector]:
-        """Return q, lower and upper of what is followed, as pairs."""
+        """Return q, lower and upper of the complementarity problem, as pairs."""
         return [self.pair(name) for name in ("q", *BOUNDS)]
 
     def solve_at(self, theta: Any) -> Any:
-        """Return the answer of `solve` at θ."""
+        """Return the result of `solve` at θ."""
         return solve(self.at(theta), tolerance=self.settings.tolerance)
 
     def staircases(self) -> Staircases:
-        """Return what is followed."""
+        """Return the parametric complementarity problem in the form that is followed."""
         return Staircases.from_bounds(Columns(self.conditions.M), *self.rows())
 
     def extract_unknowns(self, result: Any) -> FloatVector:
-        """Return the unknowns of what is followed, of an answer of `solve`."""
+        """Return the unknowns of the complementarity problem from a result of `solve`."""
         raise NotImplementedError
 
     def point(self, theta: Any, z: FloatVector) -> PathPoint:
-        """Return the solution that the followed unknowns are at θ."""
+        """Return the solution at θ from the unknowns of the complementarity problem."""
         raise NotImplementedError
 
     def x_of(self, z: FloatVector) -> FloatVector:
-        """Return the kind's unknowns of the followed ones, along the last axis."""
+        """Return the unknowns of the problem class from the followed unknowns, along the last axis."""
         return z
 
     def objective(self, point: PathPoint) -> float | None:
-        """Return what is minimized."""
+        """Return the objective at a point; None if the problem class has none."""
         return None
 
     def judge(self, point: PathPoint) -> Status:
-        """Return what the kind's criterion says of a point."""
+        """Return the status of a point by the criterion of the problem class."""
         raise NotImplementedError
 
     def case_of(self, steps: Any) -> Any:
@@ -286,7 +287,7 @@ class ComplementarityFamily(Family):
 
     @cached_property
     def is_monotone(self) -> bool:
-        """Whether M is known to be, to rounding: one factorization."""
+        """True if M is positive semidefinite to rounding error; costs one factorization."""
         M = self.problem.M
         return is_semidefinite_to_rounding(M + M.T) is True
 
@@ -308,7 +309,7 @@ class ComplementarityFamily(Family):
         return PathPoint(theta, problem, read_only(z), read_only(problem.slack(z)), None, self)
 
     def judge(self, point: PathPoint) -> Status:
-        """Return what the certificate says of z."""
+        """Return the status of z by its certificate."""
         if point.certificate.meets(self.settings):
             return Status.SOLVED
         return (
@@ -336,7 +337,7 @@ class ProgramFamily(Family):
 
     @cached_property
     def conditions(self) -> LCP:
-        """Those of optimality."""
+        """The optimality conditions as a complementarity problem."""
         return conditions(self.problem)
 
     def at(self, theta: Any) -> QuadraticProgram:
@@ -383,7 +384,7 @@ class ProgramFamily(Family):
         return float(point.problem.objective(point.x))
 
     def judge(self, point: PathPoint) -> Status:
-        """Return what the program's criterion says."""
+        """Return the status by the criterion of programs."""
         tolerance, solution = self.settings.tolerance, point.solution
         assert solution is not None
         if solution.is_optimal(tolerance):
@@ -436,7 +437,7 @@ class LeastSquaresFamily(Family):
         return problem
 
     def staircases(self) -> Staircases:
-        """Return what is followed."""
+        """Return the normal equations with penalties as a parametric complementarity problem."""
         problem, root = self.problem, self.problem.root_weights
         b, l1, lower, upper = map(self.pair, self.MOVES)
         A = problem.A
@@ -469,7 +470,7 @@ class LeastSquaresFamily(Family):
         return float(problem.cost(point.x, problem.product(point.x) - problem.b))
 
     def judge(self, point: PathPoint) -> Status:
-        """Return what the certificate says."""
+        """Return the status by the optimality certificate."""
         tolerance = self.settings.tolerance
         with np.errstate(all="ignore"):
             found = Optimality.of(Enclosures(point.problem), point.x, tolerance=tolerance)
@@ -479,7 +480,7 @@ class LeastSquaresFamily(Family):
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
 
     def case_of(self, steps: Any) -> Any:
-        """Return −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0, where the penalty holds it."""
+        """Return −1 at the lower bound, 0 between, 1 at the upper bound, 2 at 0 because of the penalty."""
         of_kinks = np.array([-1, 0, 2, 0, 1])
         return np.where(self._has_kink, of_kinks[steps], np.asarray(steps) - 1)
 
@@ -499,7 +500,7 @@ def family_of(
     Raises
     ------
     InvalidOption
-        Where its kind has none, or it is too large.
+        If the problem class has none.
     """
     if not takes("trace", problem):
         raise InvalidOption(refusal("trace", problem))

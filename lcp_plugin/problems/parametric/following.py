@@ -1,12 +1,12 @@
 """Following the solution of a parametric complementarity problem from breakpoint to breakpoint.
 
-Between two breakpoints each row stays on its step: z of the free rows solves M_FF z_F = …, affine in t. If the first
-row comes to the end of its step it changes to the next one, and a new system is factorized. Of rows that come to their
-ends at once that one changes which moves fastest; the others follow at the same t.
+Between two breakpoints each row stays on its step: z of the free rows solves M_FF z_F = …, affine in t. When the first
+row reaches the end of its step, the row changes to the next step, and a new system is factorized. If several rows
+reach an end at the same t, the fastest row changes first, and the other rows follow at the same t.
 
-If M_FF is singular, z moves from where it is by the least change that the rows ask for. If there is none, the solutions
-at this t are a segment, which leads to where another row changes. If the path would turn back, or if rounding decides
-which row changes, the path is lost here, and is begun again just beyond.
+If M_FF is singular, z moves by the least change that satisfies the rows. If the rows are inconsistent, the
+solutions at this t are a line segment, which is followed until another row changes. If the path would turn back, or
+if rounding error decides which row changes, the path is lost, and is started again just beyond this point.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ...core.checks import FloatVector
 from ...core.matrix.structure import IntVector
 from .staircases import Staircases
 
-Change = tuple[int, int]  # a row, and whether it goes to the next step or to the one before
+Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
-ROUNDING = 1e-12  # of a z or a w relative to its terms, of which a rate below is 0
+ROUNDING = 1e-12  # error of a z or a w relative to its terms; smaller rates count as 0
 MOST_CONDITION = 1e13  # of a regular block
 SINGULAR = 1e-12  # singular values relative to the largest
-CONSISTENT = 1e-9  # of the terms of a free row: what a singular system may leave
-MISSED = 1e3  # times ROUNDING: what a start may be off its step
-LOST = 1e5  # times that: what a row may be off its step on a path
+CONSISTENT = 1e-9  # of the terms of a free row: largest residual of a singular system
+MISSED = 1e3  # times ROUNDING: largest violation of its step by a row at the start
+LOST = 1e5  # times ROUNDING: largest violation of its step by a row on a path
 AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
 SHORT = 1e-14  # of the way: a piece of rounding alone, which the next one takes in
 AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is lost
@@ -39,7 +39,7 @@ CORRECTIONS = 20  # of the steps of a start
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One piece of the path, z = z[0] + (t − begin) z[1] for begin ≤ t ≤ end."""
+    """Affine segment of the path, z = z[0] + (t − begin) z[1] for begin ≤ t ≤ end."""
 
     begin: float
     end: float
@@ -48,15 +48,15 @@ class Segment:
 
 
 class Motion(NamedTuple):
-    """Values at t and rates of what is on given steps, shape (2, n) each, and how far they are known, shape (n,).
+    """Values at t and rates of rows on given steps, shape (2, n) each, and their errors, shape (n,).
 
     Attributes
     ----------
     z : ndarray
     low, high : ndarray
-        Distances from the lower and the upper ends of the steps: of z on free rows, of −w on the others.
+        Distances from the lower and the upper limits of the steps: of z on free rows, of −w on other rows.
     blur, slow : ndarray, shape (n,)
-        How far distances and rates are known.
+        Rounding errors of distances and of rates.
     """
 
     z: FloatVector
@@ -67,12 +67,12 @@ class Motion(NamedTuple):
 
     @property
     def outside(self) -> FloatVector:
-        """How far each row is off its step, relative to what is known of it, shape (n,)."""
+        """Violation of its step by each row, relative to the rounding error, shape (n,)."""
         off: FloatVector = np.maximum(-self.low[0], -self.high[0]) / self.blur
         return off
 
     def first_end(self, sign: float = 1.0) -> tuple[float, Change | None]:
-        """Return how far it is to the first end of a step, forwards or backwards, and which row changes there."""
+        """Return the distance to the first end of a step, forwards or backwards, and the changing row."""
         reached, found = np.inf, []
         for gap, way in ((self.low, -1), (self.high, 1)):
             rate = sign * gap[1]
@@ -94,7 +94,7 @@ class Motion(NamedTuple):
 
 
 class Follower:
-    """The path from a solution on.
+    """Path following that starts at a solution.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ class Follower:
     Attributes
     ----------
     steps : ndarray of int, shape (n,)
-        Where each row is.
+        Step of each row.
     begin : float
-        Where the first line begins, t or before.
+        Begin of the first segment, at most t.
     motion : Motion or None
         None if no steps near the solution are consistent.
     """
@@ -120,7 +120,7 @@ class Follower:
         self.motion = self._begin(z)
 
     def _begin(self, z: FloatVector) -> Motion | None:
-        """Return the motion of steps that hold at t: rows that are off theirs go to the next one, some times."""
+        """Return the motion of consistent steps at t; rows off their steps change to the next, repeatedly."""
         for _ in range(CORRECTIONS):
             motion = self._settle(z)
             if motion is None or not (motion.outside > MISSED).any():
@@ -196,7 +196,7 @@ class Follower:
         return np.array([self._columns[int(j)] for j in rows]).reshape(rows.size, self.n)
 
     def _settle(self, near: FloatVector) -> Motion | None:
-        """Return the motion of the present steps, through a point near `near`; None if the rows contradict."""
+        """Return the motion of the present steps, through a point near `near`, or None if infeasible."""
         q, corners, levels = self.problem.at(self.t)
         every, sizes, k = np.arange(self.n), self.problem.columns.sizes, self.steps // 2
         is_free = self.steps % 2 == 1
@@ -215,7 +215,7 @@ class Follower:
         return self._motion(z)
 
     def _motion(self, z: FloatVector, *, is_at_rest: bool = False) -> Motion:
-        """Return the motion of z, shape (2, n); of data that rest at t if that is said."""
+        """Return the motion of z, shape (2, n); `is_at_rest` freezes the data at t."""
         q, corners, levels = self.problem.at(self.t)
         if is_at_rest:
             q, corners, levels = (

@@ -1,4 +1,4 @@
-"""The path of a solution over one parameter: pieces, values, derivatives, and what was certified of them."""
+"""The path of a solution over one parameter: segments, values, derivatives and statuses."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from ...core.settings import PROVEN, Status
 from .families import Family, PathPoint, Piece
 
 SHOWN = 8  # breakpoints in a paragraph
-INSIDE = 1e-6, 1e-5  # of half a piece, at both ends: where it is judged
-MIDST = 0.3819660112501051  # of a piece: no simple fraction, at which integers cancel
+INSIDE = 1e-6, 1e-5  # of half a segment: distances from its begin and end at which it is checked
+MIDST = 0.3819660112501051  # of a segment: integers would cancel at a simple fraction
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
-JOINED = 1e-9  # beside the unknowns there: by how much two pieces that join may differ
+JOINED = 1e-9  # relative to the unknowns: largest difference of two segments that join
 
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the solution changes with the parameter.
+    """Rate of change of the solution with the parameter.
 
     Attributes
     ----------
     x : ndarray, shape (n,)
     multipliers : ndarray or None
-        Of the rows of G and A of a program.
+        Rates of the multipliers of the rows of G and A of a program.
     """
 
     x: FloatVector
@@ -39,31 +39,31 @@ class Slope:
 
 
 class Path:
-    """The solution of a family of problems along one parameter; what `trace` returns.
+    """The solution of a family of problems along one parameter, returned by `trace`.
 
     Attributes
     ----------
     pieces : list of Piece
-        In the order of the trace; the solution is affine on each.
+        Segments in the order of the trace; the solution is affine on each.
     start, stop : float
-        Where it was to begin and to end.
+        Requested first and last value of θ.
     reached : float
-        How far it came.
+        Last value of θ on the path.
     status : Status
-        SOLVED if it came to stop and each piece is SOLVED just inside its two ends and in its midst, by the criterion
-        of its kind; the points between are means of those. INFEASIBLE if bounds cross on the way. Else that
-        of the worst piece, or of the problem just beyond `reached`.
+        SOLVED if the path reached `stop` and each segment is SOLVED in its interior and just inside its begin and end,
+        by the criterion of the problem class. Points between these are convex combinations. INFEASIBLE if bounds cross
+        on the way. Otherwise the worst status of a segment, or the status of the problem just beyond `reached`.
     jumps : list of float
-        Where the solution jumps, as that of a matrix that is not monotone may.
+        Values of θ at which the solution jumps. A jump requires a matrix that is not monotone.
     segments : list of float
-        Where a whole segment of solutions leads from one piece to the next, as between two vertices of a linear program
-        that are both best.
+        Values of θ at which two segments are connected by a line of solutions, for example between two optimal
+        vertices of a linear program.
     beyond : result or None
-        What `solve` says just beyond `reached`, with its proof, where the path ends before stop.
+        Result of `solve` just beyond `reached`, with its proof, if the path ends before stop.
     crossed : str
-        Which bounds cross at `reached`, if some do.
+        Names of the bounds that cross at `reached`, or "".
     seconds : float
-        Of the trace, its certificates included.
+        Wall-clock time of the trace, certificates included.
     """
 
     def __init__(self, family: Family, start: float, stop: float) -> None:
@@ -82,14 +82,14 @@ class Path:
 
     @cached_property
     def breakpoints(self) -> FloatVector:
-        """Where pieces begin and end, from start to `reached`, the ends included."""
+        """Values of θ at which segments begin and end, from start to `reached`, both included."""
         if not self.pieces:
             return np.zeros(0)
         return np.array([self.pieces[0].begin, *(piece.end for piece in self.pieces)])
 
     @cached_property
     def statuses(self) -> list[Status]:
-        """The worst status of each piece, in its midst and just inside its two ends."""
+        """The worst status of each segment, in its interior and just inside its begin and end."""
         found = []
         for piece in self.pieces:
             middle = piece.begin + MIDST * (piece.end - piece.begin)
@@ -100,7 +100,7 @@ class Path:
         return found
 
     def _inside(self, piece: Piece, end: float, middle: float) -> Status:
-        """Return the status just inside an end, at the first place that is not left to rounding."""
+        """Return the status just inside an end, at the first of two points that is SOLVED, if any."""
         status = Status.SOLVED
         for share in INSIDE:
             status = self.at(end + share * (middle - end), piece).status
@@ -110,7 +110,7 @@ class Path:
 
     @property
     def points(self) -> list[PathPoint]:
-        """The solutions at the breakpoints; where pieces do not join, the one before and the one behind."""
+        """The solutions at the breakpoints; two solutions at a breakpoint where segments do not join."""
         found = []
         for k, piece in enumerate(self.pieces):
             if not k or not _join(self.pieces[k - 1], piece):
@@ -120,7 +120,7 @@ class Path:
 
     @cached_property
     def status(self) -> Status:
-        """SOLVED, or why not."""
+        """SOLVED, or the reason why the path is not solved."""
         if self.beyond is not None:
             return Status(self.beyond.status) if not self.beyond.is_solved else Status.STALLED
         if self.crossed:
@@ -136,16 +136,16 @@ class Path:
 
     @property
     def has_no_solution(self) -> bool:
-        """True if a proof says that no solution exists just beyond `reached`."""
+        """True if a proof shows that no solution exists just beyond `reached`."""
         return self.status in PROVEN
 
     @property
     def proof(self) -> Any:
-        """What proves that no solution exists just beyond `reached`; None if nothing does."""
+        """Proof that no solution exists just beyond `reached`, or None."""
         return None if self.beyond is None else self.beyond.proof
 
     def require_solved(self) -> Path:
-        """Return this path, or raise NotConverged with `explain` where it is not solved."""
+        """Return this path, or raise NotConverged with `explain` if it is not solved."""
         if not self.is_solved:
             raise NotConverged(self.explain())
         return self
@@ -153,12 +153,12 @@ class Path:
     # --- values -------------------------------------------------------------------------------------------
 
     def at(self, theta: float, piece: Piece | None = None) -> PathPoint:
-        """Return the solution at θ: x, multipliers, objective, status; behind a jump where there is one.
+        """Return the solution at θ: x, multipliers, objective, status; at a jump, the later solution.
 
         Raises
         ------
         InvalidOption
-            Where θ is outside of what was traced.
+            If θ is not on the path.
         """
         piece = self.piece_at(theta) if piece is None else piece
         return self.family.point(float(theta), piece.z_at(float(theta)))
@@ -172,13 +172,13 @@ class Path:
         return made
 
     def derivative(self, theta: float, *, side: str = "ahead") -> Slope:
-        """Return how the solution at θ changes with θ.
+        """Return the derivative of the solution at θ with respect to θ.
 
         Parameters
         ----------
         theta : float
         side : {"ahead", "behind"}
-            At a breakpoint: of the piece that begins there, as the path is traced, or of the one that ends there.
+            At a breakpoint: the later segment, in the order of the trace, or the earlier segment.
         """
         if side not in ("ahead", "behind"):
             raise InvalidOption(f'side must be "ahead" or "behind", got {side!r}')
@@ -187,7 +187,7 @@ class Path:
         return Slope(piece.x1, rates if rates.size else None)
 
     def piece_at(self, theta: float, *, is_behind: bool = False) -> Piece:
-        """Return the piece that θ lies on; where two meet the later one, or the earlier one."""
+        """Return the segment that contains θ; at a breakpoint the later segment, or the earlier segment."""
         if not is_number(theta):
             raise InvalidOption(f"θ must be a number, got {theta!r}")
         along = self._toward * float(theta)
@@ -200,10 +200,10 @@ class Path:
         begins = [self._toward * piece.begin for piece in self.pieces]
         return self.pieces[max(int(np.searchsorted(begins, along, side=side)) - 1, 0)]  # type: ignore[call-overload]
 
-    # --- words, tables, pictures --------------------------------------------------------------------------
+    # --- text, tables, figures ----------------------------------------------------------------------------
 
     def explain(self) -> str:
-        """Return in a few lines what was traced, and how well."""
+        """Return a summary of the path in a few lines."""
         count = len(self.pieces)
         if self.is_solved:
             first = (
@@ -238,7 +238,7 @@ class Path:
 
     @property
     def _why(self) -> str:
-        """What keeps the path from continuing, in words."""
+        """Reason why the path ends, as text."""
         if self.beyond is None:
             return self.crossed
         if self.beyond.is_solved:
@@ -246,14 +246,14 @@ class Path:
         return str(self.beyond.advice)
 
     def plot(self, *, axes: Any = None, rows: Sequence[int] | None = None) -> Any:
-        """Return matplotlib's axes with x over θ, and below it the objective and how many rows act.
+        """Return matplotlib's axes with x over θ, and below it the objective and the active rows.
 
         Parameters
         ----------
         axes : Axes, optional
-            To draw x into alone.
+            Axes for x. The other plots are then omitted.
         rows : sequence of int, optional
-            Which unknowns to draw; the forty that change most by default.
+            Indices of the unknowns to draw; by default the forty that change most.
         """
         from ...evidence.path_plots import plot_path
 
@@ -273,7 +273,7 @@ class Path:
 
 
 def _join(one: Piece, other: Piece) -> bool:
-    """Return whether a piece begins where the one before ends, in θ and in the unknowns."""
+    """Return whether a segment begins at the end of the segment before, in θ and in the unknowns."""
     if one.end != other.begin:
         return False
     here = one.z_at(one.end)

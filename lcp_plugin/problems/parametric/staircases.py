@@ -1,10 +1,12 @@
-"""A parametric complementarity problem: rows that are staircases, all of whose numbers are affine in one parameter.
+"""Parametric complementarity problem: each row is a monotone graph with data affine in one parameter.
 
-Of z and w = M z + q, row i is on a staircase that falls to the right: at z = p₀ any w ≥ v₁, w = v₁ for p₀ ≤ z ≤ p₁, at
-p₁ any w from v₁ down to v₂, w = v₂ for p₁ ≤ z ≤ p₂, at p₂ any w ≤ v₂. Bounds are a staircase with p₀ = lower,
-p₁ = upper, v₁ = 0; a penalty λ|z| within bounds is one with p = (lower, 0, upper) and v = (λ, −λ).
+Let w = M z + q. The pair (z_i, w_i) of row i lies on a staircase that falls to the right: at z = p₀ any w ≥ v₁, w =
+v₁ for p₀ ≤ z ≤ p₁, at p₁ any w from v₁ down to v₂, w = v₂ for p₁ ≤ z ≤ p₂, at p₂ any w ≤ v₂. Bounds are a staircase
+with p₀ = lower, p₁ = upper, v₁ = 0. A penalty λ|z| within bounds is a staircase with p = (lower, 0, upper) and v =
+(λ, −λ).
 
-Step 2k of a staircase is its piece at z = p_k, step 2k + 1 that at w = v_{k+1}; a row is free on odd ones.
+Step 2k of a staircase is its segment at z = p_k, and step 2k + 1 is its segment at w = v_{k+1}. A row is free on
+odd steps.
 """
 
 from __future__ import annotations
@@ -22,12 +24,12 @@ from ...core.matrix.structure import IntVector
 
 FIXED_LEVELS = 4  # of w: +∞, two values, −∞
 CORNERS = 3  # of z
-ALIKE = 1e3  # rows and columns whose sizes differ no more are left in their units
+ALIKE = 1e3  # rows and columns whose sizes differ by at most this ratio are not scaled
 EQUILIBRATED = 8  # passes
 
 
 class Columns:
-    """The columns of M, each made when it is asked for.
+    """The columns of M, computed on demand.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ class Columns:
         )
 
     def units(self) -> FloatVector:
-        """Return powers of two d for which the rows and columns of D M D are of about one size; 1 where they are."""
+        """Return powers of two d that equilibrate D M D; all 1 if M is equilibrated already."""
         size, units = abs(self._columns), np.ones(self.n)
         if not self.n or not _differ(_largest(size)):
             return units
@@ -71,7 +73,7 @@ class Columns:
 
 
 class GramColumns(Columns):
-    """The columns of AᵀA + ridge I, which is never made as a whole.
+    """The columns of AᵀA + ridge I; the matrix itself is not computed.
 
     Parameters
     ----------
@@ -95,7 +97,7 @@ class GramColumns(Columns):
         self.sizes = np.maximum(sizes, np.finfo(np.float64).tiny)
 
     def units(self) -> FloatVector:
-        """Return powers of two d for which the diagonal of D M D is about 1; 1 where that of M is of one size."""
+        """Return powers of two d for which the diagonal of D M D is about 1; all 1 if it is balanced."""
         size = np.hypot(self._lengths, np.sqrt(self._ridge))
         size = np.where(size > 0.0, size, 1.0)
         return _powers(1.0 / size) if _differ(size) else np.ones(self.n)
@@ -134,9 +136,9 @@ class Staircases:
     columns : Columns
     q : ndarray, shape (2, n)
     corners : ndarray, shape (2, 3, n)
-        The p of each row, ±∞ where there is none.
+        Corners p of each row; ∞ if a row has fewer corners.
     levels : ndarray, shape (2, 4, n)
-        +∞, v₁, v₂, −∞ of each row; v₂ = −∞ where a row has two corners.
+        +∞, v₁, v₂, −∞ of each row; v₂ = −∞ if a row has two corners.
     """
 
     columns: Columns
@@ -148,7 +150,7 @@ class Staircases:
     def from_bounds(
         cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector
     ) -> Staircases:
-        """Return that of q, lower and upper, shape (2, n) each."""
+        """Return the staircases of an LCP with q, lower and upper, shape (2, n) each."""
         n = columns.n
         corners, levels = np.zeros((2, CORNERS, n)), np.zeros((2, FIXED_LEVELS, n))
         corners[:, 0], corners[:, 1], corners[0, 2] = lower, upper, np.inf
@@ -165,7 +167,10 @@ class Staircases:
         penalty: FloatVector,
         has_kink: NDArray[np.bool_],
     ) -> Staircases:
-        """Return that of bounds and of penalty · |z| in rows with a kink at 0; in others a penalty is part of q."""
+        """Return the staircases of bounds and of penalty · |z| in rows with a kink at 0.
+
+        Penalties of other rows are part of q.
+        """
         made = cls.from_bounds(columns, q, lower, upper)
         corners, levels = made.corners, made.levels
         corners[:, 2, has_kink], corners[:, 1, has_kink] = upper[:, has_kink], 0.0
@@ -200,7 +205,7 @@ class Staircases:
         return q, corners, levels
 
     def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
-        """Return the step of each row that (z, w) misses least at t, shape (n,); a corner is on the even one."""
+        """Return the step closest to (z, w) for each row at t, shape (n,); a corner is on the even step."""
         (_, corners, levels), size = self.at(t), self.columns.sizes
         corners, levels, scaled = corners[0], levels[0] / size, w / size
         best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""trace(): the solutions along one parameter, all of them at once."""
+"""trace(): the solution path along one parameter."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .following import Follower, Segment
 from .path import Path
 from .staircases import Staircases
 
-BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: where a path that was lost is looked for again
+BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is restarted
 AT_END = 1e-6  # of a stretch: how much a piece may fall short of it
-SAME = 1e-4  # what a solution may move on the shortest of these
+SAME = 1e-4  # largest change of a solution over the shortest of these distances
 
 
 def trace(
     problem: Any, along: Any, start: float, stop: float, *, tolerance: float | None = None
 ) -> Path:
-    """Return the solutions for every value of a parameter θ between start and stop: exact pieces, not samples.
+    """Return the exact piecewise affine solution for all values of a parameter θ between start and stop.
 
     Data(θ) = data + θ · direction. The solution is piecewise affine in θ; one linear system leads from each
     breakpoint to the next.
@@ -30,12 +30,12 @@ def trace(
     Parameters
     ----------
     problem : LCP, QuadraticProgram or BoundedLeastSquares, or a problem of cvxpy
-        Its data are those at θ = 0.
+        Problem with the data at θ = 0.
     along : mapping, or a cvxpy Parameter
-        The data that move, with their change per unit of θ: ``{"q": dq}`` and bounds of an LCP; c, h, b and bounds of a
-        program; b, l1 and bounds of least squares. A number moves all entries alike. For a cvxpy problem a scalar
-        Parameter, whose value is θ, or ``{parameter: direction}``, added to its present value; then
-        ``path.value(x, θ)`` is the value of a variable.
+        The moving data, with their change per unit of θ: ``{"q": dq}`` and bounds of an LCP, c, h, b and bounds of a
+        program, or b, l1 and bounds of least squares. A number moves all entries alike. For a cvxpy problem, use a
+        scalar Parameter, whose value is θ, or ``{parameter: direction}``, added to its present value.
+        ``path.value(x, θ)`` is then the value of a variable.
     start, stop : float
         Either may be the larger one.
     tolerance : float, optional
@@ -56,9 +56,9 @@ def trace(
 
     Notes
     -----
-    Cost: a solve at start, then a dense factorization of the unknowns off their bounds per breakpoint. At a singular
-    breakpoint, and where the path of a matrix that is not monotone turns back, the problem is solved again just beyond,
-    and the new segment is extended back to the old one.
+    The cost is one solve at start, then one dense factorization of the unknowns off their bounds per breakpoint. The
+    path may reach a singular breakpoint, or turn back if the matrix is not monotone. The problem is then solved again
+    just beyond, and the new segment is extended back to the old one.
 
     References
     ----------
@@ -98,7 +98,7 @@ def trace(
 def trace_stated(
     problem: Any, along: Any, start: float, stop: float, tolerance: float | None
 ) -> Path:
-    """Return the path of a problem of ours."""
+    """Return the path of a problem of one of the three classes."""
     clock = Clock()
     family = family_of(problem, along, start, stop, tolerance)
     with np.errstate(invalid="ignore", over="ignore", under="ignore", divide="ignore"):
@@ -109,7 +109,7 @@ def trace_stated(
 
 
 class _Trace:
-    """A path while it is traced: t = |θ − start| goes from 0 to `end`, which is stop or where bounds cross."""
+    """A path during the trace: t = |θ − start| goes from 0 to `end`, at stop or where bounds cross."""
 
     def __init__(self, family: Family, start: float, stop: float) -> None:
         self.family, self.path = family, Path(family, start, stop)
@@ -146,7 +146,10 @@ class _Trace:
         return path
 
     def _begin(self, shares: tuple[float, ...]) -> Follower | None:
-        """Return the first follower just beyond; None if no solution exists or it determines no way on."""
+        """Return the first path follower just beyond `reached`, or None.
+
+        The result is None if no solution exists there, or if the solution does not determine a path.
+        """
         for share in shares:
             t = min(self.reached + share * self.span, self.end)
             if t == 0.0 and (follower := self._start_at_corners()) is not None:
@@ -174,15 +177,16 @@ class _Trace:
         )
 
     def _follower(self, t: float, z: FloatVector) -> Follower:
-        """Return a follower from near a solution."""
+        """Return a path follower that starts near a solution."""
         moving = np.flatnonzero(z)
         q = self.problem.q[0] + t * self.problem.q[1]
         return Follower(self.problem, t, z, q + z[moving] @ self.problem.columns.many(moving))
 
     def _reach_back(self, follower: Follower) -> None:
-        """Draw the new piece back to where the last one ended.
+        """Extend the new segment back to the end of the last segment.
 
-        A stretch beyond the ends of its steps is a piece of its own, so that it is judged at points of its own.
+        A stretch beyond the limits of its steps becomes a separate segment, so that its statuses are computed
+        separately.
         """
         t, begin = follower.t, self.reached
         assert follower.motion is not None
@@ -195,7 +199,7 @@ class _Trace:
             self.reached = t
 
     def _add(self, piece: Piece) -> None:
-        """Add a piece, and note if the solution is another one at its begin."""
+        """Add a segment; record a jump or a segment of solutions if the solution is discontinuous there."""
         path = self.path
         if path.pieces and _is_apart(path.pieces[-1].z_at(piece.begin), piece.z0):
             # All solutions of a monotone problem are one convex set.
@@ -203,7 +207,7 @@ class _Trace:
         path.pieces.append(piece)
 
     def _piece(self, line: Segment) -> Piece:
-        """Return the piece of a line, from the θ that its begin is rounded to."""
+        """Return the segment as a `Piece`, from the rounded θ of its begin."""
         begin, rate = self.theta(line.begin), self.units * line.z[1]
         z = self.units * line.z[0]
         z += (self.toward * (begin - self.path.start) - line.begin) * rate
@@ -213,5 +217,5 @@ class _Trace:
 
 
 def _is_apart(one: FloatVector, other: FloatVector) -> bool:
-    """Return whether two solutions, just before and just behind a value of θ, are not the same."""
+    """Return whether two solutions just before and just after a value of θ differ."""
     return bool(np.abs(one - other).max(initial=0.0) > SAME * (1.0 + np.abs(one).max(initial=0.0)))

@@ -1,8 +1,8 @@
-"""The derivative of a solution by the data of its problem, as :mod:`lcp_plugin.systems.linearized` states it.
+"""Derivative of a solution with respect to the data (:mod:`lcp_plugin.systems.linearized`).
 
-Within one active set z is smooth in M, q and the bounds: the free rows are those strictly between their bounds, others
-at one with w ≠ 0. If a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives, each the
-solution of a small LCP on the free and the degenerate rows.
+Within one active set z is smooth in M, q and the bounds. The free rows are strictly between their bounds, all other
+rows are at a bound with w ≠ 0. A row at a bound with w = 0 is degenerate. z then has one-sided derivatives, each
+the solution of a small LCP on the free and the degenerate rows.
 
 References
 ----------
@@ -46,10 +46,10 @@ class Gradient(NamedTuple):
     Attributes
     ----------
     q, lower, upper : ndarray, shape (n,)
-        By the entries of q and of the bounds; 0 for a bound that does not hold. If lower = upper, the gradient
-        belongs to the bound that the sign of w asks for; where both move together their sum counts.
+        Gradients with respect to q and the bounds; 0 for an inactive bound. If lower = upper, the gradient belongs to
+        the bound selected by the sign of w. If both bounds move together, use the sum.
     M : csr_array, shape (n, n)
-        By the entries that M has, in their places.
+        Gradient with respect to the entries of M, on the sparsity pattern of M.
     """
 
     q: FloatVector
@@ -68,8 +68,9 @@ def derivative(result: Any) -> Any:
     Parameters
     ----------
     result : Result or BatchAnswers or March
-        SOLVED, of an LCP; or of a NonlinearProblem, for which dq is a change of F. The hierarchy of M that the run has
-        built is used again, and M is not copied: do not change its entries between the solve and this call.
+        SOLVED result of an LCP or of a NonlinearProblem, for which dq is a change of F. The derivative uses the
+        hierarchy of M built in the run, and M is not copied: do not change its entries between the solve and this
+        call.
         For cones see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
 
     Returns
@@ -82,8 +83,8 @@ def derivative(result: Any) -> Any:
     UnsuitableProblem
         If a Result is not SOLVED, or a march was not solved to its end.
     InvalidOption
-        If it is none of these, or a march over cones: use ``derivative(done[k])`` for each step. For a list of problems
-        over cones use ``derivative(answers[k])``.
+        If the argument is none of these, or is a march over cones: use ``derivative(done[k])`` for each step. For a
+        list of problems over cones use ``derivative(answers[k])``.
 
     Examples
     --------
@@ -142,22 +143,22 @@ class Derivative(LinearizedSystem):
     ----------
     problem : LCP
     z, w : array, shape (n,)
-        Its solution and slack.
+        Solution and slack of the problem.
     is_linearised : bool
-        Whether the problem is a nonlinear one near z: a change dF of F is dq then, and nothing is proved.
+        True if the problem is the linearization of a nonlinear problem at z. dq is then a change dF of F, and nothing
+        is proved.
     before : Derivative, optional
-        Of a problem with the same M: its factor serves again.
+        Derivative for a problem with the same M, whose factorization is used again.
 
     Notes
     -----
-    The solution is solved for again on its free rows, with w in twice the working precision, so that rows are
-    told apart and ∂z/∂M is taken at the solution of the stored doubles, not at a z within the tolerance of it.
+    The solution is computed again on its free rows, with w in twice the working precision. The rows are then
+    classified reliably, and ∂z/∂M is evaluated at the solution of the stored data instead of a z within the tolerance.
 
-    Where M is singular on the free rows, z is one of several solutions, and the derivative that of the least change,
-    in the scaling that M needs: by the Moore–Penrose inverse of at most 500 rows. What all solutions share, as
-    the velocities of contacts whose impulses are not determined, has the derivative by it that all of them give.
-
-    There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
+    If M is singular on the free rows, z is one of several solutions. The derivative is then the least change, in a
+    scaling computed from M, by the Moore–Penrose inverse of at most 500 rows. Quantities common to all solutions,
+    such as contact velocities with undetermined impulses, have the same derivative for every solution. In this case
+    dM is not available, vjp requires a symmetric M, and jvp requires that no row is degenerate.
     """
 
     def __init__(
@@ -178,19 +179,19 @@ class Derivative(LinearizedSystem):
 
     @property
     def z(self) -> FloatVector:
-        """The solution at which the derivative is taken, shape (n,)."""
+        """The solution at which the derivative is evaluated, shape (n,)."""
         return self._rows.z
 
     @property
     def free(self) -> BoolVector:
-        """The rows that `vjp` takes as free, shape (n,); degenerate ones only if they make the block regular."""
+        """Rows that `vjp` treats as free, shape (n,); degenerate rows only if they make the block regular."""
         return self._system.free
 
     @property
     def degenerate(self) -> NDArray[np.intp]:
-        """The rows that are at a bound and have w = 0, as far as rounding of the data can tell.
+        """Rows at a bound with w = 0, up to the rounding error of the data.
 
-        Rows that only give z, as boundary values written as rows of the identity, are none without a bound.
+        Rows without a bound that only prescribe z, such as boundary values as identity rows, do not count.
         """
         return np.flatnonzero(self._rows.degenerate)
 
@@ -200,15 +201,15 @@ class Derivative(LinearizedSystem):
 
     @cached_property
     def is_unique(self) -> bool:
-        """Whether the derivative exists, so that jvp is linear and vjp the only gradient.
+        """True if the derivative exists, so that jvp is linear and vjp the only gradient.
 
-        False if rows are degenerate or M is singular on the free rows, as far as rounding of the data can tell.
+        False if rows are degenerate, or if M is singular on the free rows, up to the rounding error of the data.
         """
         return not (self._is_degenerate or self._system.is_singular)
 
     @cached_property
     def _system(self) -> FreeSystem:
-        """The system of the free rows; where only the degenerate ones make it regular, of those as well."""
+        """System of the free rows, with the degenerate rows only if these make it regular."""
         rows = self._rows
         if rows.system is not None and np.array_equal(rows.system.free, rows.free):
             return rows.system
@@ -220,9 +221,9 @@ class Derivative(LinearizedSystem):
 
     @property
     def determined(self) -> BoolVector:
-        """Which z_i are the same for all solutions with the rows in `free` free, shape (n,); all where M_FF is regular.
+        """Mask of the z_i that all solutions with this `free` share, shape (n,); all True if M_FF is regular.
 
-        If rows are degenerate, solutions with other free rows may have others.
+        If rows are degenerate, solutions with other free rows may differ.
         """
         determined = np.ones(self.problem.q.size, np.bool_)
         determined[self._system.rows] = self._system.determined
@@ -230,7 +231,7 @@ class Derivative(LinearizedSystem):
 
     @cached_property
     def advice(self) -> str:
-        """What to know of a derivative that is not the only one, in words; "" where none is known of others."""
+        """Warning that the derivative is not unique, as text; "" if it is unique."""
         system, rows = self._system, self.degenerate
         if rows.size:
             named = ", ".join(map(str, rows[:5].tolist())) + (", …" if rows.size > 5 else "")
@@ -244,7 +245,7 @@ class Derivative(LinearizedSystem):
     def jvp(
         self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None
     ) -> FloatVector:
-        """Return how z changes with the data, dz; one-sided where rows are degenerate.
+        """Return the change dz of z for changes of the data; one-sided if rows are degenerate.
 
         Parameters
         ----------
@@ -252,19 +253,19 @@ class Derivative(LinearizedSystem):
             The change of M, on any pattern.
         dq : array, shape (n,), optional
         dlower, dupper : number or array, shape (n,), optional
-            The change of the bounds; only those that hold matter.
+            Changes of the bounds; only active bounds matter.
 
         Returns
         -------
         array, shape (n,)
-            In the unit of z over that of the change.
+            Unit of z per unit of the data.
 
         Raises
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
         UnsuitableProblem
-            Where no z solves the free rows after the change, or more than 500 of them are singular, or no one-sided
+            If no z solves the free rows after the change, if more than 500 free rows are singular, or if no one-sided
             derivative exists.
 
         Examples
@@ -281,14 +282,14 @@ class Derivative(LinearizedSystem):
         return dz
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> FloatVector:
-        """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
+        """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         return self._product(self._checked(dz, "dz")) + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
 
         If rows are degenerate, this is the gradient of one of the pieces that meet there (an element of the
-        B-subdifferential): that on which the rows in `free` are free.
+        B-subdifferential), in which the rows in `free` are free.
 
         Parameters
         ----------
@@ -302,7 +303,7 @@ class Derivative(LinearizedSystem):
         InvalidProblem
             For another shape, or numbers that are not finite.
         UnsuitableProblem
-            Where the block of M on more than 500 free rows is singular.
+            If the block of M on more than 500 free rows is singular.
         """
         problem = self.problem
         g, by_w = self._checked(g, "g"), self._optional(gw, "gw")
@@ -324,14 +325,14 @@ class Derivative(LinearizedSystem):
         return h if dM is None else h + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
-        """Return the change of the bound at which a row is, or would be."""
+        """Return the change of the active bound of each row, or of the nearer bound of a free row."""
         is_lower = ~self._rows.is_upper
         return np.where(
             is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper")
         )
 
     def _optional(self, values: ArrayLike | None, name: str) -> FloatVector:
-        """Return a finite vector: zeros where nothing is given; that of a bound may be of one number."""
+        """Return a finite vector, zeros by default; a change of bounds may be a number."""
         if values is None or (name in ("dlower", "dupper") and np.ndim(values) == 0):
             values = np.full(self.problem.q.size, 0.0 if values is None else values)
         return self._checked(values, name)

@@ -1,4 +1,4 @@
-"""The derivatives of a batch: small problems by one stacked system, one by one those that need more digits."""
+"""Derivatives of a batch: one stacked system for small problems, single systems for other problems."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from ...systems.linearized import LinearizedSystem
 from ..batches.batch_run import BatchAnswers
 from ..batches.stated import Group
 
-STEPS = 6  # rounds of active sets; from a solved problem one or two settle all rows
+STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry relative to its row
-HALF = 2.0**-26  # of the digits of a double
-NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
+HALF = 2.0**-26  # half of the digits of double precision
+NUMBERS = "dlower", "dupper", "dfriction"  # data whose change may be one number
 
 
 class BatchPart(LinearizedSystem):
     """Small problems of a batch in arrays, with one stacked system.
 
-    Each solution is computed again on its free rows until that changes it by rounding alone, and its rows are told
-    apart. Rows at a bound with w = 0 are held, or free where only that makes the block regular. A problem with a row
-    that rounding leaves open, or with a block that is neither regular nor clearly singular, is not plain.
+    Each solution is computed again on its free rows until it changes only by rounding error, and its rows are
+    classified. Rows at a bound with w = 0 are fixed, or free if only this makes the block regular. A problem is not
+    plain if rounding error leaves a row undecided, or if its block is neither regular nor clearly singular.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class BatchPart(LinearizedSystem):
         return [dz]
 
     def gradients(self, g: Any, by_w: Any) -> list[Any]:
-        """Return those by q, lower and upper, by least norm if blocks are singular."""
+        """Return the gradients by q, lower and upper, of least norm if blocks are singular."""
         g, by_w = np.broadcast_to(g, self.z.shape), np.where(self.free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
         return [
@@ -124,9 +124,9 @@ class BatchGradient:
     Attributes
     ----------
     q, lower, upper : array, shape (B, n)
-        As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row per problem; contacts have q (by b) and
-        friction, shape (B, k). NaN if `errors` of the derivative says why there is none; 0 if the function does not
-        depend on the problem, and for contacts that are not there.
+        Gradients for each problem, see :class:`~lcp_plugin.problems.sensitivity.Gradient`. Contact problems have q (by
+        b) and friction, shape (B, k). Rows are NaN if `errors` of the derivative contains an error, and 0 for absent
+        contacts or if the function does not depend on the problem.
     """
 
     q: Any
@@ -140,27 +140,30 @@ class BatchGradient:
 
     @cached_property
     def M(self) -> Any:
-        """The gradients by the entries of M, in the form in which M was given; computed when first read.
+        """Gradients by the entries of M, in the format of M; computed on first access.
 
-        Shape (B, n, n), by all entries, for an M each. If one M stands for all, their sum: shape (n, n), or a
-        csr_array with the pattern of a sparse M. For a list of LCPs a list with a csr_array on each one's pattern.
+        Shape (B, n, n), by all entries, if each problem has its M. If all problems share M, the sum of the
+        gradients: shape (n, n), or a csr_array with the pattern of a sparse M. For a list of LCPs a list of
+        csr_arrays with the patterns of the matrices.
         """
         return self._by_M()
 
 
 class ManyDerivatives:
-    """The derivatives of many answers, ``found[k]`` that of answer k: of some together, of the rest one by one.
+    """Derivatives of a batch; ``found[k]`` is the derivative of result k.
+
+    Small problems share stacked systems, other problems are treated one by one.
 
     Parameters
     ----------
     batch : BatchAnswers
     each : callable
-        Gives that of one answer.
+        Returns the derivative of one result.
 
     Attributes
     ----------
     errors : dict
-        Why item k has none.
+        Error of each item without a derivative.
     """
 
     def __init__(self, batch: BatchAnswers, each: Callable[[Any], Any]) -> None:
@@ -185,12 +188,12 @@ class ManyDerivatives:
 
     @cached_property
     def _parts(self) -> Sequence[Any]:
-        """Items together: their numbers `items`, and `is_plain`, which of them have what it gives."""
+        """Stacks of items: indices `items`, and the mask `is_plain` of items with a derivative."""
         raise NotImplementedError
 
     @cached_property
     def _left(self) -> list[int]:
-        """The solved items that have it from no part."""
+        """Solved items without a derivative in any stack."""
         is_left = self._is_solved.copy()
         for part in self._parts:
             is_left[part.items[part.is_plain]] = False
@@ -202,9 +205,10 @@ class ManyDerivatives:
         of_part: Callable[[Any], Sequence[Any]],
         of_one: Callable[[int], Sequence[Any]],
     ) -> list[int]:
-        """Write the rows of all items that have any, and return which of them were asked one by one.
+        """Write the rows of all items with a derivative; return the items that were treated one by one.
 
-        These are the ones left, and those whose first row is NaN in their part. What is wrong with one is noted.
+        These are the items outside of all stacks, and items with NaN in the first row of their stack. Errors are
+        stored in `errors`.
         """
         alone = [*self._left]
         for part in self._parts:
@@ -224,14 +228,14 @@ class ManyDerivatives:
 
     @cached_property
     def z(self) -> Any:
-        """The solutions at which the derivatives are taken, shape (B, n); NaN if there is none."""
+        """The solutions at which the derivatives are evaluated, shape (B, n); NaN if there is none."""
         z = np.full(self.batch.z.shape, np.nan)
         self._fill([z], lambda part: [part.points], lambda k: [self[k].z])
         return read_only(z)
 
     @cached_property
     def degenerate(self) -> Any:
-        """Rows with w = 0 at a bound, shape (B, n), or contacts on the edge of two cases, (B, k), of bool."""
+        """Rows with w = 0 at a bound, bool, shape (B, n), or degenerate contacts, shape (B, k)."""
         found = np.zeros((len(self), self._pieces), np.bool_)
         places = np.arange(self._pieces)
         self._fill(
@@ -249,7 +253,7 @@ class ManyDerivatives:
         return np.broadcast_to(self._is_solved[:, np.newaxis], (len(self), self._pieces))
 
     def _rows(self, values: Any, name: str) -> Any:
-        """Return a vector for each problem, 0 by default; those of unsolved problems may be anything."""
+        """Return a vector for each problem, 0 by default; rows of unsolved problems are ignored."""
         is_there = self._is_there(name)
         values = np.zeros(is_there.shape[1]) if values is None else values
         return self._given(values, name, is_there)
@@ -268,7 +272,7 @@ class ManyDerivatives:
         return products(self._given(dM, "dM", is_there), z) + change
 
     def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
-        """Write 0 for the items without a derivative of which functions with these gradients ask for none."""
+        """Write 0 for items without a derivative whose functions have zero gradients."""
         for k in self.errors:
             rows = [one[k] if np.ndim(one) > 1 else one for one in given if one is not None]
             if not any(np.any(np.asarray(row) != 0.0) for row in rows):
@@ -276,7 +280,7 @@ class ManyDerivatives:
                     table[k][:] = 0.0
 
     def _given(self, values: Any, name: str, is_there: Any) -> Any:
-        """Return an array like `is_there`, 0 where nothing is; the same for all where its first axis is left out."""
+        """Return an array like `is_there`, 0 for absent entries; one row may stand for all problems."""
         shape, own = is_there.shape, is_there.shape[1:]
         letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
         one = f"({letters})" if len(own) > 1 else f"({letters},)"
@@ -296,38 +300,39 @@ class ManyDerivatives:
 class BatchDerivative(ManyDerivatives):
     """The derivatives of the solutions of a batch with respect to the data, one for each problem.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, which says what is proved of
-    it. What the arrays say of all problems equals what it says, to rounding.
+    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, with its proofs. The arrays
+    for all problems agree with it to rounding error.
 
     Parameters
     ----------
     batch : BatchAnswers
     each : callable
-        Gives the Derivative of a Result.
+        Returns the Derivative of a Result.
 
     Attributes
     ----------
     errors : dict
-        Why problem k has no derivative: an UnsuitableProblem where it is not solved, an InvalidProblem where it is
-        none. What `vjp` and `jvp` meet is added, where that of :class:`~lcp_plugin.problems.sensitivity.Derivative` is
-        rejected. The rows of these problems are NaN, and cost the others nothing.
+        Error of each problem without a derivative: UnsuitableProblem if it is not solved, InvalidProblem if its data
+        are invalid. Calls of `vjp` and `jvp` add the errors raised by
+        :class:`~lcp_plugin.problems.sensitivity.Derivative`. The rows of these problems are NaN and do not affect
+        other problems.
 
     Notes
     -----
-    Small problems are solved as one stack. Problems near a kink, with free blocks of which it is in doubt whether they
-    are singular, or in need of a one-sided derivative are left to their Derivative, which takes a hundred times as
-    long. A batch of several sizes has no derivative: write ``[derivative(answer) for answer in batch]``.
+    Small problems are solved as one stack. A problem is passed to its Derivative, which takes a hundred times as long,
+    if it is close to a kink, if its free block may be singular, or if it needs a one-sided derivative. A batch of
+    several sizes has no derivative: write ``[derivative(answer) for answer in batch]``.
     """
 
     @cached_property
     def free(self) -> Any:
-        """The rows that `vjp` takes as free, shape (B, n), of bool."""
+        """Rows that `vjp` treats as free, bool, shape (B, n)."""
         free = self._table(False)
         self._fill([free], lambda part: [part.free], lambda k: [self[k].free])
         return free
 
     def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
-        """Return how each z changes with its data, dz; one-sided where rows are degenerate.
+        """Return the change dz of each z for changes of the data; one-sided if rows are degenerate.
 
         Parameters
         ----------
@@ -335,7 +340,7 @@ class BatchDerivative(ManyDerivatives):
             The change of M, on any pattern.
         dq : array, shape (B, n) or (n,), optional
         dlower, dupper : number or array, shape (B, n) or (n,), optional
-            The change of the bounds; only those that hold matter.
+            Changes of the bounds; only active bounds matter.
 
         Returns
         -------
@@ -407,13 +412,13 @@ class BatchDerivative(ManyDerivatives):
         for k in left:
             z[k] = self[k].z
         for k in self.errors:
-            if not np.any(by_q[k]):  # nothing was asked of a problem without z
+            if not np.any(by_q[k]):  # the function does not depend on this problem
                 z[k] = np.zeros_like(z[k])
         return self.batch.problems.outer(by_q, z)
 
     @cached_property
     def _parts(self) -> list[BatchPart]:
-        """The groups of small problems, settled."""
+        """The groups of small problems, with classified rows."""
         return [
             BatchPart(group, self.batch.z[group.items], self._is_solved[group.items])
             for group in self.batch.problems.groups()

@@ -1,4 +1,4 @@
-"""The derivatives of many worlds with contact: as of one problem whose matrix is stacked, one by one of the rest."""
+"""Derivatives of a batch of contact problems: stacked systems, or single problems in doubtful cases."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..cones.stack import ConeStack
 from ..many.chunks import run_in_chunks
 from .batch_derivative import BatchGradient, ManyDerivatives
 
-NAMED = 5  # worlds, in words
-TOGETHER = 512  # worlds whose arrays a cache holds
+NAMED = 5  # instances in a message
+TOGETHER = 512  # instances whose arrays fit into the cache
 
 
 class _Together(StackDerivative):
-    """The derivatives of some worlds, with an inverse of each one's system."""
+    """Derivatives of some instances, with an inverse of each system."""
 
     def __init__(self, stack: ConeStack, z: Any, items: Any, is_solved: Any) -> None:
         super().__init__(stack, stack.pattern.wide(z))
@@ -42,18 +42,18 @@ class _Together(StackDerivative):
 
     @property
     def degenerate(self) -> Any:
-        """The contacts on the edge of two cases, shape (B, k)."""
+        """Degenerate contacts, on the boundary of two contact modes, shape (B, k)."""
         return self.is_degenerate
 
     def changes(self, change: Any, slopes: Any) -> list[Any]:
-        """Return [dz], a row a world, by changes of W z + b and of friction; NaN if it is one-sided."""
+        """Return [dz], a row per instance, by changes of W z + b and of friction; NaN if one-sided."""
         more = self.by_friction * np.repeat(slopes, self.stack.pattern.sizes, axis=1)
         dz = self.tangent(change, None, more)
         dz[self.is_degenerate.any(axis=1)] = np.nan
         return [dz]
 
     def rows_of_gradients(self, g: Any, by_w: Any) -> list[Any]:
-        """Return the gradients by b and by friction, a row a world."""
+        """Return the gradients by b and by friction, a row per instance."""
         by_q, _, by_friction = self.gradients(g, by_w)
         return [by_q, by_friction]
 
@@ -62,29 +62,28 @@ class _Together(StackDerivative):
 
 
 class ContactBatchDerivative(ManyDerivatives):
-    """The derivatives of the impulses of many worlds by their W, b and friction.
+    """Derivatives of the impulses of a batch of contact problems with respect to W, b and friction.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of world k. What the arrays say of
-    all worlds equals what it says, to rounding.
+    ``found[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of instance k. The arrays for
+    all instances agree with it to rounding error.
 
     Parameters
     ----------
     batch : BatchAnswers
     each : callable
-        Gives the ConeDerivative of a ConeResult.
+        Returns the ConeDerivative of a ConeResult.
 
     Attributes
     ----------
     errors : dict
-        Why world k has no derivative: an UnsuitableProblem where it is not solved, an InvalidProblem where it is none.
-        Their rows are NaN, and cost the others nothing.
+        Error of each instance without a derivative: UnsuitableProblem if it is not solved, InvalidProblem if its data
+        are invalid. The rows of these instances are NaN and do not affect other instances.
 
     Notes
     -----
-    The systems of all worlds are inverted at the first call, on as many threads as the batch had; every `vjp` and `jvp`
-    after it is a product.
-    Those that leave in doubt whether their system is singular, and `jvp` of those with degenerate contacts are left to
-    their ConeDerivative, which takes a hundred times as long.
+    The first call inverts the systems of all instances, with the number of threads of the batch. Every later `vjp` and
+    `jvp` is a product. An instance is passed to its ConeDerivative, which takes a hundred times as long, if its system
+    may be singular, or for `jvp` if it has degenerate contacts.
 
     Examples
     --------
@@ -107,7 +106,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
     @cached_property
     def _parts(self) -> list[_Together]:
-        """The derivatives of some worlds after the others."""
+        """Derivatives of the instances, in groups."""
         worlds, z, is_solved = self.worlds, self.batch.z, self._is_solved[:, np.newaxis]
         parts: list[Any] = [None] * max(-(-len(self) // TOGETHER), 1)
 
@@ -127,7 +126,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
     @cached_property
     def is_singular(self) -> Any:
-        """The worlds in which several impulses make one motion, shape (B,), of bool: dz is the least of several."""
+        """Instances in which several impulses make one motion, bool, shape (B,); dz is then of least norm."""
         is_singular = np.zeros(len(self), np.bool_)
         for part in self._parts:
             is_singular[part.items] = part.is_plain & part.system.is_singular
@@ -137,7 +136,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
     @property
     def advice(self) -> str:
-        """What to know of derivatives that are not the only ones, in words; "" where none is known of others."""
+        """Warning that derivatives are not unique, as text; "" if all are unique."""
         named = {
             "contacts on the edge of two cases: jvp is one-sided there, and vjp the gradient of one of the pieces that "
             "meet": self.degenerate.any(axis=1),
@@ -153,7 +152,7 @@ class ContactBatchDerivative(ManyDerivatives):
         )
 
     def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
-        """Return the changes dz that changes of the data make, shape (B, n); one-sided where contacts are degenerate.
+        """Return the changes dz for changes of the data, shape (B, n); one-sided at degenerate contacts.
 
         Parameters
         ----------
@@ -179,13 +178,13 @@ class ContactBatchDerivative(ManyDerivatives):
         return dz
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Any:
-        """Return the changes of the velocities w = W z + b that go with changes dz of z, shape (B, n)."""
+        """Return the changes of the velocities w = W z + b for changes dz of z, shape (B, n)."""
         dw = products(self.worlds.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
         return dw
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> BatchGradient:
-        """Return the gradients of functions L_k(z_k, w_k) of each world by its b, W and friction.
+        """Return the gradients of a function L_k(z_k, w_k) of each instance by b, W and friction.
 
         Parameters
         ----------
@@ -218,11 +217,11 @@ class ContactBatchDerivative(ManyDerivatives):
 
     @property
     def _pieces(self) -> int:
-        """Number of contacts, those that are not there included."""
+        """Number of contacts per instance, absent contacts included."""
         return int(self.worlds.friction.shape[1])
 
     def _is_there(self, name: str) -> Any:
-        """Return the rows, or the contacts, that solved worlds have."""
+        """Return the mask of the rows, or contacts, of solved instances."""
         d = 1 if name == "dfriction" else self.worlds.dimension
         counts = np.where(self._is_solved, d * self.worlds.contacts, 0)
         return np.arange(d * self._pieces) < counts[:, np.newaxis]

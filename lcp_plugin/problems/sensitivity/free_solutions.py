@@ -1,4 +1,4 @@
-"""Changes of the free rows: by their system, by the least change where it is singular, one-sided at a kink."""
+"""Changes of the free rows: regular solution, least change if singular, one-sided change at a kink."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SINGULAR = (
 
 
 def words_on_singular(system: FreeSystem) -> str:
-    """Return what to know of a derivative where M is singular on the free rows."""
+    """Return a warning about a derivative if M is singular on the free rows."""
     inverse = system.pseudo_inverse
     if inverse is None:
         return SINGULAR
@@ -34,7 +34,7 @@ def words_on_singular(system: FreeSystem) -> str:
 
 
 def solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False) -> FloatVector:
-    """Return the solution, that of least norm where the block is singular."""
+    """Return the solution, with least norm if the block is singular."""
     x = system.solve(right, transposed=transposed)
     if x is not None:
         return x
@@ -59,8 +59,8 @@ def solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False
 def one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:
     """Return the one-sided derivative: the solution of an LCP on the free and the degenerate rows.
 
-    d = db, which is `moved`, on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its
-    lower bound d ≥ db, (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
+    Rows fixed at a bound have d = db, which is `moved`, and free rows have (M d + h)_i = 0. Degenerate rows at a lower
+    bound have d ≥ db and (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
     """
     lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
     upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)

@@ -2,8 +2,8 @@
 
 Complementarities, equations and convex quadratic programs written in Pyomo are solved in this process, without an
 executable. Pyomo's writer puts the rows into an ``.nl`` file, which the reader of those files turns into the problem;
-the pairs are taken as they are stated. The model stays as it was written, so that a changed ``Param`` needs no more
-than another ``solve``, which starts from the values that the variables have.
+the pairs are read from the model. The model is not changed, so that after a change of a ``Param`` another ``solve``
+is enough. It starts from the values of the variables.
 
 >>> import pyomo.environ as pyo
 >>> from pyomo.mpec import Complementarity, complements
@@ -26,40 +26,41 @@ than another ``solve``, which starts from the values that the variables have.
 >>> results.solver.termination_condition.value, [round(m.x[i].value, 6) for i in m.x]
 ('optimal', [0.0, 1.386294])
 
-**What is taken.** ``Complementarity`` and ``ComplementarityList``, indexed and in blocks, with inequalities, ranges, as
-``complements(inequality(0, x, 5), F)``, or equations, of variables or expressions; constraints that are equations;
-smooth functions, ``Expression``; fixed variables, deactivated components, mutable parameters anywhere. There must be
-as many equations and pairs as variables. Without complementarities: linear and convex quadratic programs, and systems
-of equations. **An objective beside complementarities** asks for the best of all solutions; then inequalities and bounds
-are constraints, there may be any number of equations, and integer variables. Objective, rows and pairs may be smooth,
-convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[global]'``). Without it, and with
+**Supported.** ``Complementarity`` and ``ComplementarityList``, indexed and in blocks, of variables or expressions: with
+inequalities, ranges, as ``complements(inequality(0, x, 5), F)``, or equalities. Equality constraints; smooth
+functions, ``Expression``; fixed variables, deactivated components, mutable parameters anywhere. There must be as many
+equations and pairs as variables. Without complementarities: linear and convex quadratic programs, and nonlinear
+systems. **An objective with complementarities** requests the best of all solutions; then inequalities and bounds are
+constraints, there may be any number of equalities, and integer variables. Objective, rows and pairs may be smooth,
+convex or not: SCIP searches if it is installed (``pip install 'lcp_plugin[global]'``). Without it, and with
 ``prove=True``, rows are affine and the objective convex quadratic, and the gap is proved.
 
-- Without an objective, bounds that a variable has of its own belong to its pair, stated there or not, as PATH and AMPL
-  take them: at an upper one the row may be < 0. The message names such a bound where a variable stops at it.
-- Inequalities next to complementarities, and bounds of a variable that no pair holds, are checked at the solution of
-  the pairs. If one is violated, another solution of the pairs is searched, as with an objective; if none is found, the
-  message names what is violated.
-- A pair whose variable is fixed is checked in the same way, as that of a price which is the unit.
-- Refused in words: disjunctions, functions that are not smooth or that SCIP does not know; without complementarities
-  integers, nonlinear rows beside an objective, objectives that are not convex.
-- Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on a range beside an expression, states another problem for a
-  range beside a variable, and loosens upper bounds. A model to which it was applied is solved as it left it.
+- Without an objective, all bounds of a variable belong to its pair, stated there or not, as PATH and AMPL take them:
+  at an upper bound the row may be < 0. The message names such a bound if a variable stops at it.
+- Inequalities next to complementarities, and bounds of variables without a pair, are checked at the solution of the
+  pairs. If one is violated, another solution of the pairs is searched, as with an objective. If none is found, the
+  message names the violated condition.
+- A pair whose variable is fixed, for example the price of a numeraire, is checked in the same way.
+- Rejected with an error: disjunctions, functions that are not smooth or that SCIP does not have; without
+  complementarities also integers, nonlinear rows if there is an objective, objectives that are not convex.
+- Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on the pair of a range and an expression, states another problem
+  for the pair of a range and a variable, and loosens upper bounds. A model that it has changed is solved as changed.
 
-**Options** are those of :func:`lcp_plugin.solve`: ``solver.options["algorithm"] = "newton"``, or
+**Options** are the options of :func:`lcp_plugin.solve`: ``solver.options["algorithm"] = "newton"``, or
 ``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
-``keepfiles=True`` the ``.nl`` file stays; ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve,
-where ``model.write`` knows no complementarities. With an objective beside complementarities ``tolerance`` is that of
-the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes; ``algorithm`` is rejected; the message says whose
-the bound is. Values that the variables have are tried first. The command
-``pyomo solve --solver=lcp_plugin model.py`` knows the solver too.
+``keepfiles=True`` the ``.nl`` file stays. ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve;
+``model.write`` rejects complementarities. With an objective and complementarities, ``tolerance`` limits the gap, 1e-6
+by default, and ``max_iterations`` limits the nodes; ``algorithm`` is rejected. The message then names the source of
+the bound. The present values of the variables are tried first. The command
+``pyomo solve --solver=lcp_plugin model.py`` also uses the solver.
 
-**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only if the answer is SOLVED, ``infeasible``
-and ``unbounded`` only with a proof; ``noSolution``: none found, none excluded; ``other``: no better in double precision
-(where the bounds alone are the answer ``absolute_tolerance`` says how small is small enough), or something beside the
-pairs does not hold. ``results.solver.message`` says it; ``solver.result`` is our own result of the last solve. A
-``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers
-of a program; ``rc`` that of its variables. With an objective beside complementarities, rows without a pair get 0.
+**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only if the status is SOLVED, ``infeasible``
+and ``unbounded`` only with a proof. ``noSolution`` means that none was found and none excluded. ``other`` means that
+double precision allows no better result (if the bounds are the solution, set ``absolute_tolerance``), or that a side
+condition is violated. ``results.solver.message`` has the reason; ``solver.result`` is the result object of the last
+solve. A ``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the
+multipliers of a program; ``rc`` gets the multipliers of its variables. With an objective and complementarities, rows
+without a pair get 0.
 """
 
 from __future__ import annotations
@@ -149,7 +150,7 @@ class LCPPlugin:
         self.options.update({name: value for name, value in given.items() if value is not None})
 
     def config_block(self, init: bool = False) -> Any:
-        """Return what the command ``pyomo solve --solver=lcp_plugin`` may be asked for."""
+        """Return the options of the command ``pyomo solve --solver=lcp_plugin``."""
         from pyomo.scripting.solve_config import default_config_block
 
         return default_config_block(self, init)[0]
@@ -178,17 +179,17 @@ class LCPPlugin:
         load_solutions : bool
             Put the answer into the variables and suffixes; otherwise ``model.solutions.load_from(results)`` does.
         timelimit : float, optional
-            In seconds.
+            Limit in seconds.
         options : dict, optional
-            For this solve, beside those of ``self.options``.
+            Options of this solve, in addition to ``self.options``.
         keepfiles : bool
-            Leave the ``.nl`` file, as it is solved, in a folder of its own and say where.
+            Keep the ``.nl`` file of the solved problem, in a new folder, and print its path.
         symbolic_solver_labels : bool
-            Beside it the names of rows and columns.
+            Also write the names of rows and columns.
         warmstart : bool
-            Accepted for others' sake: a run always begins at the values of the variables.
+            Accepted for compatibility: a run always begins at the values of the variables.
         file_determinism : int, optional
-            Accepted for others' sake: the same model always becomes the same file.
+            Accepted for compatibility: the same model always gives the same file.
 
         Raises
         ------
@@ -220,7 +221,7 @@ class LCPPlugin:
 def answered_in_a_folder(
     model: Any, options: dict[str, Any], keepfiles: bool, labels: bool
 ) -> PyomoAnswer:
-    """Return the answer to a model, through a file that is kept only if it is asked for."""
+    """Return the solution of a model, through a file that is kept only on request."""
     if keepfiles:
         folder = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd()))
         answer = answered(model, options, folder / "model.nl")
@@ -308,7 +309,7 @@ def _solution_of(answer: PyomoAnswer, model: Any, results: Any) -> Any:
 
 
 def _keep(solution: Any, model: Any, results: Any) -> None:
-    """Keep a solution that is loaded among those of the model, which ``pyomo solve`` writes into a file."""
+    """Keep a loaded solution in the model, because ``pyomo solve`` writes it into a file."""
     model.solutions.clear()
     model.solutions.add_symbol_map(results._smap)
     model.solutions.add_solution(solution, results._smap_id)

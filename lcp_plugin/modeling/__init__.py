@@ -12,7 +12,7 @@
   also form a pair. Coulomb friction: ``complements(friction_cone(r, mu), W @ r + b)``; of each contact the normal
   impulse is first, then the tangents. Only definitions may be listed with friction.
 - ``complements(y, G == 0)``, or ``G == 0`` in the list: a free variable and its equation. If y is bounded, G == 0 is
-  required only where y is strictly between its bounds, and a ``ModelWarning`` is issued.
+  required only if y is strictly between its bounds, and a ``ModelWarning`` is issued.
 - Bounds of a variable that equations define, for example ``w == M @ x + q`` with w nonneg. If the solution violates
   bounds that no pair states, the search for the best of all solutions looks for another one.
 

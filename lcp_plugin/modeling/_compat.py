@@ -1,4 +1,4 @@
-"""What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense."""
+"""Internals of cvxpy: the location of its atoms, and values with sparse constants kept."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def leaf_value(leaf: Any) -> Any:
 
 
 def shaped(node: Any, value: Any) -> Any:
-    """Return what the atom computed as an array of the atom's shape; sparse stays sparse, as CSC, in two dimensions."""
+    """Return the value of the atom in the atom's shape; a sparse 2-D value stays sparse, as CSC."""
     if sp.issparse(value):
         if value.shape == node.shape and len(node.shape) == 2:
             return sp.csc_array(value)
@@ -176,12 +176,12 @@ def by_columns(value: Any) -> Any:
 
 
 class UnsolvableModel(UnsupportedModel, SolverError):  # type: ignore[misc]
-    """A model that no algorithm here takes: an UnsupportedModel of ours, and a SolverError of cvxpy's."""
+    """Error for a model that no algorithm supports: an UnsupportedModel and cvxpy's SolverError."""
 
 
 @contextmanager
 def solver_errors() -> Iterator[None]:
-    """Let what is refused inside cvxpy be caught as a SolverError, too."""
+    """Raise an UnsupportedModel from inside cvxpy as an error that is also a SolverError."""
     try:
         yield
     except UnsupportedModel as error:
@@ -220,7 +220,7 @@ def attribute_expressions(variable: Any) -> tuple[Any, Any]:
 
 
 def bound_value(bound: Any, owner: Any) -> Any:
-    """Return a bound that a user gave as an array of doubles; raise where it is none."""
+    """Return the user's bound as a float64 array; raise if it is not one."""
     if bound is None:
         raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
     if isinstance(bound, cp.Expression) and bound.variables():
@@ -258,7 +258,7 @@ CVXPY_STATUS = {
 
 
 def statistics(result: Any) -> dict[str, Any]:
-    """Return what cvxpy keeps of a run besides its values."""
+    """Return cvxpy's record of a run, without the values."""
     return {
         settings.SOLVE_TIME: result.seconds,
         settings.SETUP_TIME: getattr(result, "setup_seconds", None),

@@ -1,7 +1,7 @@
-"""How each atom of cvxpy is made of what the subpackage `expressions` knows: sums, products, entries moved, functions.
+"""Rules of cvxpy's atoms: each builds rows from sums, products and functions of `expressions`.
 
-A rule takes a compiler, the node, and its arguments as they were read: arrays and sparse matrices where they are
-constant, else rows. What it returns has the node's entries by columns.
+A rule takes a compiler, the node, and its arguments as they were read: arrays and sparse matrices for constants,
+else rows. It returns the node's entries by columns.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
 
 @cache
 def affine_rule(kind: type) -> Rule | None:
-    """Return the rule of a class of affine atoms; asked once, because cvxpy's classes take a while to answer."""
+    """Return the rule of a class of affine atoms; cached, because cvxpy's classes are slow."""
     return next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
 
 
@@ -37,7 +37,7 @@ def broadcasts(rule: Rule) -> bool:
 
 
 def rule_of(node: Any) -> Rule | None:
-    """Return the rule for an atom that is not affine by its class; None where there is none."""
+    """Return the rule for an atom that is not affine by its class; None if there is no rule."""
     if node.is_atom_affine():
         return _by_jacobian
     return next((SMOOTH[kind] for kind in type(node).__mro__ if kind in SMOOTH), None)
@@ -90,7 +90,7 @@ def _applied(matrix: Any, right: Any) -> Any:
 
 
 def refused(node: Any) -> UnsupportedModel:
-    """Return the error that names an atom without a rule, and what to write instead."""
+    """Return the error that names an atom without a rule, and a remedy."""
     if isinstance(node, atoms.NONSMOOTH):
         return UnsupportedModel(
             f"{name_of(node)} is not smooth, so that no derivative tells how it goes on; give its kink a variable "
@@ -132,7 +132,7 @@ def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
     """Return cvxpy's own derivative of an atom by argument k.
 
-    cvxpy's affine atoms take parameters for constants, and give zero for them: a variable stands in for these.
+    cvxpy's affine atoms take parameters for constants, with gradient zero: a variable replaces them here.
     """
     try:
         stand_in = node
@@ -147,7 +147,7 @@ def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
         matrix = sp.csr_array(jacobian if sp.issparse(jacobian) else np.atleast_2d(jacobian))
         if matrix.shape != (values[k].size, node.size):
             raise ValueError(f"its derivative has the shape {matrix.shape}")
-    except Exception as error:  # whatever an atom of cvxpy makes of it
+    except Exception as error:  # any error of an atom of cvxpy
         raise UnsupportedModel(
             f"cvxpy gives no derivative of {name_of(node)} by its argument {name_of(node.args[k])} ({error}); make the "
             "value of this atom a parameter of its own, and multiply by its derivative yourself"
@@ -168,7 +168,7 @@ def _negated(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _broadcast(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    """Leave it to those who need all entries: a number times a sparse matrix is first promoted to a full one."""
+    """Return the argument: a number times a sparse matrix is first promoted to a full matrix."""
     rows: Rows = arguments[0]
     return rows
 
@@ -184,7 +184,7 @@ def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    """Let the atom move entry numbers instead of entries: where they end is which rows it takes."""
+    """Let the atom move entry numbers instead of entries: the result shows which rows it takes."""
     parts = [Rows.of(argument) for argument in arguments]
     if any(part.places is None for part in parts):
         parts = [part.full() for part in parts]
@@ -249,7 +249,7 @@ def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _reduced(node: Any) -> Indices:
-    """Return the entries that each result is made of, along the node's axis: shape (entries, results)."""
+    """Return the entries of each result, along the node's axis: shape (entries, results)."""
     shape, axes = node.args[0].shape, _axes(node)
     moved = np.moveaxis(
         np.arange(math.prod(shape)).reshape(shape, order="F"), axes, range(len(axes))
@@ -291,7 +291,7 @@ def _log_sum_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     groups = _reduced(node)
     terms: Rows = arguments[0].taken(
         groups.ravel()
-    )  # those of one place in the groups follow each other
+    )  # entries at one position of all groups are consecutive
     left: list[Rows] = []
     count, size = groups.shape
     while count > 1:

@@ -1,7 +1,7 @@
-"""An objective beside complementarity in cvxpy: the best of all solutions.
+"""Objectives over complementarity constraints in cvxpy: the best of all solutions.
 
 Objectives and rows that follow cvxpy's rules of convexity and make a quadratic program are compiled by cvxpy: norms,
-maxima, absolute values. Everything else is read by our own expressions, whatever their curvature: products, smooth
+maxima, absolute values. The expressions of this package read all other terms, of any curvature: products, smooth
 sides, integers.
 """
 
@@ -30,12 +30,12 @@ COMPILED = -(2**62)  # key of the unknowns of a program that cvxpy compiled
 
 
 def stated_program(problem: Any) -> tuple[EquilibriumProgram, Model]:
-    """Return the equilibrium program of a cvxpy problem, and the way back.
+    """Return the equilibrium program of a cvxpy problem, and the map back to its variables.
 
     Raises
     ------
     UnsupportedModel
-        Naming what is neither convex nor smooth.
+        Names a term that is neither convex nor smooth.
     """
     pairs = [one for one in problem.constraints if isinstance(one, Complements)]
     others = [one for one in problem.constraints if not isinstance(one, Complements)]
@@ -98,7 +98,7 @@ def _read(problem: Any, pairs: list[Any], others: list[Any]) -> tuple[Equilibriu
 
 
 def _chosen(variable: Any, chosen: Any) -> Indices:
-    """Return which entries, column by column, cvxpy's ``boolean_idx`` or ``integer_idx`` names."""
+    """Return the mask of cvxpy's ``boolean_idx`` or ``integer_idx``, column by column."""
     if not len(chosen):
         return np.zeros(0, dtype=np.int64)
     # Arrays of row numbers and column numbers; or a list of entries.
@@ -108,7 +108,7 @@ def _chosen(variable: Any, chosen: Any) -> Indices:
 
 
 def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
-    """Return the expression with x + 2 s in the place of |x|, 0 ≤ s ⟂ x + s ≥ 0 being added to the pairs."""
+    """Return the expression with x + 2 s instead of |x|; 0 ≤ s ⟂ x + s ≥ 0 is added to the pairs."""
     arguments = [_without_abs(one, kinks) for one in expression.args]
     if isinstance(expression, cp.abs) and not expression.is_constant():
         x, s = arguments[0], cp.Variable(expression.shape)
@@ -120,7 +120,7 @@ def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
 
 
 def solve_for_the_best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
-    """Solve a cvxpy problem with an objective beside complementarities, and write the answer back; return its value."""
+    """Solve a cvxpy problem with an objective and complementarities; return its value."""
     for name in options:
         if name not in OPTIONS:
             raise UnsupportedModel(

@@ -1,8 +1,8 @@
 """`certify` for a cvxpy problem that some solver has filled.
 
 Proofs are about the program that cvxpy compiles, with the user's values in it; auxiliary variables are optimized with
-these values fixed. That the program is the problem is checked by cvxpy's own value of the objective and its own
-residuals of the constraints.
+these values fixed. That the program is equivalent to the problem is checked with cvxpy's values of the objective and
+of the constraint residuals.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CLAIMED = {
 
 
 def certify_problem(problem: Any, tolerance: float) -> Certification:
-    """Return what is proved about the values and the status of a cvxpy problem."""
+    """Return the proved properties of the values and the status of a cvxpy problem."""
     _check(problem)
     compiled = CompiledProblem.of(problem)
     if problem.status in CLAIMED:
@@ -56,7 +56,7 @@ def certify_problem(problem: Any, tolerance: float) -> Certification:
 
 
 def _check(problem: Any) -> None:
-    """Raise where this is no solved problem that QPSolver could take."""
+    """Raise an error unless this is a solved problem that QPSolver could take."""
     if not isinstance(problem, cp.Problem):
         raise InvalidProblem(
             f"certify needs a cvxpy.Problem or a QuadraticProgram, got {type(problem).__name__}; give one of these"
@@ -100,7 +100,7 @@ def _point(problem: Any, compiled: CompiledProblem) -> FloatVector:
 
 
 def _disagreement(problem: Any, compiled: CompiledProblem, x: FloatVector, tolerance: float) -> str:
-    """Return what cvxpy's own values of the stated problem say against the program at x, or nothing."""
+    """Compare cvxpy's values of the problem with the program at x; return a mismatch, or ""."""
     program, own = compiled.program, np.abs(x)
     with np.errstate(all="ignore"):
         stated = sense_of(problem) * float(dense_value(problem.objective.value))

@@ -21,13 +21,13 @@ from .stated_terms import dense_value
 
 
 class Entries(NamedTuple):
-    """Which unknown of a program each entry of a variable is, column by column.
+    """Unknowns of a program that are the entries of a variable, column by column.
 
     Attributes
     ----------
     places : ndarray of int
     signs : ndarray
-        −1 where the entry is the unknown with the other sign, 0 where it is always zero.
+        −1 if the entry is the negative of the unknown, 0 if the entry is always zero.
     shape : tuple
     """
 
@@ -39,13 +39,13 @@ class Entries(NamedTuple):
     def of(cls, variable: Any, columns: dict[int, int], chain: Any, inverse: Any) -> Entries:
         """Return the entries of a user's variable.
 
-        All of cvxpy's way back would project the numbers on the variable's bounds.
+        cvxpy's own inversion would project the numbers onto the variable's bounds.
         """
         numbers = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F")
         leaf = variable
         for reduction, known in zip(chain.reductions, inverse, strict=False):
             if isinstance(known, tuple) and known and isinstance(known[0], dict):
-                # CvxAttr2Constr's variable in the place of one with attributes.
+                # CvxAttr2Constr's variable instead of one with attributes.
                 leaf = known[0].get(variable.id, leaf)
                 if variable.id in known[0] and leaf.size != variable.size:
                     counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
@@ -74,15 +74,15 @@ class Entries(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CompiledProblem:
-    """The program that cvxpy makes of a problem.
+    """The program that cvxpy compiles a problem to.
 
     Attributes
     ----------
     program : QuadraticProgram
     offset : float
-        What the program leaves out of the objective that is to be minimized.
+        Constant of the objective, which is minimized, that the program omits.
     entries : dict
-        Those of each variable by its id.
+        Entries of each variable, by its id.
     """
 
     program: QuadraticProgram
@@ -91,12 +91,12 @@ class CompiledProblem:
 
     @classmethod
     def of(cls, problem: Any, *, is_folded: bool = False, **options: Any) -> CompiledProblem:
-        """Return the program of a problem, which is left as it is; folded, rows of one unknown are bounds.
+        """Return the program of a problem; if folded, rows of one unknown become bounds.
 
         Raises
         ------
         UnsupportedModel
-            Where it is no quadratic program.
+            If it is not a quadratic program.
         """
         twin = cp.Problem(problem.objective, problem.constraints)  # what is compiled stays with it
         try:
@@ -110,7 +110,7 @@ class CompiledProblem:
         return cls(program, float(inverse[-1][settings.OFFSET]), entries)
 
     def spans(self) -> dict[int, slice]:
-        """Return the unknowns of each variable, by its id; raise where they do not follow each other."""
+        """Return the unknowns of each variable, by its id; raise if they are not consecutive."""
         found = {}
         for key, one in self.entries.items():
             first = int(one.places[0]) if one.places.size else 0

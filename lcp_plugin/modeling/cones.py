@@ -27,9 +27,9 @@ class ConePair:
     ----------
     columns : ndarray of int, shape (d k,)
     rows : int
-        d, those of one cone.
+        d, number of rows of a cone.
     friction : ndarray, shape (k,), or None
-        Coefficients where the slack is that of Coulomb's law.
+        Coefficients if the slack follows Coulomb's law.
     """
 
     columns: NDArray[np.int64]
@@ -54,20 +54,20 @@ def stacked(cone: cp.SOC) -> Any:
 
 
 def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> SquareModel:
-    """Return the problem over cones, the rows of other pairs and equations first.
+    """Return the problem over cones, the rows of other pairs and equations before the cones.
 
     Parameters
     ----------
     found : SquareModel
-        In which the unknowns of cones have no bounds.
+        Model in which the unknowns of cones have no bounds.
     pairs : sequence of ConePair
-    name : callable
+    Function from the number of an unknown to its name.
         From the number of an unknown to its name.
 
     Raises
     ------
     UnsupportedModel
-        Where sides are not affine, or friction stands beside anything else.
+        If sides are not affine, or the model has friction and other conditions.
     """
     rows = found.problem
     if not isinstance(rows, LCP):

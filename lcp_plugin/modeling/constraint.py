@@ -22,12 +22,12 @@ REMEDY = 'solve it with problem.solve(method="LCP")'
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One side of a complementarity: an expression, and its relation to the other side.
+    """Side of a complementarity: an expression, with its relation to the other side.
 
     Attributes
     ----------
     expression : cvxpy expression
-        In the form "box" a variable, or a part of one.
+        In the form "box" a variable, or a part of a variable.
     kind : str
         "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
         expression whose bounds, if any, are its variable's bounds), "cone" (each column of expression in a cone).
@@ -144,9 +144,8 @@ def complements(first: Any, second: Any) -> Complements:
 
     Parameters
     ----------
-    first, second
-        In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F; a variable with
-        bounds of its own with F; a free variable with ``G == 0``; ``cp.SOC(t, x)`` with ``cp.SOC(s, y)``, or with an
+    In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F. Also a variable with
+    bounds, with F, or a free variable with ``G == 0``. Cones: ``cp.SOC(t, x)`` with ``cp.SOC(s, y)``, or with an
         affine F that has s in its first row and y below; ``friction_cone(r, mu)`` with velocities u. Both sides may
         be general expressions, affine or smooth; see ``help("lcp_plugin.modeling")``. At a lower bound F ≥ 0, at an
         upper bound F ≤ 0, between them F = 0.
@@ -159,7 +158,7 @@ def complements(first: Any, second: Any) -> Complements:
     Raises
     ------
     UnsupportedModel
-        Where the two sides have different shapes or cannot complement each other.
+        If the two sides have different shapes or cannot complement each other.
 
     Examples
     --------
@@ -262,9 +261,9 @@ def _kind(values: Any) -> str:
 class Complements(Constraint):  # type: ignore[misc]
     """Two sides that complement each other; see :func:`complements`.
 
-    ``dual_value`` is the value of the side that is not a variable (w), of two expressions the second; after a solve the
-    inequality that bounds the variable carries the same, and the other inequality carries the variable, as after a
-    quadratic program; of a cone it has t in its first row.
+    ``dual_value`` is the value of the side that is not a variable (w); of two expressions, the value of the second.
+    After a solve, the inequality that bounds the variable has the same dual value. The dual value of the other
+    inequality is the variable, as after a quadratic program. For a cone, ``dual_value`` has t in its first row.
 
     Parameters
     ----------
@@ -315,7 +314,7 @@ class Complements(Constraint):  # type: ignore[misc]
         Raises
         ------
         ValueError
-            Where a variable has no value yet.
+            If a variable has no value yet.
         """
         residual = self.residual
         if residual is None:

@@ -1,4 +1,4 @@
-"""What a list of cvxpy constraints states, and the way back to its variables, dual values and parameters."""
+"""Complementarity problem of a list of cvxpy constraints, and the map back to cvxpy's objects."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class DualReport:
-    """What to write back into a constraint's dual variable: scale · (w or z)[columns] + shift."""
+    """Value for a constraint's dual variable: scale · (w or z)[columns] + shift."""
 
     constraint: Any
     columns: Indices
@@ -63,18 +63,18 @@ class ReadSide(NamedTuple):
 
 
 class Model:
-    """Unknowns, rows and pairs of cvxpy constraints, and the way back.
+    """Unknowns, rows and pairs of cvxpy constraints, and the map back to variables and dual values.
 
     Parameters
     ----------
     stated : list
         Constraints and expressions whose variables are the unknowns.
     memo : dict, optional
-        What no parameter enters, kept from model to model.
+        Results that do not depend on parameters, kept from model to model.
     takes_integers : bool
         Whether variables may be integers.
     compiled : CompiledProblem, optional
-        Program of other terms that hold the same variables: its unknowns come first.
+        Program of other terms in the same variables: its unknowns come first.
 
     Attributes
     ----------
@@ -84,10 +84,10 @@ class Model:
         From the id of a variable to the slice of its unknowns.
     reports : list of DualReport
     bounds : list of tuple
-        Of some unknowns: columns, weights, the expression that is weights · unknowns + constants or None, and its
-        bounds as they were stated. What comes last holds.
+        Bounds of unknowns: columns, weights, the expression that is weights · unknowns + constants or None, and the
+        bounds as expressions. A later entry overrides an earlier one.
     friction : list of pairs
-        Coefficients as they were stated, and of how many contacts they are.
+        Coefficients as expressions, and the number of contacts of each.
     """
 
     def __init__(
@@ -134,9 +134,9 @@ class Model:
     # --- reading ---
 
     def add_equations(self, constraints: Sequence[Any]) -> None:
-        """Take in equalities, before the pairs: what they define is better not the variable of a pair."""
+        """Read equalities, before the pairs: defined variables should not be paired."""
         for constraint in constraints:
-            # Always the same expression object, so that the memo knows it again.
+            # Always the same expression object, so that the memo finds it again.
             rows = self.reader.rows(constraint.expr)
             self.statement.constrain(rows, origin=constraint.expr)
             self._equations.append(constraint)
@@ -146,7 +146,7 @@ class Model:
                     self.is_defined[first + as_matrix(block, rows.size).indices] = True
 
     def add_pairs(self, pairs: Sequence[Complements]) -> None:
-        """Take in complementarities, first those of which one side alone can be the variable."""
+        """Read complementarities, first the pairs with only one side that can be the variable."""
         keys = {
             pair.id: [self._key(side)[:4] for side in (pair.first, pair.second)] for pair in pairs
         }
@@ -163,7 +163,7 @@ class Model:
         return sorted((pair.first, pair.second), key=self._key)
 
     def _key(self, side: Side) -> tuple[bool, ...]:
-        """Return how little a side is the natural variable of its pair."""
+        """Return a sort key of the sides of a pair; its natural variable comes first."""
         columns, low, high = (found := self.read(side)).columns, found.low, found.high
         return (
             side.kind == "zero",
@@ -189,7 +189,7 @@ class Model:
         return self._known[key]
 
     def _pair(self, pair: Complements, side: Side, other: Side) -> list[str]:
-        """Let the first side be the unknowns of a pair; return what may be meant otherwise."""
+        """Let the first side be the unknowns of a pair; return warnings about other readings."""
         if "cone" in (side.kind, other.kind):
             self._pair_cones(pair, side, other)
             return []
@@ -250,7 +250,7 @@ class Model:
         shift: Any = 0.0,
         expression: Any = None,
     ) -> None:
-        """Report w in the pair and in what bounds its variable, and the variable in what bounds w."""
+        """Report w for the pair and the constraint of its variable, and z for the constraint of w."""
         shape = pair.first.expression.shape
         for constraint, value in (
             (pair, (True, sign)),
@@ -293,7 +293,7 @@ class Model:
             self.friction.append((cone.friction, columns.size // cone.rows))
 
     def _drop_cone_bounds(self, side: Side, columns: Indices) -> None:
-        """Forget that t ≥ 0, which the cone says; raise where entries of a cone have other bounds."""
+        """Drop t ≥ 0, which the cone implies; raise if entries of a cone have other bounds."""
         first, lower, upper = columns[:, 0], self.statement.lower, self.statement.upper
         lower[first] = np.where(lower[first] == 0.0, -np.inf, lower[first])
         if (np.isfinite(lower[columns]) | np.isfinite(upper[columns])).any():
@@ -310,7 +310,7 @@ class Model:
         rows, variable_of = self.statement.rows, np.full(self.statement.lower.size, -1)
         for k, variable in enumerate(self.variables):
             variable_of[self.spans[variable.id]] = k
-        # What stands for expressions counts as one more variable.
+        # All unknowns that name expressions count as one more variable.
         variable_of[variable_of < 0] = len(self.variables)
         found = self.statement.square(variable_of)
         if self.cones:
@@ -332,12 +332,12 @@ class Model:
         return self.square.problem
 
     def lcp(self, purpose: str) -> LCP:
-        """Return the LCP; raise where there is none that says all.
+        """Return the LCP; raise if the model has other conditions.
 
         Raises
         ------
         UnsupportedModel
-            Saying what the purpose does not take.
+            Names the parts of the model that the purpose does not support.
         """
         problem = self.problem
         if not isinstance(problem, LCP):
@@ -365,21 +365,21 @@ class Model:
                 f"them; drop them, or make it the variable of a pair, as in complements({entry}, F)"
             )
 
-    # --- the way back ---
+    # --- from the solution to cvxpy ---
 
     def values(self, z: FloatVector) -> dict[int, Any]:
         """Return the value of each variable by its id, in its own shape."""
         return self.split(self.square.elimination.expand(z))
 
     def split(self, unknowns: FloatVector) -> dict[int, Any]:
-        """Return what belongs to each variable, by its id and in its shape."""
+        """Return a value for each variable, by id, in the variable's shape."""
         return {
             one.id: unknowns[self.spans[one.id]].reshape(one.shape, order="F")
             for one in self.variables
         }
 
     def present(self) -> FloatVector | None:
-        """Return the present values of all unknowns; None where a variable has none."""
+        """Return the present values of all unknowns; None if a variable has no value."""
         if any(variable.value is None for variable in self.variables):
             return None
         z = np.zeros(self.statement.lower.size)
@@ -404,7 +404,7 @@ class Model:
         problem : cvxpy.Problem
         result : Result or EquilibriumResult
         found : tuple or None
-            All unknowns, their slacks and the value of the objective; None where a proof says that there are none.
+            All unknowns, their slacks and the value of the objective; None if a proof excludes solutions.
         """
         status, attributes = CVXPY_STATUS[result.status], statistics(result)
         if found is None:
@@ -425,7 +425,7 @@ class Model:
         problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
     def consistency_error(self, z: FloatVector, w: FloatVector) -> str | None:
-        """Return what the expressions themselves, evaluated by cvxpy, say against w, or None.
+        """Compare w with the expressions, evaluated by cvxpy; return the mismatch, or None.
 
         Parameters
         ----------
@@ -453,7 +453,7 @@ class Model:
 
 
 def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
-    """Return how an unknown is written: h[2]."""
+    """Return the name of an unknown: h[2]."""
     for variable in variables:
         if 0 <= (k := column - spans[variable.id].start) < variable.size:
             place = np.unravel_index(k, variable.shape, order="F")
@@ -492,7 +492,7 @@ def states_bounds(side: Side) -> bool:
 
 
 def of_equality_between_bounds(pair: Complements, side: Side) -> str:
-    """Return that the equality of a pair holds between the bounds of its variable alone; refuse an inequality."""
+    """Return a note on an equality that holds only between bounds; raise for an inequality."""
     if side.kind != "value":
         raise UnsupportedModel(
             f"{pair!r} pairs an equality with an inequality; pair it with a variable"
@@ -504,7 +504,7 @@ def of_equality_between_bounds(pair: Complements, side: Side) -> str:
 
 
 def pair_residual(pair: Complements) -> FloatVector | None:
-    """Return the natural residual of each row of a pair at the present values; None where one is missing."""
+    """Return the natural residual of each row of a pair at the present values, or None."""
     model = Model([pair], takes_integers=True)
     side, other = model.sides(pair)
     with np.errstate(all="ignore"):  # outside of a domain
@@ -527,7 +527,7 @@ def pair_residual(pair: Complements) -> FloatVector | None:
 
 
 def _level_of_caller() -> int:
-    """Return the stacklevel at which somebody else's code called this package, or cvxpy, which called it."""
+    """Return the stacklevel of the user's call of this package, or of cvxpy."""
     own = {__package__.partition(".")[0], cp.__name__}
     frame, level = inspect.currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:

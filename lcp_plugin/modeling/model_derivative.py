@@ -1,8 +1,8 @@
 """The derivative of the solution of a cvxpy model by its parameters: ``lcp_plugin.derivative(problem)``.
 
-It is the LCP's own at the solution, and that of the LCP's data by the parameters. With z held,
-all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): with μ the gradient by q,
-dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of their own:
+It chains the LCP's derivative at the solution with the derivative of the LCP's data by the parameters. With z held,
+a parameter enters M and q only through the residual F(x; p) = M(p) z + q(p): with μ the gradient by q,
+dL = μᵀ ∂F/∂p, wherever p enters F. Substituted definitions return as additional rows:
 D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
 """
 
@@ -37,13 +37,13 @@ SAME = (
 
 
 class ParametricRows:
-    """Expressions as functions of their parameters, the variables held.
+    """Expressions as functions of their parameters, with the variables held.
 
     Parameters
     ----------
     expressions : iterable of cvxpy expression
     known : dict
-        From the id of a variable or parameter to its value; the others have the value they have.
+        Values by the id of a variable or parameter; all others have their present values.
 
     Examples
     --------
@@ -58,7 +58,7 @@ class ParametricRows:
         reader, each = Reader(held=known), {id(one): one for one in expressions}
         self._parameters = {p.id: p for one in each.values() for p in one.parameters()}
         self._spans, n = _spans(self._parameters)
-        #: Where each expression is among all of them, by its id.
+        #: Slice of each expression among all entries, by its id.
         self.spans, self.size = _spans(each)
         starts = {key: span.start for key, span in self._spans.items()}
         self._program = Program.of(
@@ -69,12 +69,12 @@ class ParametricRows:
         )
 
     def change(self, changes: Changes) -> FloatVector:
-        """Return the change of the expressions from those of parameters, by their ids; the others do not change."""
+        """Return the change of the expressions by changes of parameters; missing ones are 0."""
         moved: FloatVector = self._finite(self._program.change(self._at, self._vector(changes)))
         return moved
 
     def gradient(self, gradient: FloatVector) -> Changes:
-        """Return the gradients by parameters, by their ids, from that by the expressions."""
+        """Return the gradients by parameters, by their ids, from the gradient by the expressions."""
         found = self._finite(self._program.gradient(self._at, gradient))
         return {
             key: found[self._spans[key]].reshape(p.shape, order="F")
@@ -98,7 +98,7 @@ class ParametricRows:
 
 
 def _spans(leaves: Changes) -> tuple[dict[int, slice], int]:
-    """Return where each expression is where all of them follow each other, and how many entries they have."""
+    """Return the slice of each expression in their concatenation, and the number of entries."""
     ends = np.cumsum([0, *(one.size for one in leaves.values())]).tolist()
     return {key: slice(*pair) for key, pair in zip(leaves, pairwise(ends), strict=True)}, ends[-1]
 
@@ -122,12 +122,12 @@ class ModelDerivative:
         Parameters
         ----------
         changes : dict
-            From a parameter to its change, in its shape; the others do not change.
+            Change of a parameter, in its shape; parameters that are missing do not change.
 
         Raises
         ------
         UnsupportedModel
-            Where a key is no parameter of the model, or a change is not finite or has another shape.
+            If a key is not a parameter of the model, or a change is not finite or has another shape.
         """
         model, at = self._model, self._at
         changed = self._parametric.change(self._checked(changes, self._parameters, "change"))
@@ -157,12 +157,12 @@ class ModelDerivative:
         Parameters
         ----------
         gradients : dict
-            From a variable, or a constraint for its dual value, to the function's gradient by it; 0 for the others.
+            Gradient of the function by a variable, or by the dual value of a constraint; 0 if missing.
 
         Raises
         ------
         UnsupportedModel
-            Where a key is neither, or a gradient is not finite or has another shape.
+            If a key is neither a variable nor a constraint, or a gradient is not finite or has another shape.
         """
         model, total = self._model, np.zeros(self._parametric.size)
         owners = [*model.variables, *(report.constraint for report in model.reports)]
@@ -228,7 +228,7 @@ class ModelDerivative:
 
     @cached_property
     def _parametric(self) -> ParametricRows:
-        """What parameters enter into, at the values of parameters and variables at the solution."""
+        """Expressions that depend on parameters, at the parameters and variables of the solution."""
         model = self._model
         stated = [part for _, _, *parts in model.bounds for part in parts]
         shifts = [report.expression for report in model.reports]
@@ -238,13 +238,13 @@ class ModelDerivative:
 
     @property
     def _functions(self) -> list[Any]:
-        """The expressions of the model's rows, those of the pairs, then those of the equations."""
+        """The expressions of the model's rows: pairs first, then equations."""
         statement = self._model.statement
         return [one.origin for one in (*statement.pairs, *statement.rows)]
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
-        """The places of the model's rows, those of the pairs and of the equations, among the parametric ones."""
+        """The positions of the rows of pairs and equations among the parametric expressions."""
         spans = [self._parametric.spans[id(one)] for one in self._functions]
         return np.concatenate(
             [*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)]
@@ -261,7 +261,7 @@ class ModelDerivative:
     def _definitions(
         self,
     ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
-        """All rows of the model, those that define unknowns, and solutions with these and with their transpose."""
+        """Rows of the model, including definitions, and solves with these and their transpose."""
         elimination, (first, second) = self._model.square.elimination, self._model.square.stored
         if elimination.expansion is None:
             return None
@@ -270,7 +270,7 @@ class ModelDerivative:
 
     @cached_property
     def _bounds(self) -> sp.csr_array:
-        """The change of the lower bounds, then of the upper ones, by that of the expressions that state them."""
+        """The change of the lower, then of the upper bounds, by the change of their expressions."""
         model, spans = self._model, self._parametric.spans
         n, kept = model.square.elimination.offset.size, model.square.elimination.kept
         last = np.zeros(n, dtype=np.int64)
@@ -294,7 +294,7 @@ class ModelDerivative:
 
     @cached_property
     def _friction(self) -> sp.csr_array:
-        """The change of the coefficients of friction by that of the expressions that state them."""
+        """The change of the coefficients of friction by the change of their expressions."""
         columns = [np.zeros(0, dtype=np.int64)]
         for one, count in self._model.friction:
             span = self._parametric.spans.get(id(one), slice(-1, 0))
@@ -311,10 +311,10 @@ def derivative_of(problem: Any) -> ModelDerivative:
     Raises
     ------
     UnsupportedModel
-        Where the problem has no complementarity, its last solve was not ours, its parameters have other values now,
+        If the problem has no complementarity, another solver solved it last, its parameters have other values now,
         or a parameter has entries that are tied to each other.
     UnsuitableProblem
-        Where the last solve found no solution.
+        If the last solve found no solution.
     """
     if not is_complementarity_problem(problem):
         raise UnsupportedModel(
@@ -341,7 +341,7 @@ def derivative_of(problem: Any) -> ModelDerivative:
 
 
 def _is_solved_by(model: Model, result: Result) -> bool:
-    """Return whether the result is that of the model with the present values of its parameters."""
+    """Return whether the result belongs to the model with the present values of its parameters."""
     now: Any = model.problem
     z, w, rows = result.z, result.w, now.rows if isinstance(now, Blocks) else now
     then: Any = result.certificate.problem if rows is now else getattr(result, "problem", None)
@@ -354,12 +354,12 @@ def _is_solved_by(model: Model, result: Result) -> bool:
 
 
 def differentiable_parameters(problem: Any) -> list[Any]:
-    """Return the parameters of a problem, those in bounds of variables included.
+    """Return the parameters of a problem, including the parameters in bounds of variables.
 
     Raises
     ------
     UnsupportedModel
-        Where one is an integer, a Boolean or complex, or has entries that are tied to each other.
+        If one is an integer, a Boolean or complex, or has entries that are tied to each other.
     """
     bounds = [
         bound

@@ -1,4 +1,4 @@
-"""Paths of problems stated in cvxpy: what a parameter moves is read off, and points lead back to variables."""
+"""Paths of cvxpy problems: parametric vectors are measured, points map back to variables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .compiled import CompiledProblem
 from .registration import build_from, is_complementarity_problem
 
 AFFINE_TO = 1e-9  # of the largest entry: by how much a vector in between may be off the line
-BETWEEN = 0.3819660112501051  # where it is looked at
+BETWEEN = 0.3819660112501051  # position of the test point between start and stop
 VECTORS = {LCP: ("q", "lower", "upper"), QuadraticProgram: ("c", "h", "b", "lower", "upper")}
 MATRICES = {LCP: ("M",), QuadraticProgram: ("P", "G", "A")}
 Back = Callable[[Any], dict[int, Any]]
@@ -29,9 +29,9 @@ Lines = dict[cp.Parameter, tuple[FloatVector, FloatVector]]
 
 
 class ModelPath(Path):
-    """The path of a cvxpy problem: that of the LCP or program behind it, with values of variables and the objective.
+    """Path of a cvxpy problem, with values of the variables and the objective.
 
-    Pieces, ``at(θ)`` and ``derivative(θ)`` are those of the LCP or program that cvxpy's problem becomes.
+    Pieces, ``at(θ)`` and ``derivative(θ)`` belong to the LCP or program that cvxpy's problem becomes.
     """
 
     _problem: Any
@@ -40,7 +40,7 @@ class ModelPath(Path):
 
     @classmethod
     def of(cls, path: Path, problem: Any, lines: Lines, back: Back) -> ModelPath:
-        """Return a path with the way back."""
+        """Return a path with a map back to cvxpy's variables."""
         made = cls.__new__(cls)
         made.__dict__.update(path.__dict__, _problem=problem, _lines=lines, _back=back)
         return made
@@ -55,7 +55,7 @@ class ModelPath(Path):
         return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
 
     def objective(self, thetas: ArrayLike) -> FloatVector:
-        """Return the value of the objective as it was stated, at many θ, shape (k,)."""
+        """Return the value of the user's objective at many θ, shape (k,)."""
         variables = self._problem.variables()
         before, found = [one.value for one in variables], []
         try:
@@ -115,7 +115,7 @@ def parameter_lines(problem: Any, along: Any) -> Lines:
 
 @contextmanager
 def moved_to(lines: Lines, theta: float) -> Iterator[None]:
-    """Give the parameters their values at θ, and those of before again."""
+    """Give the parameters their values at θ, and restore the previous values at the end."""
     before = {one: one.value for one in lines}
     try:
         for one, (base, step) in lines.items():
@@ -139,7 +139,7 @@ def trace_model(
     Raises
     ------
     UnsupportedModel
-        Where the parameter stands in a matrix, or not affinely.
+        If a matrix depends on the parameter, or a vector depends on it not affinely.
     """
     lines = parameter_lines(problem, along)
     stated = _pairs if is_complementarity_problem(problem) else _program
@@ -161,7 +161,7 @@ def _pairs(problem: Any) -> tuple[LCP, Back]:
 
 
 def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
-    # With parameters as numbers: what cvxpy keeps of the value before is not that of an expression which bends.
+    # With parameters as numbers: for an expression that is not affine, cvxpy's cache may be of an old value.
     compiled = CompiledProblem.of(problem, is_folded=True, ignore_dpp=True)
     return compiled.program, compiled.values
 
@@ -169,7 +169,7 @@ def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
 def _line(
     first: Any, last: Any, middle: Any, values: tuple[float, float, float]
 ) -> tuple[Any, dict[str, FloatVector]]:
-    """Return the problem at θ = 0 and the directions of its vectors, or raise where they are no line."""
+    """Return the problem at θ = 0 and the directions of its vectors; raise if these are not affine."""
     kind = type(first)
     for name in MATRICES[kind]:
         one = getattr(first, name)

@@ -29,7 +29,7 @@ MOST_NAMED = 5  # constraints that a contradiction lists
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
-    The status rests on the program's residuals. Infeasible and unbounded come with a proof,
+    The status is computed from the program's residuals. Infeasible and unbounded come with a proof,
     ``problem.solver_stats.extra_stats.proof``; cvxpy ≥ 1.9 passes on the multipliers that prove infeasibility as dual
     values, and `conflicting_constraints` names the constraints that have some.
 
@@ -43,7 +43,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     BOUNDED_VARIABLES = False
 
     def __call__(self) -> _LCPQuadraticSolver:
-        """Return itself, so that ``QPSolver`` and ``QPSolver()`` mean the same."""
+        """Return the solver, so that ``QPSolver`` and ``QPSolver()`` are equivalent."""
         return self
 
     def __eq__(self, other: object) -> bool:
@@ -60,7 +60,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Do nothing: it is here."""
 
     def cite(self, data: Any) -> str:
-        """Return where the methods come from."""
+        """Return the reference of the methods."""
         return "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem."
 
     def solve_via_data(
@@ -68,7 +68,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ) -> Any:
         """Return the answer to the program in cvxpy's form."""
         cache = {} if solver_cache is None else solver_cache
-        # Overflow becomes infinite, and is refused as such.
+        # Overflow becomes infinite, and raises an error as such.
         with np.errstate(over="ignore"), solver_errors():
             return self._answer(data, warm_start, verbose, solver_opts, cache)
 
@@ -117,7 +117,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
 
 def _farkas(proof: QPInfeasibility) -> QPSolution:
-    """Return the multipliers that prove infeasibility, the largest ±1, in the place of an answer's."""
+    """Return the multipliers that prove infeasibility, the largest ±1, in the form of a solution."""
     largest = max(map(abs, proof.multipliers))
     multipliers = np.array([float(y / largest) for y in proof.multipliers])
     return QPSolution.of_rows(proof.program, np.zeros(proof.program.n), multipliers)
@@ -126,7 +126,7 @@ def _farkas(proof: QPInfeasibility) -> QPSolution:
 def quadratic_program(data: Any, before: QuadraticProgram | None = None) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds.
 
-    A program of the same matrices shares its factorization and its scaling.
+    If `before` has the same matrices, its factorization and scaling are shared.
     """
     n, (P, F, A) = int(data["n_var"]), (data[key] for key in MATRIX_KEYS)
     P, F, A = (

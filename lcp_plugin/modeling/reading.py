@@ -1,8 +1,8 @@
-"""From cvxpy expressions to rows over their variables, or over their parameters where the variables are held.
+"""Reader of cvxpy expressions as rows over variables, or over parameters.
 
-Node by node along the expression tree, by the rules of :mod:`atom_rules`. No variable is touched, nothing is
-canonicalised, and parameters count as constants, disciplined or not. Answers are compared with cvxpy's own values of
-the expressions (:func:`lcp_plugin.modeling.model.contradiction`).
+Node by node along the expression tree, by the rules of :mod:`atom_rules`. No variable is changed, nothing is
+canonicalized, and parameters count as constants, disciplined or not. Results are compared with the values that cvxpy
+computes for the expressions (:func:`lcp_plugin.modeling.model.contradiction`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .atom_rules import (
 
 Values = dict[int, Any]
 
-#: They tie entries to each other or to a set, so that the columns would not be free.
+#: Attributes that tie entries to each other or to a set, so that the columns would not be free.
 FORBIDDEN_ATTRIBUTES = (
     "symmetric",
     "diag",
@@ -57,7 +57,7 @@ def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int,
     root : cvxpy expression
     rule : callable
     known : dict
-        Results by the ids of nodes, below which nothing is looked at.
+        Results by the ids of nodes, below which no node is read.
     """
     nodes = postorder(root, known)
     uses = Counter(
@@ -77,12 +77,12 @@ def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int,
 
 
 class Reader:
-    """Reads expressions of one model into one compiler.
+    """Reader of the expressions of one model into one compiler.
 
     Parameters
     ----------
     memo : dict, optional
-        Keeps what no parameter enters from one reader to the next: give the same dict again.
+        Results that do not depend on parameters; give the same dict to the next reader.
     held : dict, optional
         From the ids of variables and parameters to their values. Then the parameters are the sources, and an atom
         whose own rule is not known is replaced by its tangent there. Without it the variables are.
@@ -108,10 +108,10 @@ class Reader:
         self._memo = {} if memo is None else memo
         self._held = held
         self._known: Values = {key: found for key, (_, found) in self._memo.items()}
-        self._found: list[tuple[Any, Any]] = []  # what will be known, too
+        self._found: list[tuple[Any, Any]] = []  # results to be known also
         self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
-        self._taken: set[int] = set()  # constants that were looked at
+        self._taken: set[int] = set()  # constants that were checked
 
     def rows(self, expression: Any) -> Rows:
         """Return the rows of an expression: Σ blocks[variable.id] · variable + offset, and results of functions.
@@ -119,13 +119,13 @@ class Reader:
         Raises
         ------
         UnsupportedModel
-            Where it has an atom without a rule, a complex or non-finite constant, a parameter without a value, or a
-            variable whose attributes change what its entries mean.
+            If it has an atom without a rule, a complex or non-finite constant, a parameter without a value, or a
+            variable whose attributes change the meaning of its entries.
         """
         root = Expression.cast_to_const(expression)
         root = root if self._held is None else right_to_left(root)
         self._kept.append(root)
-        with np.errstate(all="ignore"):  # what is not finite is refused by name
+        with np.errstate(all="ignore"):  # values that are not finite raise an error later
             result = folded(root, self._result, self._known)
             if not isinstance(result, Rows):
                 self._take_constant(root, result)
@@ -176,7 +176,7 @@ class Reader:
         return result
 
     def _remember(self, node: Any, result: Any) -> None:
-        """Keep for later readers what no parameter enters, where it has all its entries."""
+        """Keep results that do not depend on parameters and have all entries, for later readers."""
         if id(node) not in self._moving and result.shape == node.shape:
             self._memo[id(node)] = (node, result)
             self._found.append((node, result))
@@ -224,7 +224,7 @@ class Reader:
         return value
 
     def _take_constant(self, node: Any, value: Any) -> None:
-        """Refuse a constant that is no finite real number."""
+        """Raise an error for a constant that is not a finite real number."""
         if id(node) in self._taken or id(node) in self._known:
             return
         self._taken.add(id(node))
@@ -252,7 +252,7 @@ def _hidden_parameters(node: Any) -> list[Any]:
 
 
 def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:
-    """Return the attribute of a variable or parameter that ties or restricts its entries; None where they are free."""
+    """Return the attribute that ties or restricts entries of a variable or parameter, or None."""
     names = (*FORBIDDEN_ATTRIBUTES, *(() if takes_integers else INTEGERS))
     states = ((name, leaf.attributes.get(name)) for name in names)
     return next((name for name, state in states if not (state is None or state is False)), None)

@@ -1,4 +1,4 @@
-"""From cvxpy problems to LCPs and back: problem.solve(method="LCP"), and the attributes that it sets."""
+"""Registration with cvxpy: problem.solve(method="LCP"), and the attributes that it sets."""
 
 from __future__ import annotations
 

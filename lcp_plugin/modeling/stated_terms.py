@@ -19,8 +19,8 @@ INEQUALITIES = (Inequality, NonPos, NonNeg)
 def values_below(roots: list[Any]) -> dict[int, Any]:
     """Return the values of all nodes of expressions, by their ids, at the present values of variables and parameters.
 
-    cvxpy's own ``value`` asks every node for all parameters below it, each time anew, and calls itself from node to
-    node, however deep they are. Here each is computed once.
+    cvxpy's ``value`` queries all parameters below every node, and recurses from node to node, however deep they are.
+    Here each is computed once.
     """
     values: dict[int, Any] = {}
     for root in roots:
@@ -39,7 +39,7 @@ def values_below(roots: list[Any]) -> dict[int, Any]:
 
 
 def why_not(problem: Any) -> list[str]:
-    """Return what in the problem is not of a quadratic program, in the user's words."""
+    """Return the reasons why a problem is not a quadratic program, in the user's names."""
     reasons = []
     for variable in problem.variables():
         for attribute in ("boolean", "integer", "PSD", "NSD", "hermitian"):
@@ -63,7 +63,7 @@ def why_not(problem: Any) -> list[str]:
 
 
 def refusal(problem: Any) -> UnsolvableModel | None:
-    """Return why the problem is no quadratic program, None where its expressions do not tell."""
+    """Return an error with the reasons why a problem is not a quadratic program, or None."""
     if not (reasons := why_not(problem)):
         return None
     return UnsolvableModel(
@@ -74,12 +74,12 @@ def refusal(problem: Any) -> UnsolvableModel | None:
 
 
 def sense_of(problem: Any) -> float:
-    """Return 1 where the objective is to be minimised, −1 where it is to be maximised."""
+    """Return 1 if the objective is minimized, −1 if it is maximized."""
     return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
 
 
 def expression_of(constraint: Any) -> Any:
-    """Return what has to be zero, or of one sign."""
+    """Return the expressions of a constraint that must be zero, or of one sign."""
     return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
 
 

@@ -1,6 +1,6 @@
 """LCPs whose rows are spread over the ranks of an MPI job, for problems that do not fit one machine.
 
-``pip install mpi4py mpich`` (or an MPI library of the machine) is all that it needs. Each rank gives its own rows::
+``pip install mpi4py mpich`` (or an MPI library of the machine) is all that it needs. Each rank gives its local rows::
 
     import numpy as np, scipy.sparse as sp
     from mpi4py import MPI
@@ -14,10 +14,11 @@
     if comm.rank == 0:
         print(result)
 
-All ranks call every method, in the same order; vectors are the own parts, everything else agrees. Algorithms: auto
-(multigrid, then sweeps), multigrid, npsor, npaor, npgs, npj, psor, pgs. There are ``problem.save(folder)``, one chunk
-per rank, ``RowsOnRanks.load(folder, comm)`` on any number of ranks, and ``RowsOnRanks.from_problem(lcp, comm)``. Run
-the script by ``mpiexec -n 2 python -m mpi4py script.py``: then an exception on one rank ends all of them.
+All ranks call every method, in the same order. Vectors are the local parts, all other results are the same on every
+rank. Algorithms: auto (multigrid, then sweeps), multigrid, npsor, npaor, npgs, npj, psor, pgs. ``problem.save(folder)``
+writes one chunk per rank, which ``RowsOnRanks.load(folder, comm)`` reads on any number of ranks. Use
+``RowsOnRanks.from_problem(lcp, comm)`` for an LCP that every rank has. Run the script by
+``mpiexec -n 2 python -m mpi4py script.py``: then an exception on one rank ends all ranks.
 
 The classes are in ``problem``, the criterion of SOLVED in ``certificate``, the loop in ``solving``, sweeps and
 multigrid in ``methods``, the distributed hierarchy in ``hierarchy``, MPI in ``collective`` and ``halo``.

@@ -1,4 +1,4 @@
-"""How far a point is from solving a problem on ranks: the criterion of an LCP, and a bound of the error."""
+"""Residuals of a point on ranks: the criterion of an LCP, and a bound of the error."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ComponentsOnRanks:
         self._shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
 
     def largest(self, values: FloatVector) -> FloatVector:
-        """Return for each own row the largest of the values ≥ 0 of all rows of its component; a NaN stays."""
+        """Return, per local row, the largest value ≥ 0 of its component's rows; a NaN stays."""
         found = np.zeros(self.count)
         np.maximum.at(found, self.labels, values)
         if self._shared.size:
@@ -64,7 +64,7 @@ class CertificateOnRanks:
     Attributes
     ----------
     z, w : array, shape (own,)
-        The point, with every unknown at a bound that is nearer than its w asks for, and its slack.
+        The point and its slack; unknowns closer to a bound than w_i/d_i are moved to it.
     scaled_residual : float
         ‖r(z)‖∞, rounding included.
     relative_residual : float
@@ -78,7 +78,7 @@ class CertificateOnRanks:
     scaled_residual: float
     relative_residual: float
     backward_error: float
-    request_error: float = field(repr=False)  # the largest v_i relative to what row i asks for
+    request_error: float = field(repr=False)  # the largest v_i relative to the tolerance of row i
     is_at_rounding_level: bool
 
     def is_solved(self, tolerance: float, absolute: float = 0.0) -> bool:
@@ -172,7 +172,7 @@ def error_bound(problem: RowsOnRanks, z: FloatVector) -> float:
 
 
 def _square(problem: RowsOnRanks) -> Any:
-    """Return the own rows with empty ones for the foreign unknowns behind them."""
+    """Return the local rows followed by empty rows for the ghosts."""
     rows, width = problem.rows, problem.rows.shape[1]
     indptr = np.pad(rows.indptr, (0, width - problem.own), "edge")
     return sp.csr_array((rows.data, rows.indices, indptr), shape=(width, width))

@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 class Ranks:
-    """The processes of a communicator of mpi4py, and what they agree on; None means the whole job."""
+    """Processes of a communicator of mpi4py, and collective decisions; None is the whole job."""
 
     first = 0
 
@@ -51,7 +51,7 @@ class Ranks:
         return np.concatenate(self.comm.allgather(own))
 
     def places(self, count: int) -> tuple[int, int]:
-        """Return how many things the ranks before this one have, which has `count`, and how many all have."""
+        """Return the offset of this rank, which has `count` items, and the number of all items."""
         counts = self.comm.allgather(count)
         return sum(counts[: self.rank]), sum(counts)
 
@@ -76,11 +76,11 @@ class Ranks:
         return self.all_largest(float(not np.all(is_so)))[0] == 0.0
 
     def anywhere(self, is_so: Any) -> bool:
-        """Return whether it is so on one rank or more, in one row of an array."""
+        """Return whether a flag is true on at least one rank, in at least one entry."""
         return self.all_largest(float(np.any(is_so)))[0] > 0.0
 
     def together(self, attempt: Callable[[], T], *, names_rank: bool = True) -> T:
-        """Return what `attempt` gives on each rank; where it fails on one, no rank continues.
+        """Return the value of `attempt` on each rank; if it fails on one rank, no rank continues.
 
         Parameters
         ----------
@@ -92,15 +92,15 @@ class Ranks:
         Raises
         ------
         LCPError
-            On every rank the error of the lowest rank that failed, which it names. What is no LCPError, as a caller's
-            function or too little memory may raise, is passed on as it is where it was raised, and is named by an
-            LCPError on the other ranks.
+            On every rank the error of the lowest rank that failed, which it names. Any other error, for example of
+            a caller's function or of the memory, is raised unchanged on the rank where it occurred. The other ranks
+            raise an LCPError that names it.
         """
         raised: Exception | None = None
         value: Any = None
         try:
             value = attempt()
-        except Exception as error:  # whatever it is, the other ranks must not wait indefinitely
+        except Exception as error:  # for any error: the other ranks must not wait indefinitely
             raised = error
         failures = self.comm.allgather(None if raised is None else _described(raised))
         if not any(failures):
@@ -116,13 +116,13 @@ class Ranks:
         ) from raised
 
     def from_first(self, attempt: Callable[[], T]) -> T:
-        """Return on every rank what `attempt` gives on rank 0; where it fails there, raise its error on every rank."""
+        """Call `attempt` on rank 0; return its value, or raise its error, on every rank."""
         value = self.together(lambda: attempt() if self.rank == 0 else None, names_rank=False)
         result: T = self.comm.bcast(value, root=0)
         return result
 
     def require_same(self, what: str, value: Any, remedy: str, error: Any = InvalidProblem) -> None:
-        """Raise that error on every rank unless all of them hold the same value, as its `repr` tells."""
+        """Raise an error on every rank unless all ranks hold the same value, compared by `repr`."""
         values = self.comm.allgather(repr(value))
         for rank, other in enumerate(values):
             if other != values[0]:
@@ -141,7 +141,7 @@ def _described(error: Exception) -> tuple[type[LCPError], str]:
 
 
 class Interruptions:
-    """Ctrl-C on any rank becomes a wish that all ranks hear of at the next step; a second one ends this rank."""
+    """Handler of Ctrl-C: a request to all ranks at the next step; a second one ends this rank."""
 
     def __init__(self) -> None:
         self._is_asked = False

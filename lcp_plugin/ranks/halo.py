@@ -17,7 +17,7 @@ NOBODY = np.empty(0, np.int64)
 
 
 class ForeignRows(NamedTuple):
-    """Rows that others own: entries a row, global columns, values, and the places of the entries at their owner's."""
+    """Rows of other ranks: entries per row, global columns, values, positions on their rank."""
 
     counts: Integers
     columns: Integers
@@ -26,15 +26,15 @@ class ForeignRows(NamedTuple):
 
 
 class Exchange:
-    """Sends values to the ranks that need copies of them, each time the same ones.
+    """Sender of values to the ranks that need copies, always of the same unknowns.
 
     Parameters
     ----------
     comm : communicator of mpi4py
     own : int
-        How many values this rank owns; copies of others stand behind them.
+        Number of values of this rank; the copies of other ranks' values follow them.
     places : array of int, shape (k, 2)
-        Rank and place there of each copied value.
+        Rank, and position on that rank, of each copied value.
     """
 
     def __init__(self, comm: Any, own: int, places: Integers) -> None:
@@ -46,28 +46,28 @@ class Exchange:
         self._sent, self._which = np.array([one.size for one in wanted]), np.concatenate(wanted)
 
     def __call__(self, values: FloatVector) -> None:
-        """Overwrite the copies behind the own values."""
+        """Overwrite the copies, which follow the local values."""
         copies = np.empty(self._order.size)
         self._comm.Alltoallv([values[self._which], self._sent], [copies, self._received])
         values[self._own + self._order] = copies
 
 
 class Halo(Ranks):
-    """Consecutive ranges of rows in the order of the ranks; `fetch` brings the foreign values.
+    """Consecutive ranges of rows in the order of the ranks; `fetch` updates the ghost values.
 
     Parameters
     ----------
     comm : communicator of mpi4py
     own : int
-        How many rows this rank owns; may be 0.
+        Number of rows of this rank; may be 0.
     ghosts : array of int
-        Foreign indices, none twice.
+        Global indices of the ghosts, none twice.
     own_entries : int, optional
-        Entries of the own rows, where rows of foreign unknowns stand behind them.
+        Number of entries of the local rows, if rows of ghosts follow them.
     entries : array of int, shape (k, 2), optional
-        Rank and place there of each entry of those rows.
+        Rank, and position on that rank, of each entry of the ghosts' rows.
     starts : array of int, shape (ranks + 1,), optional
-        Where the rows of each rank begin, if that is known; asked of all ranks otherwise.
+        First row of each rank, if it is known; gathered from all ranks otherwise.
     """
 
     def __init__(
@@ -102,25 +102,25 @@ class Halo(Ranks):
         return np.searchsorted(self.starts, indices, side="right") - 1
 
     def is_foreign(self, indices: Integers) -> NDArray[np.bool_]:
-        """Return which of the indices others own."""
+        """Return the mask of the indices that belong to other ranks."""
         return (indices < self.first) | (indices >= self.last)
 
     # --- values ------------------------------------------------------------------------------------------
 
     def fetch(self, x: FloatVector) -> None:
-        """Overwrite what stands behind the own values in x, shape (own + foreign,), by the owners' values."""
+        """Overwrite the ghost values, which follow the local values in x, shape (own + foreign,)."""
         if not self.is_empty:
             self._values(x)
 
     def whole(self, own: FloatVector) -> FloatVector:
-        """Return the own values with the foreign ones behind them, shape (own + foreign,), a copy."""
+        """Return a copy of the local values followed by the ghost values, shape (own + foreign,)."""
         x = np.zeros(self.own + self.foreign)
         x[: self.own] = own
         self.fetch(x)
         return x
 
     def fetch_entries(self, data: FloatVector) -> None:
-        """Overwrite the entries of the foreign rows, which stand behind those of the own rows."""
+        """Overwrite the entries of the ghosts' rows, which follow the entries of the local rows."""
         if not self.is_empty and self._entries is not None:
             self._entries(data)
 
@@ -134,15 +134,15 @@ class Halo(Ranks):
     # --- a coarser grid ----------------------------------------------------------------------------------
 
     def coarser(self, own: int) -> Halo:
-        """Return the ranks of a grid on which this one has so many unknowns."""
+        """Return the ranks of a grid with `own` unknowns on this rank."""
         return Halo(self.comm, own)
 
     def outside(self, columns: Integers) -> Integers:
-        """Return which of these unknowns, counted over all ranks, are foreign, ascending."""
+        """Return the unknowns, global indices, that belong to other ranks, ascending."""
         return np.unique(columns[self.is_foreign(columns)]).astype(np.int64)
 
     def local(self, columns: Integers, ghosts: Integers) -> Integers:
-        """Return the unknowns as this rank counts them: the own from 0 on, then the ghosts in order, 0 for others."""
+        """Return local indices: local unknowns from 0 on, then ghosts in order, 0 for others."""
         local = (columns - self.first).astype(np.int32)
         at = np.flatnonzero((local < 0) | (local >= self.own))
         if not at.size:
@@ -157,7 +157,7 @@ class Halo(Ranks):
         return local
 
     def with_foreign_rows(self, rows: Arrays) -> Arrays:
-        """Return the own rows, columns counted over all ranks, with those of the ghosts behind, as their owners do."""
+        """Return the local rows, then the ghosts' rows as stored by their ranks, in global columns."""
         indptr, columns, data = rows
         if self.is_empty:
             return rows
@@ -165,21 +165,21 @@ class Halo(Ranks):
         return _appended(rows, found.counts, found.columns, found.values)
 
     def overlapped(self, rows: Arrays, ghosts: Integers, further: Integers) -> tuple[Arrays, Halo]:
-        """Return the own rows with those of the foreign unknowns next to them behind, and the halo of all they meet.
+        """Return the local rows, then the rows of adjacent ghosts, and the halo of the columns.
 
         Parameters
         ----------
         rows : CSR arrays
-            The own rows, sorted; column own + k stands for the unknown ghosts[k].
+            The local rows, sorted; column own + k is the unknown ghosts[k].
         ghosts : array of int
-            Ascending; not all of them need be met.
+            Ascending; some of them may have no entry.
         further : array of int
-            Foreign unknowns to be met in any case.
+            Ghosts to include in any case.
 
         Notes
         -----
-        Next to the own unknowns is whoever an own row meets, or whose row meets an own unknown. The ghosts of the new
-        halo are first those whose rows are here, then the others.
+        A ghost is adjacent if a local row has an entry in its column, or its row in a local column. The ghosts of the
+        new halo are first the ghosts with stored rows, then the others.
         """
         own = self.own
         indptr, indices, data = rows
@@ -228,11 +228,11 @@ class Halo(Ranks):
         Parameters
         ----------
         wanted : array of int
-            Foreign rows.
+            Global indices of rows of other ranks.
         indptr, data : arrays
-            The own rows in CSR, which others may want.
+            The local rows in CSR, which other ranks may request.
         columns : callable
-            Gives the global columns of the entries at the places it is called with.
+            Function from positions of entries to their global columns.
         """
         owners = self.owners(wanted)
         order = np.argsort(owners, kind="stable")
@@ -255,7 +255,7 @@ class Halo(Ranks):
         return ForeignRows(counts, parts[1][take], parts[2][take], parts[3][take])
 
     def _dependents(self, rows: Integers, met: Integers) -> Integers:
-        """Return the foreign unknowns whose rows meet an own one; `rows` meet the foreign unknowns `met`."""
+        """Return the ghosts whose rows have local columns; local `rows` have the columns `met`."""
         owners = self.owners(met)
         sent = [np.unique(rows[owners == rank]) for rank in range(self.size)]
         return np.concatenate(self.comm.alltoall(sent))
@@ -279,12 +279,12 @@ def _ranges(begins: Integers, counts: Integers) -> Integers:
 
 
 def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
-    """Return the own rows with local columns, first the own ones, then the foreign ones they meet; and their halo.
+    """Return the local rows in local columns, first local unknowns, then ghosts; and the halo.
 
     Parameters
     ----------
     ranks : Halo
-        Of the columns.
+        Halo of the columns.
     matrix : csr_array, shape (own, n)
         Canonical; columns counted over all ranks.
     """
@@ -304,7 +304,7 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
 
 
 def numbered_over_all(rows: sp.csr_array, halo: Halo) -> sp.csr_array:
-    """Return the own rows with columns counted over all ranks, shape (own, n)."""
+    """Return the local rows with columns counted over all ranks, shape (own, n)."""
     numbers = np.concatenate([np.arange(halo.first, halo.last), halo.ghosts])
     numbers = numbers.astype(np.int32 if halo.n < 2**31 else np.int64)
     matrix = sp.csr_array(

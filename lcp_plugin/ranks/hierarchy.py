@@ -1,8 +1,8 @@
 """Classical algebraic multigrid on rows over MPI ranks, truncated to the free unknowns.
 
-Each rank chooses coarse unknowns among its own; the second pass of Ruge and Stüben repairs the seams. Interpolation,
-Galerkin products and truncation are those of one process: behind its own rows, a rank keeps those of the foreign
-unknowns next to them. A smoother sweeps on all ranks at once, with larger pivots where M is symmetric.
+Each rank chooses coarse unknowns among its local unknowns; the second pass of Ruge and Stüben repairs the interfaces.
+Interpolation, Galerkin products and truncation equal the serial operations, because a rank also stores the rows of
+adjacent ghost unknowns. A smoother sweeps on all ranks at once, with larger pivots if M is symmetric.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LARGEST_GRID_SHARE, LARGEST_GROWTH, LARGEST_COMPLEXITY = 0.85, 2.0, 8.0
 
 @dataclass(frozen=True, eq=False)
 class GridOnRanks:
-    """The own rows of one grid, those of the foreign unknowns next to them behind, and the pivots of a sweep."""
+    """Local rows of one grid, then rows of adjacent ghosts, and the pivots of a sweep."""
 
     matrix: Operator
     split: NDArray[Any]
@@ -53,7 +53,7 @@ class GridOnRanks:
 
     @property
     def n(self) -> int:
-        """Number of own unknowns."""
+        """Number of local unknowns."""
         return self.inverse.size
 
     @property
@@ -68,7 +68,7 @@ class GridOnRanks:
 
     @property
     def own(self) -> Arrays:
-        """The own rows."""
+        """The local rows."""
         matrix = self.matrix
         return Operator(matrix.indptr[: self.n + 1], matrix.indices, matrix.data).arrays
 
@@ -82,7 +82,7 @@ class HierarchyOnRanks:
 
 
 class InterpolationOnRanks(NamedTuple):
-    """The rows of P, of the own unknowns and of the foreign ones whose rows are here; columns of all ranks."""
+    """The rows of P, for local unknowns and for ghosts with stored rows; columns of all ranks."""
 
     rows: Arrays
     is_coarse: NDArray[np.bool_]
@@ -91,7 +91,7 @@ class InterpolationOnRanks(NamedTuple):
 
 
 def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyOnRanks:
-    """Return the hierarchy of the own rows, shape (own, own + foreign), with a positive diagonal.
+    """Return the hierarchy of the local rows, shape (own, own + foreign), with a positive diagonal.
 
     With `scales_rows` the restriction is Pᵀ D⁻¹ in place of Pᵀ, for matrices that are not symmetric.
     """
@@ -128,13 +128,13 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
 
 @np.errstate(all="ignore")
 def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> FloatVector:
-    """Return what is added to the pivots d_i of a sweep on all ranks at once, shape (own,).
+    """Return the weights added to the pivots d_i of a sweep on all ranks at once, shape (own,).
 
     Notes
     -----
-    With σ_i = Σ |m_ij| √(d_i/d_j) over the foreign columns j the weight is ω_i = max(0, (r σ_i − (1 − r/2) d_i)/2),
+    With σ_i = Σ |m_ij| √(d_i/d_j) over the ghost columns j the weight is ω_i = max(0, (r σ_i − (1 − r/2) d_i)/2),
     r the relaxation. For M symmetric positive definite the splitting 𝓜 has
-    𝓜 + 𝓜ᵀ − M = (2/r − 1) D + (2/r) Ω − (the foreign part of M), and that is positive definite, because
+    𝓜 + 𝓜ᵀ − M = (2/r − 1) D + (2/r) Ω − (the ghost columns of M), and that is positive definite, because
     2 |m_ij x_i x_j| ≤ |m_ij| (s x_i² + x_j²/s) with s = √(d_i/d_j). For an H₊-matrix and r ≤ 1 any ω ≥ 0 does.
     """
     own = rows.shape[0]
@@ -229,14 +229,14 @@ def _coarser(
         met = p_indices[: int(p_indptr[grid.n])]
         further = others[np.unique(met[met >= count]) - count]
         rows, below = below.overlapped(rows, others, further)
-        # Rows of P far away need no right number.
+        # Rows of P of distant unknowns may have any number.
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
     transfer = Transfer(prolongation, restricting, interpolation.is_coarse)
     return transfer, _grid(Operator(*rows), below, count, scales_rows)
 
 
 def _restriction(grid: GridOnRanks, count: int, prolongation: Arrays) -> Arrays:
-    """Return the own rows of Pᵀ: the fine unknowns are own ones, or foreign ones whose rows of M are here."""
+    """Return the local rows of Pᵀ; fine unknowns are local, or ghosts with stored rows."""
     p_indptr, p_indices, p_data = prolongation
     if grid.halo.foreign:
         rows = grid.matrix.indptr.size - 1
@@ -260,10 +260,10 @@ def _least_strong(indptr, indices, data, strength, i):  # type: ignore[no-untype
 
 @kernel
 def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: ignore[no-untyped-def]
-    """Make own unknowns coarse that depend strongly on a foreign fine one without a strong coarse one for both.
+    """Make local unknowns coarse that depend strongly on a fine ghost, without a common coarse one.
 
-    The second pass of Ruge and Stüben, where ranks meet. Of the two ranks the one gives way whose flag in `gives_way`,
-    one a foreign unknown, is set. Behind the own rows stand those of foreign unknowns next to them.
+    The second pass of Ruge and Stüben, at the interface of ranks. A local unknown changes only if the flag of the ghost
+    in `gives_way` is set. The rows of adjacent ghosts follow the local rows.
     """
     one = uintp(1)
     n = uintp(own)
@@ -329,7 +329,7 @@ class TruncationOnRanks:
 
     @np.errstate(divide="ignore")
     def update(self) -> None:
-        """Carry what changed in `is_free` of the finest grid (marked in `free_changed`) down to the coarser grids."""
+        """Carry changes of `is_free` (marked in `free_changed`) from the finest to coarser grids."""
         self._factor = None
         top = self.grids[0]
         np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)

@@ -17,9 +17,9 @@ class Krylov:
     Parameters
     ----------
     truncation : Truncation
-        Its free rows are F.
+        Truncated problem; its free rows are F.
     residual : array, shape (own,)
-        −w on the free rows, 0 elsewhere; overwritten by what is left of it.
+        −w on the free rows, 0 elsewhere; overwritten by the remaining residual.
     is_symmetric : bool
         Conjugate gradients then; otherwise all directions are kept, and the residual is least in the norm of rows
         divided by their diagonal entries.

@@ -1,6 +1,6 @@
 """Sweeps and multigrid on rows over MPI ranks.
 
-A sweep runs on all ranks at once, with the foreign values that were there before it: a splitting with fewer entries of
+A sweep runs on all ranks at once, with the ghost values from before the sweep: a splitting with fewer entries of
 L. NP sweeps converge so on H₊-matrices; projected relaxation does with ω ≤ 1, and on symmetric positive definite
 matrices with the pivots of :func:`~lcp_plugin.ranks.hierarchy.pivot_weight`.
 """
@@ -87,7 +87,7 @@ def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
     symmetric = problem.is_symmetric
     hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=not symmetric)
     run = GridProblemOnRanks(hierarchy, problem.q, problem.lower, problem.upper, symmetric)
-    whole = run.halo.whole(z)  # the hierarchy counts foreign unknowns in an order of its own
+    whole = run.halo.whole(z)  # the hierarchy has a different order of the ghosts
     own = slice(problem.own)
     yield whole[own], 0.0
     if not hierarchy.transfers:
@@ -164,7 +164,7 @@ class GridProblemOnRanks:
         self.work += below.work + below.truncation.work
 
     def answer(self) -> FloatVector:
-        """Return an approximate solution with space for foreign values, shape (width,)."""
+        """Return an approximate solution with space for ghost values, shape (width,)."""
         z = np.zeros(self.grid.width)
         if not self.hierarchy.transfers:
             z[: self.n] = np.clip(0.0, *self.vectors[2:])

@@ -55,7 +55,7 @@ REMEDY = "write it with problem.save"
 class RowsOnRanks:
     """The LCP z ∈ [lower, upper], w = M z + q complementary, whose rows are spread over MPI ranks.
 
-    Every vector is the own part of a rank, shape (own,). All ranks call every method, in the same order. It is made
+    Every vector is the local part of a rank, shape (own,). All ranks call every method, in the same order. Build it
     by :meth:`lcp_plugin.LCP.from_rows`.
 
     Attributes
@@ -63,7 +63,7 @@ class RowsOnRanks:
     n, own : int
         Number of rows, of all ranks and of this one.
     rows : csr_array, shape (own, own + foreign)
-        The own rows, columns counted as this rank does: its own, then the foreign ones that they meet.
+        The local rows in local columns: first the local unknowns, then their ghosts.
     halo : Halo
         The ranks, and the values that they need from each other.
     q, lower, upper : array, shape (own,)
@@ -95,18 +95,18 @@ class RowsOnRanks:
         *,
         first_row: int | None = None,
     ) -> RowsOnRanks:
-        """Return the problem of the rows that each rank gives, in the order of the ranks.
+        """Return the problem of the rows that each rank passes, in the order of the ranks.
 
         Parameters
         ----------
         comm : communicator of mpi4py; None for the whole job
         rows : sparse array, shape (own, n)
-            The own rows of M with global column indices; a rank may have none. They are only read.
+            The local rows of M with global column indices; a rank may have none. They are only read.
         q : array, shape (own,)
         lower, upper : scalar or array, shape (own,)
             A scalar holds for all rows and must be the same on every rank.
         first_row : int, optional
-            The index of the first own row; it is checked if it is given.
+            The index of the first local row; it is checked if it is given.
 
         Raises
         ------
@@ -154,7 +154,7 @@ class RowsOnRanks:
         return cls.from_rows(comm, M[own], problem.q[own], problem.lower[own], problem.upper[own])
 
     def with_q(self, q: ArrayLike) -> RowsOnRanks:
-        """Return the problem with another own part of q."""
+        """Return the problem with another local part of q."""
         return self.halo.together(
             lambda: RowsOnRanks(self.rows, self.halo, q, self.lower, self.upper)
         )
@@ -164,7 +164,7 @@ class RowsOnRanks:
         return self.halo.together(lambda: real_vector(z, name, self.own))
 
     def slack(self, z: FloatVector) -> FloatVector:
-        """Return the own part of w = M z + q."""
+        """Return the local part of w = M z + q."""
         w: FloatVector = self.rows @ self.halo.whole(z) + self.q
         return w
 
@@ -203,14 +203,14 @@ class RowsOnRanks:
     def save(self, path: str | PathLike[str]) -> None:
         """Write one chunk per rank into a folder that all ranks see, in place of older chunks.
 
-        A chunk ``rows-00000-of-00004.npz`` holds the own rows of M in CSR (data, indices counted over all ranks,
-        indptr, shape), first_row, q, lower, upper, and in ``save`` a number that all chunks of one save share, so that
-        `load` refuses a mixture.
+        A chunk ``rows-00000-of-00004.npz`` holds the local rows of M in CSR (data, indices counted over all ranks,
+        indptr, shape), first_row, q, lower, upper. All chunks of one save share a number, ``save``, so that `load`
+        rejects a mixture.
 
         Raises
         ------
         UnreadableFile
-            On every rank, if one of them cannot write, or the folder holds another file.
+            On every rank, if a rank cannot write, or the folder holds another file.
         """
         ranks = self.halo
         folder = ranks.together(lambda: checked_path(path))
@@ -271,7 +271,7 @@ def _checked_whole(problem: Any) -> sp.csr_array:
 
 
 class Head(NamedTuple):
-    """What one chunk says of itself: which rows it has, and which save it belongs to."""
+    """Header of a chunk: its rows, and the save that it belongs to."""
 
     path: Path
     first_row: int
@@ -303,7 +303,7 @@ def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
 
 
 def _heads(source: Path, ranks: Ranks) -> list[Head]:
-    """Return what all chunks say of themselves, each read by one rank, in order and checked."""
+    """Return the headers of all chunks, each read by one rank, in order and checked."""
     paths = ranks.from_first(lambda: _complete(source))
     own = ranks.together(lambda: [_head(path) for path in paths[ranks.rank :: ranks.size]])
     heads = sorted(

@@ -1,4 +1,4 @@
-"""`solve` of an LCP whose rows are spread over ranks: one loop, which all ranks go through in step."""
+"""`solve` of an LCP whose rows are spread over ranks: one loop, in step on all ranks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GROWTH = 1.05  # of the steps between two measurements
 
 @dataclass(frozen=True, eq=False)
 class ResultOnRanks:
-    """What a run on ranks returns; z and w are the own parts, everything else is the same on every rank.
+    """Result of a run on ranks; z and w are the local parts, all else is the same on every rank.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class ResultOnRanks:
     work : float
         Passes over M.
     seconds : float
-        Of the slowest rank.
+        Seconds of the slowest rank.
     error_bound : float or None
-        A proved bound of ‖z − z*‖∞ if it was asked for; ∞ if M is not proved to be an H₊-matrix.
+        A proved bound of ‖z − z*‖∞ if it was requested; ∞ if M is not proved to be an H₊-matrix.
     """
 
     z: FloatVector = field(repr=False)
@@ -89,7 +89,7 @@ def solve_on_ranks(
     threads: int | None = 1,
     **options: Any,
 ) -> ResultOnRanks:
-    """Return the solution; the parameters are those of :func:`lcp_plugin.solve`, the same on every rank.
+    """Return the solution; parameters as in :func:`lcp_plugin.solve`, equal on every rank.
 
     Raises
     ------
@@ -172,7 +172,7 @@ class _Run:
         return self.problem.halo.largest(time.perf_counter() - self.began)
 
     def _take(self, name: str, iterates: Any) -> Status:
-        """Take the iterates of one method; return why it ended, STALLED if another one may continue."""
+        """Take the iterates of one method; return its status, STALLED if another may continue."""
         settings, first = self.settings, self.iterations
         for z, work in iterates:
             if self.iterations > first or work:
@@ -194,7 +194,7 @@ class _Run:
         return Status.STALLED
 
     def _limit(self) -> Status | None:
-        """Return the limit that is reached, alike on all ranks."""
+        """Return the limit reached, the same on all ranks."""
         late = time.perf_counter() - self.began >= self.settings.max_seconds
         late, interrupted = self.problem.halo.all_largest(float(late), float(self.is_interrupted()))
         if interrupted:
@@ -211,7 +211,7 @@ class _Run:
         return found
 
     def _reported(self, name: str, found: CertificateOnRanks, z: FloatVector) -> bool:
-        """Call the callback and print a line on rank 0; return whether a callback of any rank wants to stop."""
+        """Call the callback and print a line on rank 0; return whether any callback requests a stop."""
         ranks = self.problem.halo
         sample = Sample(
             self.iterations,

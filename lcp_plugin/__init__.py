@@ -1,8 +1,9 @@
 """Linear complementarity problems: model, solve, certify.
 
 Find z with lower ≤ z ≤ upper and w = M z + q complementary: w_i ≥ 0 if z_i = lower_i, w_i ≤ 0 if z_i = upper_i, w_i = 0
-between them. The names below load on first use, so that ``import lcp_plugin`` loads only numpy. ``help(name)``
-describes each of them; these pages describe a whole subject:
+between them. Begin with ``help(lcp_plugin.LCP)`` and ``help(lcp_plugin.solve)``. The names below load on first use, so
+that ``import lcp_plugin`` loads only numpy. ``help(lcp_plugin.NAME)`` describes each of them; these pages describe a
+whole subject:
 
 - ``help("lcp_plugin.core")``: the modules of every solve, and the order in which to read them
 - ``help("lcp_plugin.modeling")``: the models that cvxpy may contain, and their statuses

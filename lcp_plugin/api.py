@@ -66,7 +66,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem, BoundedLeastSquares, or one over cones
+    problem : LCP, or another problem class
+        QuadraticProgram, EquilibriumProgram, NonlinearProblem, BoundedLeastSquares, ConeProblem, FrictionalContact.
         Never modified. The descriptions below refer to an LCP; see Notes for the other classes.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
@@ -78,7 +79,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         z0 is at most a tenth of the default start's residual; external solvers of programs ignore z0. ``explain()``
         reports an unused start.
     tolerance : float
-        Relative tolerance in [0, 1). Default 1e-8; for a QuadraticProgram and an EquilibriumProgram 1e-6 (the gap).
+        Relative tolerance in [0, 1). Default 1e-8; for a QuadraticProgram and an EquilibriumProgram 1e-6 (duality gap).
         SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
         is at most this times the residual of the point of [lower, upper] nearest to 0, and that no row is violated by
         more than tolerance^(3/4) of its terms: ``help("lcp_plugin.core.certificates.criterion")``.
@@ -86,7 +87,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     max_seconds : float, optional
         Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the
         iteration under way, as Ctrl-C is, which raises KeyboardInterrupt before the first step; a long factorization
-        is finished first. With a limit, none is begun that is predicted not to fit.
+        is finished first. With a limit, no factorization is begun that is predicted to end after it.
     absolute_tolerance : float
         In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance also counts as solved. Use it for contacts at rest,
         whose gaps are rounding errors. INFEASIBLE and NO_SOLUTION are proved by a larger margin.
@@ -122,6 +123,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     ------
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
         Before the first iteration.
+    UnsupportedModel
+        If a QuadraticProgram is not convex.
 
     Notes
     -----

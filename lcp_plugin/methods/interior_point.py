@@ -62,7 +62,7 @@ class InteriorPoint(Algorithm):
     engine: ClassVar[str] = "piqp"
     needs: ClassVar[str] = "monotone M"
     solves: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
-    cost: ClassVar[str] = "10 to 30 factorisations at once"
+    cost: ClassVar[str] = "one run of 10 to 30 factorizations"
     reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023, doi:10.1109/CDC49753.2023.10383915"
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True

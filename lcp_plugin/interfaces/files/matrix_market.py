@@ -36,7 +36,7 @@ WORDS = {
 
 def in_folder(source: Path) -> str:
     """Return the next step for a path that does not exist: the folder from which it was looked up."""
-    return "; check the path" if source.is_absolute() else f"; check the path, from {Path.cwd()}"
+    return "; check the path" + ("" if source.is_absolute() else f" (from the folder {Path.cwd()})")
 
 
 @contextmanager

@@ -1,29 +1,30 @@
-"""Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
+"""Convex quadratic and linear programs, and their conversion to linear complementarity problems and back.
 
-``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it. In order, until one decides:
+``solve(QuadraticProgram(…))`` always runs `solving.solve_program`. In order, until one step decides:
 
 1. External solvers, in the order of `engine_calls.ATTEMPTS`: rows of one variable become bounds (`reductions`), the
    program is scaled (`engines.scaling`); the point, without noise and polished (`engines.polish`), is tested
-   (`criterion`). If the solver says that there is no minimum, a proof is looked for (`no_minimum`).
-2. A run on the complementarity problem (`conversion`), if the program is small; before, if it has bounds alone and is
-   large.
-3. A proof that there is no minimum; otherwise PRECISION_LIMIT or STALLED with the two measures of the best point.
+   (`criterion`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof.
+2. A run on the complementarity problem (`conversion`), if the program is small; as the first step, if the program is
+   large and has bounds only.
+3. A proof of infeasibility or unboundedness; otherwise PRECISION_LIMIT or STALLED with the two measures of the best
+   point.
 
 | file | what is in it |
 |---|---|
-| `program`, `program_matrices`, `constraints`, `convexity` | the data, and what they alone say |
-| `reductions` | rows of one variable as bounds, and the way back |
+| `program`, `program_matrices`, `constraints`, `convexity` | the data, and facts that depend on them only |
+| `reductions` | rows of one variable as bounds, and the inverse transformation |
 | `criterion`, `solution` | the one test of a point, and its two measures |
 | `engine_calls`, `solving` | points of external solvers, and the status |
-| `conversion` | the complementarity problem of a program, and the answer that its z is |
+| `conversion` | the complementarity problem of a program, and the solution that its z encodes |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
-| `certification`, `dual_bounds`, `feasible_points` | what is proved of anybody's answer |
-| `kind` | what the package asks of a kind: messages, names, ways in |
+| `certification`, `dual_bounds`, `feasible_points` | proofs about a point from any solver |
+| `kind` | interface of the problem class to the package: messages, names, entry points |
 | `stacked_programs` | many programs of one shape |
 
-Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` remembers where it came
-from: ``origin.recover(result)``, with a result of ``solve`` or any z, gives the answer in the terms of the problem that
-was asked, together with a measure of how wrong it is there.
+Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` stores the original problem.
+Call ``origin.recover(result)`` with a result of ``solve`` or any z: it returns the solution of the original problem and
+its residual there.
 
 | problem | function |
 |---|---|
@@ -36,5 +37,5 @@ was asked, together with a measure of how wrong it is there.
 | absolute value equation A x − abs(x) = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` by numpy; x = w − z |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 
-Quadratic programs must be convex to the rounding of single precision; others are refused (`UnsupportedModel`).
+Quadratic programs must be convex to the rounding of single precision; otherwise `UnsupportedModel` is raised.
 """

@@ -1,8 +1,8 @@
-"""What is proved about anybody's answer to a convex program: `certify`.
+"""Rigorous verdicts on a claimed solution of a convex program from any solver: `certify`.
 
-Everything that is said holds for the stored doubles, rounding included; the solver is never believed. A lower bound of
-the optimal value comes from weak duality (:mod:`lcp_plugin.problems.programs.dual_bounds`), with the multipliers that
-came with the answer and with those of a solution of our own; an upper bound from a point that is proved to be feasible.
+All verdicts hold for the stored doubles, rounding included, and do not rely on the solver. Weak duality gives a lower
+bound of the optimal value (:mod:`lcp_plugin.problems.programs.dual_bounds`), from the user's multipliers and from the
+multipliers of a built-in solve. A point that is proved feasible gives an upper bound.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from .solution import QPSolution
 from .solving import QuadraticProgramResult, solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
-SHARE = 0.5  # of a time limit: what multipliers may take, so that what they prove is left as much
-ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
-SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
+SHARE = 0.5  # of a time limit: for multipliers, so that proofs have as much time
+ALMOST = 1e-9  # residuals of a program below which no other form is tried
+SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
 LOOSE = 10.0  # times the tolerance: errors of multipliers
 
 
-@np.errstate(all="ignore")  # what overflows proves nothing
+@np.errstate(all="ignore")  # a bound that overflows proves nothing
 def certify(
     problem: Any,
     x: Any = None,
@@ -151,7 +151,7 @@ def certify(
         )
         if not contradicts:
             refuse_nonconvex(problem)
-        # What a time limit cut short is not kept.
+        # Proofs are not cached under a time limit, because they may be incomplete.
         proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
         if claim in ("infeasible", "unbounded"):
             return proofs.prove_claim(str(claim), float(tolerance))
@@ -162,7 +162,7 @@ def certify(
 def _answer(
     program: QuadraticProgram, x: Any, multipliers: Any
 ) -> tuple[FloatVector, FloatVector | None]:
-    """Return x, and multipliers of all constraints; bounds get the rest of the gradient if a pair was given."""
+    """Return x, and multipliers of all constraints; for a pair, bounds get the remaining gradient."""
     if x is None:
         raise InvalidProblem(
             "certify needs the x that is claimed to be optimal; give certify(program, x), or a claim"
@@ -199,7 +199,7 @@ def _check_options(tolerance: Any, max_seconds: Any) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Certification:
-    """What is proved about an answer to a program.
+    """Verdict on a claimed solution of a program, with the proved bounds.
 
     Attributes
     ----------
@@ -208,13 +208,13 @@ class Certification:
     claim : str
         "optimal", "infeasible" or "unbounded".
     violation : float or None
-        The largest violation of a constraint, in its own unit; None where there is no x.
+        Largest violation of a constraint, in the unit of that constraint; None without an x.
     lower, upper : float or None
-        Proved bounds of the optimal value, None where nothing is proved.
+        Proved bounds of the optimal value; None if no bound is proved.
     gap : float or None
         A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
     reason : str
-        Why this is the verdict.
+        Reason of the verdict.
     distance : float or None
         Upper bound of ‖x − x*‖₂, √(2 gap/μ) with the curvature μ; None if the optimal x* is not proved to be unique.
     """
@@ -253,18 +253,18 @@ class ProgramProofs:
 
     @cached_property
     def bounds(self) -> DualBounds:
-        """What lower bounds are made of."""
+        """Data for lower bounds of the optimal value."""
         form = constrained_curvature(self.program.P, self.program.A)
         return DualBounds(self.program, form, implied_box(self.program))
 
     @cached_property
     def points(self) -> FeasiblePoints:
-        """Where feasible points come from."""
+        """Search for feasible points."""
         return FeasiblePoints(self.program)
 
     @cached_property
     def own_solution(self) -> QPSolution | None:
-        """The solution of the program that we find; None where there is no time, or the problem overflows."""
+        """Solution of the program by a built-in solve; None if the time is over or the solve fails."""
         with suppress(LCPError), time_limit(SHARE * seconds_left()):  # a proof takes time as well
             return solve_program(self.program, prove_infeasibility=False).solution
         return None
@@ -287,9 +287,9 @@ class ProgramProofs:
         value: float,
         allowed: float | None = None,
     ) -> float:
-        """Return the lower bound by some multipliers, repaired where they prove less than the value but for a gap.
+        """Return the lower bound by some multipliers, repaired if it is below the value by more than the allowed gap.
 
-        By default an allowed gap is 1e-9 beside the terms of the objective.
+        By default the allowed gap is 1e-9 relative to the terms of the objective.
         """
         enough = value - (
             ALMOST * size_of_objective(self.program, x)[0] if allowed is None else allowed
@@ -299,10 +299,10 @@ class ProgramProofs:
     def upper(
         self, *near: FloatVector, exactly: bool = True, by_own: bool = True
     ) -> list[FeasiblePoint]:
-        """Return points that are proved to be feasible, near those given and our own solution, or else any.
+        """Return points that are proved feasible: near the given points and our solution, or else any point.
 
-        Rational arithmetic looks for one where doubles prove none, unless it is not to, and nobody for a solution of
-        our own that is not to be looked at.
+        If floating point proves no point and `exactly` is set, rational arithmetic searches for a point. A new solve
+        requires a small program and `by_own`.
         """
         found = [point for x in near if (point := self.points.find_near(x)) is not None]
         if "own_solution" in self.__dict__ or (self.is_small and by_own):
@@ -321,21 +321,21 @@ class ProgramProofs:
 
     @cached_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
-        """An exact proof that the program has no minimum; None where none was found."""
+        """An exact proof that the program is infeasible or unbounded; None if no proof was found."""
         proof = self.program.facts.proof_of_no_minimum
-        if proof is not None and not proof.is_exact:  # what a solve keeps need not be
+        if proof is not None and not proof.is_exact:  # a solve may cache an inexact proof
             proof = proof_of_no_minimum(self.program, exactly=True)
         return proof if proof is not None and proof.is_exact and proof.verify() else None
 
     @property
     def is_small(self) -> bool:
-        """Whether a solution of our own is worth its time where nothing depends on it."""
+        """True if the program is so small that an additional solve is worthwhile for a tighter bound."""
         return self.program.n + self.program.h.size + self.program.b.size <= SMALL
 
     # --- Claims -------------------------------------------------------------------------------------------------
 
     def prove_claim(self, claim: str, tolerance: float) -> Certification:
-        """Return what is proved about "infeasible" or "unbounded"."""
+        """Return the verdict on a claim, "infeasible" or "unbounded"."""
         if (proof := self.no_minimum) is not None:
             if proof.verdict != claim:
                 return Certification("disproved", claim, reason=f"the program is {proof}")
@@ -359,7 +359,7 @@ class ProgramProofs:
     def prove_answer(
         self, x: FloatVector, given: FloatVector | None, tolerance: float
     ) -> Certification:
-        """Return what is proved about a point, and the multipliers of all constraints that came with it."""
+        """Return the verdict on a point and its multipliers of all constraints."""
         program, value = self.program, objective_bounds(self.program, x)
         violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
         lower, complaint = -math.inf, ""
@@ -388,7 +388,7 @@ class ProgramProofs:
 
 
 def size_of_objective(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
-    """Return doubles below and above Σ|c_j x_j| + |xᵀP x|; both are 0 where all terms are."""
+    """Return doubles below and above Σ|c_j x_j| + |xᵀP x|; both are 0 if all terms are 0."""
     linear = float(np.abs(program.c * x).sum())
     below, above = (2.0 * value for value in objective_bounds(program, x, linear=0.0))
     curved = max(below, -above, 0.0), max(-below, above)
@@ -397,14 +397,14 @@ def size_of_objective(program: QuadraticProgram, x: FloatVector) -> tuple[float,
 
 @dataclass(frozen=True)
 class Violation:
-    """By how much an x violates the constraints.
+    """Enclosure of the largest violation of the constraints at a point x.
 
     Attributes
     ----------
     least, largest : float
-        Doubles below and above the largest violation of a constraint, in its own unit.
+        Doubles below and above the largest violation of a constraint, in the unit of that constraint.
     is_met, is_missed : bool
-        Whether it is proved that no constraint is violated by more than a tolerance allows, and that one is.
+        True if it is proved that all constraints hold to the tolerance, and that some constraint does not.
     """
 
     least: float
@@ -413,9 +413,9 @@ class Violation:
     is_missed: bool
 
     @classmethod
-    @np.errstate(all="ignore")  # what overflows is not met
+    @np.errstate(all="ignore")  # a constraint that overflows counts as not satisfied
     def of(cls, program: QuadraticProgram, x: FloatVector, tolerance: float) -> Violation:
-        """Return that of x, relative to the terms of each row; rounding is excused as in the test of programs."""
+        """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
         rows = program.constraints
         finite = rows.finite
         matrix, limit, is_equality = (
@@ -448,7 +448,7 @@ def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
 
 @dataclass(frozen=True, eq=False)
 class Proved:
-    """The numbers that a verdict on an answer is made of.
+    """Proved numbers from which the verdict on a point follows.
 
     Attributes
     ----------
@@ -456,11 +456,11 @@ class Proved:
         Doubles below and above f(x).
     violation : Violation
     lower : float
-        Of the optimal value; −∞ where there is none.
+        Lower bound of the optimal value; −∞ if there is no bound.
     points : list of FeasiblePoint
     tolerance : float
     size : pair of float
-        Doubles below and above Σ|c_j x_j| + |xᵀP x|: errors of values are measured beside that.
+        Doubles below and above Σ|c_j x_j| + |xᵀP x|, the reference of errors of values.
     """
 
     value: tuple[float, float]
@@ -472,7 +472,7 @@ class Proved:
 
     @property
     def upper(self) -> float:
-        """Of the optimal value; ∞ where there is none."""
+        """Upper bound of the optimal value; ∞ without a feasible point."""
         return min((point.value for point in self.points), default=math.inf)
 
     @property
@@ -485,7 +485,7 @@ class Proved:
         )
 
     def disproof(self) -> str:
-        """Return what disproves the answer, or nothing."""
+        """Return the disproof of the point as text, empty if there is none."""
         (below, above), allowed = self.value, self.tolerance * self.size[1] * OUTWARD
         if self.violation.is_missed:
             return f"a constraint is violated by {self.violation.least:.3g}"
@@ -531,7 +531,7 @@ class Proved:
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
-        """Return what disproves every answer, whatever its numbers are; looked for where there is no lower bound."""
+        """Return the disproof of every point by a recession direction, as text; searched without a lower bound only."""
         proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
         is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""
@@ -549,7 +549,7 @@ class Proved:
         return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
 
 
-@np.errstate(all="ignore")  # what overflows bounds nothing
+@np.errstate(all="ignore")  # a value that overflows gives no bound
 def distance(
     proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float
 ) -> float:
@@ -575,14 +575,14 @@ def _if_finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-@np.errstate(all="ignore")  # what overflows is wrong
+@np.errstate(all="ignore")  # a condition that overflows counts as violated
 def multiplier_error(
     program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float, size: float
 ) -> str:
-    """Return which condition the multipliers y of all constraints miss by more than 10 · tolerance, or nothing.
+    """Return the condition that the multipliers y violate by more than 10 · tolerance, as text; empty if none.
 
-    The gradient is compared with its largest term; wrong signs count as what they do to it. y · slack is compared with
-    the terms of the objective, `size`, and of the constraint.
+    The gradient is compared with its largest term, and wrong signs count by their effect on the gradient. y · slack is
+    compared with the terms of the objective, `size`, and of the constraint.
     """
     rows, most = program.constraints, LOOSE * tolerance
     columns = sp.csr_array(rows.matrix.T)

@@ -20,12 +20,12 @@ from .program_matrices import Indices, ProgramMatrices, as_csr, or_one
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-NOISE = 1e-5  # of the coefficients of a row: a limit that is 1e-14 of that is rounding in the place of 0
+NOISE = 1e-5  # of the coefficients of a row: 1e-14 of this on the right counts as a rounded 0
 
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """Rows C x ≤ d, equations among them: G x ≤ h, A x = b, −x ≤ −lower, x ≤ upper; a limit of ∞ says nothing.
+    """Rows C x ≤ d, including equalities: G x ≤ h, A x = b, −x ≤ −lower, x ≤ upper; d_i = ∞ means no constraint.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class Constraints:
 
     @property
     def is_equality(self) -> NDArray[np.bool_]:
-        """Which rows are equations."""
+        """Mask of the equality rows."""
         return self.matrices.is_equality
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """m, p, n, n: how many rows are of G, of A, and of each kind of bound."""
+        """m, p, n, n: numbers of rows of G, of A, of lower and of upper bounds."""
         return self.matrices.sizes
 
     @property
@@ -74,7 +74,7 @@ class Constraints:
         return np.flatnonzero(np.isfinite(self.limit))
 
     def split(self, values: Any) -> list[Any]:
-        """Return the parts of one value a row: of G, of A, of the lower and of the upper bounds."""
+        """Return the parts of values per row: of G, of A, of the lower and of the upper bounds."""
         ends = np.cumsum(self.sizes).tolist()
         return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
 
@@ -82,7 +82,7 @@ class Constraints:
     def own_sizes(self) -> FloatVector:
         """The |limit| of each row, or 1e-5 of its smallest coefficient where that is larger; 1 of a row of none.
 
-        A contradiction that is rounding beside all coefficients in the caller's units is one of rounded data.
+        An inconsistency at rounding level, relative to all unscaled coefficients, is attributed to rounded data.
         """
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
         with np.errstate(divide="ignore"):
@@ -91,14 +91,14 @@ class Constraints:
 
     @cached_property
     def unit(self) -> FloatVector:
-        """The largest |coefficient| of each row + its |limit|: what searches for a contradiction weigh it by."""
+        """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
         with np.errstate(over="ignore"):
             return np.asarray(self.matrices.row_sizes + right)
 
     @cached_property
     def as_rows(self) -> LinearConstraints:
-        """All of them, bounds too, as rows of x that has none, with w = d − C x."""
+        """All constraints, including bounds, as rows of an unbounded x, with w = d − C x."""
         free, kept = np.full((2, self.matrix.shape[1]), np.inf), np.zeros(self.matrix.shape[1])
         return LinearConstraints(
             -self.matrix,
@@ -133,7 +133,7 @@ class Constraints:
         return rational_rows(self.matrix)
 
     def excess(self, x: FloatVector) -> FloatVector:
-        """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, ∞ where it overflows."""
+        """Return proved upper bounds of the violation of each row: −∞ to 0 if satisfied, ∞ if a sum overflows."""
         is_finite = np.isfinite(self.limit)
         with np.errstate(all="ignore"):
             value, radius = compensated_product(

@@ -1,4 +1,4 @@
-"""Whether a quadratic program is convex, and what is said where it is not."""
+"""Convexity test of quadratic programs, and the error messages for nonconvex programs."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ...systems.definiteness import factorised, scaled_to
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
+LARGEST_MEASURED = 1000  # variables up to which the error message contains the smallest eigenvalue
 SINGLE_PRECISION = 2.0**-24
 
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:
     """Raise where P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
 
-    One factorisation, where no row shows it and the factor fits into memory.
+    Cost: one factorization, if no row decides and the factorization fits into memory.
 
     Raises
     ------
@@ -62,5 +62,5 @@ def is_nearly_semidefinite(P: Any) -> bool:
 
 
 def smallest_eigenvalue(P: Any) -> float:
-    """Return that of a dense copy of P."""
+    """Return the smallest eigenvalue of a dense copy of P."""
     return float(np.linalg.eigvalsh(P.toarray() if sp.issparse(P) else P)[0])

@@ -1,19 +1,21 @@
 """When a quadratic program is solved: the one test of a point x with multipliers y of the rows.
 
-Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. Multipliers are a proof and nothing else, so the test cleans
-them: a wrong sign is 0, and a bound's multiplier is what the gradient r = P x + c + Cᵀy leaves. Two measures decide:
+The program is min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. Multipliers serve only as a proof, so the test
+cleans them: a wrong sign becomes 0, and the gradient r = P x + c + Cᵀy gives the multiplier of a bound. Two measures
+decide:
 
 - **primal**: the violation of a row relative to max(|d_i|, max_j |c_ij x_j|); of a bound relative to |x_j| or itself.
-  A row without coefficients is a number that others have computed: it is relative to 1. A row is excused if its
-  violation is rounding, 2⁻⁴⁴, of |c_ij| times the unknowns that matter in its component.
+  The violation of a row without coefficients is relative to 1. A violation is tolerated if it is at most 2⁻⁴⁴
+  (rounding) of |c_ij| times the unknowns that matter in its component.
 - **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
-  price of mending excused rows, relative to the objective's terms. reach_j is the distance to the bound that r_j pushes
-  to, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted beyond |r_j| reach_j.
+  price of repairing tolerated rows, relative to the objective's terms. reach_j is the distance to the bound in the
+  direction of r_j, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted beyond
+  |r_j| reach_j.
 
-So no row is off beyond rounding, and no unknown, moved to its bound or to 10⁴ times its size, gains more than the
-tolerance. Plain sums decide most points, because all sizes that they use are on the safe side; sums without rounding, a
-fit of units and multipliers of least norm are computed for the others. Formulas and reasons are in
-``examples/manual/solved.md``.
+A point that passes violates no row beyond rounding, and no unknown that moves to its bound or to 10⁴ times its size
+gains more than the tolerance. Plain sums decide most points, because all sizes that they use are on the safe side. For
+the remaining points, the test uses sums without rounding, fitted units and multipliers of least norm. Formulas and
+reasons are in ``examples/manual/solved.md``.
 """
 
 from __future__ import annotations
@@ -34,11 +36,11 @@ if TYPE_CHECKING:
 
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
-EXCUSED = 2.0**-44  # of the unknowns that matter: what rounding leaves of a row
-MATTERS = 1e-6  # of the objective's terms: an unknown with less to move is no size
+EXCUSED = 2.0**-44  # of the unknowns that matter: rounding error of a row
+MATTERS = 1e-6  # of the objective's terms: unknowns with smaller terms do not matter
 REACH = 1e4  # times its size, an unknown without a bound is moved
 UNIT = 2.0**-53
-BLUR = 8.0 * UNIT  # of the terms of a sum: what the data may be off by
+BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 LEAST_SIZE = (
     1e-8  # of the objective's terms and of the rows' with their multipliers, where they cancel
 )
@@ -49,7 +51,7 @@ TINY = 2.0**-1000
 class Errors(NamedTuple):
     """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
 
-    `is_excused` says that a row is off by more than its own terms allow, and by rounding of large unknowns only.
+    `is_excused` is True if a row is violated relative to its terms, but only by rounding of large unknowns.
     """
 
     primal: Any
@@ -81,9 +83,9 @@ class Errors(NamedTuple):
 def errors_of_each(
     together: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
 ) -> Errors:
-    """Return bounds of the errors, shape (B,), of B programs that stand in one, at the rows of x, shape (B, n).
+    """Return bounds of the errors, shape (B,), of B programs joined into one, at the rows of x, shape (B, n).
 
-    Sums are plain: what these do not decide is left for a look at one program.
+    Sums are plain. If they do not decide a program, test this program on its own.
     """
     (count, n), (m, p) = x.shape, (size // len(x) for size in together.matrices.sizes[:2])
     is_finite: Any = np.isfinite(x).all(axis=1)
@@ -105,7 +107,7 @@ def errors_of_each(
 def measures(
     program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
 ) -> tuple[FloatVector, FloatVector, bool]:
-    """Return the error of each row and bound, shape (rows + n,), the gap of each component, and whether one is excused.
+    """Return the error of each row and bound, shape (rows + n,), the gap per component, whether a row is tolerated.
 
     Parameters
     ----------
@@ -133,7 +135,7 @@ def measures(
 
 
 class Point:
-    """A point with all that its measures are made of.
+    """Point with all terms of its two measures.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ class Point:
     x, y : arrays
         Finite.
     is_exact : bool
-        Whether sums are computed without rounding. If not, `doubt` bounds the rounding, and counts in full.
+        True if sums are computed without rounding. Otherwise the full rounding bound `doubt` is added.
     """
 
     def __init__(
@@ -188,7 +190,7 @@ class Point:
     # --- Rows --------------------------------------------------------------------------------------------------------
 
     def row_errors(self) -> FloatVector:
-        """Return the error of each row and of each bound; rows are excused if sums are exact."""
+        """Return the error of each row and of each bound; rounding in rows is tolerated if sums are exact."""
         own, of_bounds = self.own, self.outside
         if self.is_exact and (self.over > ROWS * own).any():
             own = np.maximum(own, EXCUSED / ROWS * self.reached)
@@ -200,7 +202,7 @@ class Point:
 
     @cached_property
     def reached(self) -> FloatVector:
-        """What unknowns that matter may be in each row: the smaller of the caller's units and of fitted ones."""
+        """Size of the unknowns that matter in each row: the minimum over the user's units and fitted units."""
         units, of_row = self.matrices.fit[0], self.matrices.components.of_row
         of_C = self.matrices.measured[3]
         return np.minimum(
@@ -212,9 +214,10 @@ class Point:
 
     @cached_property
     def price(self) -> FloatVector | None:
-        """What mending a row costs that is excused only: its violation times the cheapest unknown's rest per entry.
+        """Price of repairing a tolerated row: its violation times the least remaining gradient per coefficient.
 
-        Of unknowns with room in the direction that mends the row; if there are none, of all. None of no such row.
+        The minimum is over unknowns with room in the direction that repairs the row, or over all unknowns if there is
+        none. The property is None without a tolerated row.
         """
         bad: Any = np.flatnonzero(self.over > ROWS * self.own) if self.is_exact else ()
         if not len(bad):
@@ -312,7 +315,7 @@ class Point:
 
     @cached_property
     def matters(self) -> FloatVector:
-        """The sizes of unknowns whose terms are a part of the objective's, 0 of others."""
+        """Sizes of unknowns whose terms are a relevant part of the objective's terms; 0 for the remaining unknowns."""
         part = self.objective[self.matrices.components.of_unknown]
         return np.where(self.size_of_gradient * self.of_x >= MATTERS * part, self.of_x, 0.0)
 
@@ -404,7 +407,7 @@ def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> flo
 
 @np.errstate(all="ignore")
 def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
-    """Return the violation of each row that is rounding at x, whatever its own terms are."""
+    """Return the violation of each row that counts as rounding at x."""
     point = Point(program, x, np.zeros(program.constraints.right.size), is_exact=True)
     return EXCUSED * point.reached
 
@@ -443,9 +446,9 @@ def sums_without_rounding(
 ) -> FloatVector:
     """Return A x + offset, as rounded from about twice the digits.
 
-    Each product is split into its rounded value and its error (Dekker), each value into a part that adds up without
-    error in any order and a rest (Rump, Ogita, Oishi, *Accurate floating-point summation*, SIAM J. Sci. Comput. 31
-    (2008), doi:10.1137/050645671).
+    Each product is split into its rounded value and its error (Dekker). Each value is split into a part that adds up
+    without error in any order and a remainder (Rump, Ogita, Oishi, *Accurate floating-point summation*, SIAM J. Sci.
+    Comput. 31 (2008), doi:10.1137/050645671).
 
     Examples
     --------

@@ -5,11 +5,11 @@ s = P x̂ + c + Gᵀλ + Aᵀν, every feasible x within a box [l, u] that holds
 
     f(x) ≥ f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b) + Σ_i inf over l_i ≤ t ≤ u_i of s_i (t − x̂_i) + ½ μ_i (t − x̂_i)².
 
-Where the weights are those of P + ρ AᵀA, ½ ρ‖A x̂ − b‖² is to be taken off: f is then f + ½ ρ‖A x − b‖², with
+If the weights belong to P + ρ AᵀA, ½ ρ‖A x̂ − b‖² must be subtracted: f is then f + ½ ρ‖A x − b‖², with
 multipliers ν − ρ (A x̂ − b).
 
-Everything is evaluated downwards. Where a box is open on the side to which s_i falls and μ_i = 0, the sum is −∞: then
-(x̂, λ, ν) is repaired first, by least squares with some slack, and where s_i must be exactly zero in rationals.
+All sums are rounded downwards. The sum is −∞ if μ_i = 0 and the box is infinite on the side to which s_i falls. Then
+(x̂, λ, ν) is repaired first, by least squares with some slack, or in rationals if s_i must be exactly zero.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from .reductions import FoldedRows
 SLACKS = (
     2.0**-46,
     2.0**-36,
-)  # of the terms of a component: little and ample, beyond what least squares round
+)  # of the terms of a component: small and large, above the rounding of least squares
 NOISE = 2.0**-44  # of the largest multiplier
 ROUNDS = (
-    4  # of least squares: components that were right may need slack after those that were wrong
+    4  # of least squares: a repair of some components may break components that were correct before
 )
-NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
+NEAR = 2.0**-20  # of its terms: a component that least squares leave unchanged
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 MOST_PASSES = (
-    10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
+    10_000  # a chain of equalities needs one pass per link; a pass tests only rows with new bounds
 )
 EXACT_UP_TO = 150  # dependent equations in rationals: 100 of them take .4 s, 200 take 1.7 s
 Box = tuple[FloatVector, FloatVector]
 
 
 class DualPoint(NamedTuple):
-    """A point x̂ and multipliers of G and of A, those of G not negative; x̂ need not be feasible."""
+    """Point x̂, which may be infeasible, and multipliers of G (not negative) and of A."""
 
     x: FloatVector
     y: FloatVector
@@ -61,7 +61,7 @@ class DualPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DualBounds:
-    """A program with what bounds its optimal value from below.
+    """Program with the data for lower bounds of its optimal value.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class DualBounds:
     def best(self, x: FloatVector, y: FloatVector, enough: float = np.inf) -> float:
         """Return the largest lower bound that the point and the multipliers, or their repairs, prove; −∞ for none.
 
-        Nothing is repaired any more once a bound is enough.
+        Repairs end once a bound reaches `enough`.
         """
         if not np.isfinite(self.curvature.weights).all():
             return -np.inf
@@ -98,12 +98,12 @@ class DualBounds:
             found = max(found, self._exact_value(point))
         if (
             found < enough and not is_over()
-        ):  # at an x of no terms what rounding leaves of s_j²/μ_j is too much, too
+        ):  # at x = 0, the bound also loses too much by rounding in s_j²/μ_j
             found = max(found, self._exact_value(given, is_fixed=True))
         return found
 
     def admit(self, x: FloatVector, y: FloatVector) -> DualPoint:
-        """Return the point with multipliers that are allowed: none negative, none where a box says the same."""
+        """Return the point with admissible multipliers: not negative, and 0 for rows that the box contains."""
         m = self.program.h.size
         allowed = np.where(np.isfinite(y), y, 0.0)
         allowed[:m] = np.where(np.isfinite(self.program.h), np.maximum(allowed[:m], 0.0), 0.0)
@@ -111,7 +111,7 @@ class DualBounds:
         return DualPoint(x, allowed)
 
     def value(self, at: DualPoint) -> float:
-        """Return a double below the bound that is proved by this point as it is; −∞ where there is none."""
+        """Return a double below the bound that this point proves without a repair; −∞ if it proves no bound."""
         program, (x, y) = self.program, at
         with np.errstate(all="ignore"):
             high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
@@ -165,7 +165,7 @@ class DualBounds:
     # --- Repairs ------------------------------------------------------------------------------------------------
 
     def _with_slack(self, at: DualPoint, slack: float) -> DualPoint:
-        """Return a point beside this one whose s has the signs that the open sides ask for, with slack if it can be."""
+        """Return a nearby point whose s has the signs that open sides require, with slack if possible."""
         needs_rise, needs_fall = self._open_sides
         is_free = needs_rise & needs_fall
         sign = np.where(needs_rise, 1.0, -1.0)
@@ -186,14 +186,14 @@ class DualBounds:
         return at
 
     def _is_movable(self, at: DualPoint) -> BoolVector:
-        """Which entries of x̂ and of the multipliers a repair may change."""
+        """Return the mask of the entries of x̂ and of the multipliers that a repair may change."""
         m = self.program.h.size
         return np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]])
 
     def _exact_value(self, at: DualPoint, *, is_fixed: bool = False) -> float:
-        """Return the bound of a point beside this one whose s is exactly zero where it has to be; −∞ for none.
+        """Return the bound of a nearby point with s exactly zero if required; −∞ if no point is found.
 
-        Of a fixed x̂ also where there is curvature: then multipliers alone move.
+        If x̂ is fixed, components with curvature are included, and only multipliers change.
         """
         needs_rise, needs_fall = self._open_sides
         v = np.concatenate(at)
@@ -241,9 +241,9 @@ class DualBounds:
 
     @cached_property
     def _open_sides(self) -> tuple[BoolVector, BoolVector]:
-        """Where s must not be negative, and where it must not be positive: open sides without curvature.
+        """Masks of s ≥ 0 and of s ≤ 0 as requirements: infinite sides without curvature.
 
-        A side that only the rows together close may be far away.
+        A bound that only several rows together imply does not count, because it may be very large.
         """
         is_flat, folded = self.curvature.weights <= 0.0, FoldedRows.of(self.program).reduced
         return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
@@ -262,7 +262,7 @@ class DualBounds:
 
     @cached_property
     def _is_bound(self) -> BoolVector:
-        """Rows of one entry: the box says what they say."""
+        """Mask of the rows with at most one entry, which the box contains."""
         return np.asarray(np.diff(self._rows.indptr) <= 1)
 
     @property
@@ -275,7 +275,7 @@ class DualBounds:
 
 
 def _without_rounding(y: FloatVector) -> FloatVector:
-    """Return multipliers with 0 for those that are rounding beside the largest; degenerate ones have to be 0."""
+    """Return multipliers with 0 for entries at rounding level, because degenerate multipliers must be 0."""
     return np.where(np.abs(y) <= NOISE * np.abs(y).max(initial=0.0), 0.0, y)
 
 
@@ -292,7 +292,7 @@ def half_above(value: float) -> float:
 
 
 def _sum_above(values: FloatVector) -> float:
-    """Return a double above the sum of the values, 0 where all are."""
+    """Return a double above the sum of the values; 0 if all values are 0."""
     if not np.isfinite(values).all():
         return float(np.inf)
     try:
@@ -303,7 +303,7 @@ def _sum_above(values: FloatVector) -> float:
 
 @np.errstate(all="ignore")
 def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
-    """Return the shortest of the least squares solutions, to rounding where it is small; 0 where it overflows."""
+    """Return the shortest least squares solution, accurate to rounding for a small matrix; 0 if it overflows."""
     if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
         try:
             found = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
@@ -319,8 +319,8 @@ def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
 def implied_box(program: QuadraticProgram) -> Box:
     """Return (lower, upper) with lower ≤ x ≤ upper for every feasible x, shape (n,) each, rounded outwards.
 
-    A row a·x ≤ d bounds x_j where it bounds all other terms: a_j x_j ≤ d − Σ min a_k x_k. Every pass over the rows may
-    bound more variables, so passes go on as long as some do.
+    A row a·x ≤ d bounds x_j if all other terms are bounded: a_j x_j ≤ d − Σ min a_k x_k. Every pass over the rows may
+    bound more variables, so passes continue as long as a bound changes.
 
     Examples
     --------

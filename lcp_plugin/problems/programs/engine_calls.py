@@ -1,4 +1,4 @@
-"""Points of external solvers: scaled, cleaned and polished, and tested on the program as it was given."""
+"""Points of external solvers: scaled, cleaned and polished, and tested on the unscaled program."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from .reductions import FoldedRows
 from .solution import QPSolution
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
-NOISE = 2.0**-40  # of the largest: what an interior point leaves of 0
+NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
 ATTEMPTS = (  # engine, tolerance of its own, units
     ("daqp", None, GIVEN),
@@ -53,16 +53,16 @@ TOLERANCES = MappingProxyType(
 
 
 class EngineRun(NamedTuple):
-    """What an engine came to.
+    """Result of an engine.
 
     Attributes
     ----------
     solution : QPSolution
-        The best of its points, as it came, cleaned or polished.
+        Best of the engine's points: original, cleaned or polished.
     errors : Errors
-        The two measures of it.
+        Two measures of the solution.
     says : EngineStatus
-        What the engine says of its last point.
+        Status that the engine reports for its last point.
     stage : StageRecord
     """
 
@@ -73,12 +73,12 @@ class EngineRun(NamedTuple):
 
 
 def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[Engine, str]]:
-    """Yield the engines that may solve a program, with the units in which each is asked.
+    """Yield the engines that may solve a program, with the units for each.
 
     Parameters
     ----------
     engine : Engine, optional
-        The only one that is asked; its own options come before those of an attempt.
+        If given, only this engine runs; its options override the options of an attempt.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def run_engine(
     Raises
     ------
     UnsuitableProblem
-        Where the engine takes linear programs alone, and it is none.
+        If the engine accepts only linear programs and P has nonzeros.
     """
     if engine.is_for_linear_alone and program.matrices.has_curvature:
         raise UnsuitableProblem(
@@ -121,7 +121,7 @@ def run_engine(
     reduced = FoldedRows.of(program).reduced
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors = Errors(np.inf, np.inf)
-    with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
+    with np.errstate(all="ignore"):  # a point that overflows fails the test
         given = _statement(reduced)
         for statement in (given,) if units is GIVEN else _statements(given):
             scaled = None if units is GIVEN else _scale_statement(reduced, statement, units)
@@ -193,7 +193,7 @@ def _is_feasible(statement: ProgramData, x: FloatVector) -> bool:
 
 
 def _has_noisy_multipliers(statement: ProgramData, point: EngineAnswer) -> bool:
-    """Return whether the objective's terms and those of the rows with their multipliers are of very different sizes."""
+    """Return whether the terms of the objective differ greatly in size from the terms multiplier × right-hand side."""
     x, sides = point.x, np.concatenate([statement.h, statement.b])
     y = np.concatenate(point.multipliers[:2])
     of_rows = np.abs(y[y != 0.0]) @ np.abs(sides[y != 0.0])
@@ -218,7 +218,7 @@ def quiet(point: EngineAnswer) -> EngineAnswer:
 
 
 def _statements(given: ProgramData) -> Iterator[ProgramData]:
-    """Yield the statement without limits that are far away, and, if these matter, as it is."""
+    """Yield the program without very large right-hand sides and, if it had any, the original program."""
     near = without_far_limits(given)
     yield near
     if near is not given:
@@ -237,7 +237,7 @@ def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> En
     """Return the point of an engine."""
     try:
         return engine.answer(statement, Limits(seconds_left(), is_verbose))
-    except Exception as error:  # whatever another package raises of an option's value
+    except Exception as error:  # an external solver may raise any error for an option
         own = TOLERANCES.get(engine.name, ())
         asked = {name: value for name, value in engine.options.items() if name not in own}
         if not (asked or engine.options):

@@ -1,8 +1,8 @@
 """Points that are proved to satisfy all constraints of a program, near a point that nearly does.
 
-A point is moved onto the equations and off the rows that are tight, by least squares, and every row evaluated with its
-rounding; that the equations have a solution near by is proved by an approximate inverse. Where that proves none, a
-small program has the point that a linear program finds inside, checked in rational arithmetic.
+Least squares move a point to the equalities and away from tight inequalities. Then every row is evaluated with a
+rounding bound, and an approximate inverse proves that the equalities have a solution close by. If this proves no point
+of a small program, a linear program finds an interior point, which is checked in rational arithmetic.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from .program import QuadraticProgram
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
 SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
 NEAR = 1e-9  # of a row's size: rows that a point is moved off
-DENSE_UP_TO = 4_000_000  # entries of equations that are looked at at once
-MOST_BITS, TINY = 400, 1e-290  # of the unit of a row; more than what underflow takes from a sum
-OUTWARD = 1.0 + 2.0**-30  # more than what rounding takes from a sum of terms that are not negative
+DENSE_UP_TO = 4_000_000  # entries of equality rows that are treated as one dense matrix
+MOST_BITS, TINY = 400, 1e-290  # of the unit of a row; above the underflow of a sum
+OUTWARD = 1.0 + 2.0**-30  # above the rounding of a sum of nonnegative terms
 
 
 @dataclass(frozen=True, eq=False)
 class FeasiblePoint:
-    """A point that satisfies all constraints, in doubles and how far these may be from it.
+    """Point that satisfies all constraints, as an enclosure: doubles and their error bounds.
 
     Attributes
     ----------
     near : ndarray, shape (n,)
     radius : ndarray, shape (n,)
-        0 where the point is `find_near` itself.
+        Error bounds of `near`; 0 if the doubles are feasible.
     value : float
         A double above its objective.
     """
@@ -61,7 +61,7 @@ class FeasiblePoints:
     program: QuadraticProgram = field(repr=False)
 
     def find_near(self, x: FloatVector) -> FeasiblePoint | None:
-        """Return a feasible point near x, x itself where it is one; None where doubles prove none."""
+        """Return a feasible point near x (x itself if feasible); None if floating point proves no point."""
         if not (self.program.constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
         points = (self._enclose(self._move_off(x, slack)) for slack in SLACKS)
@@ -74,14 +74,14 @@ class FeasiblePoints:
 
     @property
     def is_small(self) -> bool:
-        """Whether rational arithmetic is tried."""
+        """True if rational arithmetic is tried."""
         return (
             self.program.b.size <= EXACT_UP_TO
             and self.program.n + self.program.constraints.rows <= SMALL
         )
 
     def _move_off(self, x: FloatVector, slack: float) -> FloatVector:
-        """Return the nearest point on the equations with some slack in what else x nearly meets, to rounding."""
+        """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
         with np.errstate(invalid="ignore"):
@@ -96,7 +96,7 @@ class FeasiblePoints:
 
     @np.errstate(all="ignore")  # a row without a limit has no excess
     def _enclose(self, x: FloatVector) -> FeasiblePoint | None:
-        """Return the point near x that satisfies the equations; None where x leaves no slack for that elsewhere."""
+        """Return the point near x that satisfies the equalities; None if inequalities at x have too little slack."""
         program, rows = self.program, self.program.constraints
         excess = rows.excess(x)
         if not (excess > 0.0).any():
@@ -115,7 +115,7 @@ class FeasiblePoints:
 
 
 def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
-    """Return how large the terms of each row may be near x: what is called near only steers the search for a point."""
+    """Return estimates of the largest term of each row near x; they only guide the search for a point."""
     rows = program.constraints
     limit = np.where(np.isfinite(rows.limit), np.abs(rows.limit), 0.0)
     return np.asarray(limit + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0))
@@ -125,7 +125,7 @@ def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
 def distance_of_equations(
     program: QuadraticProgram, x: FloatVector, excess: FloatVector
 ) -> FloatVector | None:
-    """Return how far from x, component by component, a solution of A x = b is at the most; None where none is proved.
+    """Return a componentwise bound of the distance from x to a solution of A x = b; None if none is proved.
 
     Only variables between their bounds move.
 

@@ -1,8 +1,8 @@
-"""Proofs that a quadratic program has no minimum: contradicting constraints, or a direction of endless descent.
+"""Proofs that a quadratic program is infeasible or unbounded: a Farkas certificate or a recession direction.
 
-What such a proof is, checked in rational arithmetic on the program's own numbers; then how one is found. Rows of one
-variable become bounds, each row is held against the bounds. Where that does not decide, a linear program of HiGHS says
-where to look; the answer is repaired, and then checked. Nothing else counts as a proof.
+The first part defines the proofs, which are checked in rational arithmetic on the unscaled program. The second part
+finds them: rows of one variable become bounds, and each row is checked against the bounds. If no row decides, HiGHS
+solves a linear program whose solution is repaired and then checked. Only a checked certificate is a proof.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 SURE = 1e-3  # of the tolerance: an exact proof of unboundedness is stronger than an answer
-MET = 1e-8  # what is left of a row, in units of the data, that rounding alone keeps from being met
+MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
 LARGEST_SOUGHT = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 1_000_000
 MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
@@ -76,14 +76,14 @@ class QPInfeasibility:
     """Multipliers that prove, after Farkas, that no x satisfies G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
     With the constraints as rows C x ≤ d: Cᵀ multipliers = 0 and dᵀ multipliers < 0, the multipliers of inequalities ≥ 0
-    (0 where the limit is infinite). Where Cᵀ multipliers is rounding beside its terms, and not 0, the proof is of all x
-    with ‖x‖∞ ≤ `radius`.
+    (0 for an infinite right-hand side). If Cᵀ multipliers is not 0 but at rounding level relative to its terms, the
+    proof covers all x with ‖x‖∞ ≤ `radius`.
 
     Attributes
     ----------
     program : QuadraticProgram
     multipliers : tuple of Fraction
-        One a row of `program.constraints`: of G, of A, of the lower and of the upper bounds.
+        One multiplier per row of `program.constraints`: of G, of A, of the lower and of the upper bounds.
     """
 
     program: QuadraticProgram = field(repr=False)
@@ -109,26 +109,27 @@ class QPInfeasibility:
 
     @property
     def contradiction(self) -> Fraction:
-        """−dᵀ multipliers, less what Cᵀ multipliers takes off within the radius."""
+        """−dᵀ multipliers minus the largest effect of Cᵀ multipliers within the radius."""
         return self._found.size
 
     @property
     def radius(self) -> float:
-        """Of the ‖x‖∞ that it speaks of: ∞, or the one that leaves half the contradiction."""
+        """Bound of ‖x‖∞ that the proof covers: ∞, or the radius that leaves half the contradiction."""
         return self._found.radius
 
     @property
     def is_exact(self) -> bool:
-        """Whether it speaks of all x."""
+        """True if the proof covers all x."""
         return self.radius == np.inf
 
     @cached_property
     def margin(self) -> float:
-        """The least relative change of its own numbers that may end the contradiction; 0 where it does not hold.
+        """Least relative change of the data that may end the contradiction; 0 if the proof does not hold.
 
-        −dᵀy / Σ size_i |y_i|, the size of a row |d_i|, or 1e-5 of its smallest coefficient where that is more: what is
-        rounding beside coefficients contradicts nothing. Of a bound of x_j, or a row of x_j alone, it is |x_j| there
-        times Σ_i |c_ij y_i|: a sum of coefficients that is rounding contradicts nothing, either.
+        −dᵀy / Σ size_i |y_i|. The size of a row is |d_i|, or 1e-5 of its smallest coefficient if that is more, because
+        a difference at rounding level relative to the coefficients proves nothing. For a bound of x_j, or a row of x_j
+        only, the size is |x_j| there times Σ_i |c_ij y_i|, because a sum of coefficients at rounding level also proves
+        nothing.
         """
         if not self.verify():
             return 0.0
@@ -147,7 +148,7 @@ class QPInfeasibility:
 
     @cached_property
     def least_violation(self) -> float:
-        """By how much every x violates some constraint, each in its own unit; a lower bound, 0 without a proof."""
+        """Lower bound of the largest violation at every x, in the units of the constraints; 0 without a proof."""
         return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
 
     def excludes(self, tolerance: float) -> bool:
@@ -178,14 +179,15 @@ class QPInfeasibility:
 
 @dataclass(frozen=True, eq=False)
 class QPUnboundedness:
-    """A feasible point and a direction along which the objective falls without end.
+    """Feasible point and recession direction along which the objective is unbounded below.
 
-    point satisfies all constraints; point + t direction does so for every t ≥ 0; and directionᵀP direction < 0, or
+    point and point + t direction satisfy all constraints for every t ≥ 0, and directionᵀP direction < 0, or
     P direction = 0 with cᵀ direction < 0.
 
-    Where P direction, and what constraints lose along it, is rounding and not 0 – of P, 2 ε (k + 2) Σ_j |p_ij d_j| in
-    a row of k entries, since a sum of stored numbers is 0 to rounding only – the proof is of all x and multipliers of a
-    size up to `radius`: none of them are a minimum and what proves it. point may then miss constraints by rounding.
+    P direction, and the changes of constraints along direction, may be at rounding level instead of 0. The rounding
+    bound of P is 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries, because a sum of stored numbers is 0 only to
+    rounding. The proof then covers all x and multipliers of a size up to `radius`: no such pair is optimal. point may
+    then violate constraints at rounding level.
 
     Attributes
     ----------
@@ -219,9 +221,9 @@ class QPUnboundedness:
 
     @cached_property
     def _is_wide(self) -> bool:
-        """Whether what is left of sums that should be 0 stops no x and multipliers near those of the point.
+        """True if residuals of sums that should be 0 exclude no x and multipliers near the point.
 
-        Of a free motion the x that P stops is looked at otherwise.
+        If the direction is a zero-energy mode, another test covers the x that P limits.
         """
         known = {
             j: 0.0 if self.is_free_motion else abs(float(self.point[j])) or TINY
@@ -231,18 +233,18 @@ class QPUnboundedness:
 
     @cached_property
     def is_free_motion(self) -> bool:
-        """Whether P, not 0 along the direction, resists none of it but by rounding: nothing holds the structure."""
+        """True if P is nonzero, but maps the direction to 0 within rounding: a zero-energy mode of the structure."""
         return is_at_rest(self.program.P, self.direction)
 
     @cached_property
     def _found(self) -> Contradiction:
-        """The direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds ask for, y ≥ 0."""
+        """Direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds require, y ≥ 0."""
         conditions = stationarity(self.program, as_csr(self.program.P))
         return Contradiction(conditions, {i: d for i, d in enumerate(self.direction) if d})
 
     @cached_property
     def is_exact(self) -> bool:
-        """Whether the objective falls without end on the stored doubles, within all constraints."""
+        """True if the objective of the stored doubles is unbounded below within all constraints."""
         n, found = self.program.n, self._found
         is_kept = found.has_signs and all(j < n for j in found.left)
         if not is_kept or not self._is_feasible:
@@ -257,7 +259,7 @@ class QPUnboundedness:
 
     @cached_property
     def _is_feasible(self) -> bool:
-        """Whether the point meets all constraints exactly; a point of doubles is mostly seen to do so in doubles."""
+        """True if the point satisfies all constraints exactly; floating point mostly decides it for a float point."""
         rows, near = self.program.constraints, numbers(self.point)
         are_doubles = all(
             x.as_integer_ratio() == (value.numerator, value.denominator)
@@ -269,7 +271,7 @@ class QPUnboundedness:
 
     @cached_property
     def violation(self) -> float:
-        """By how much the point violates some constraint, beside that one's terms."""
+        """Largest violation of a constraint at the point, relative to its terms."""
         if self._is_feasible:
             return 0.0
         rows, x = self.program.constraints, np.abs(numbers(self.point))
@@ -284,14 +286,14 @@ class QPUnboundedness:
 
     @cached_property
     def radius(self) -> float:
-        """Of the x and multipliers that it speaks of: ∞, or the one that leaves half the slope."""
+        """Bound of x and multipliers that the proof covers: ∞, or the radius that leaves half the slope."""
         return self._found.radius if self._is_rounding else np.inf
 
     @cached_property
     def margin(self) -> float:
-        """The least relative change of all costs that stops the descent, −cᵀd / Σ|c_j d_j|, in any units.
+        """Least relative change of all costs that ends the descent, −cᵀd / Σ|c_j d_j|, independent of scaling.
 
-        ∞ where the objective is curved downwards by more than the rounding of P; 0 where the proof does not hold.
+        ∞ if the negative curvature of the objective exceeds the rounding of P; 0 if the proof does not hold.
         """
         found = self._found
         if not self.verify():
@@ -314,7 +316,7 @@ class QPUnboundedness:
 
     @cached_property
     def _is_rounding(self) -> bool:
-        """Whether P d is within the rounding of its terms, 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries."""
+        """True if P d is within the rounding of its terms, 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries."""
         P = sp.csr_array(self.program.P)
         terms = abs(P) @ np.abs(numbers(self.direction))
         curved, limit = self._found.left.items(), 2.0 * EPSILON * (np.diff(P.indptr) + 2) * terms
@@ -330,7 +332,7 @@ class QPUnboundedness:
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
-    """Return by how much x misses each constraint, 0 where it does not; exact."""
+    """Return the exact violation of each constraint at x, 0 if x satisfies the constraint."""
     missed = [
         value - Fraction(most) if most != np.inf else ZERO
         for value, most in zip(products(rows.exactly, x), rows.limit.tolist(), strict=True)
@@ -349,21 +351,22 @@ def numbers(fractions: Any) -> FloatVector:
 def proof_of_no_minimum(
     program: QuadraticProgram, *, exactly: bool = False
 ) -> QPInfeasibility | QPUnboundedness | None:
-    """Return a proof that the convex program is infeasible or unbounded, or None where none was found.
+    """Return a proof that the convex program is infeasible or unbounded; None if no proof was found.
 
     Parameters
     ----------
     program : QuadraticProgram
-        Up to 5000 variables and rows with a million nonzeros; beyond, only single rows that contradict the bounds are
-        found.
+        Up to 5000 variables and rows with a million nonzeros; in larger programs, only single rows that are
+        inconsistent with the bounds are found.
     exactly : bool
-        Look for a proof of all x, however large the program is; by default one within a radius does where there are
-        more than 10 000 nonzeros.
+        Require a proof for all x, however large the program is. By default, a proof within a radius is enough for more
+        than 10 000 nonzeros.
 
     Notes
     -----
-    Cost: a look at each row, at any size; then two linear programs and, where they find something, up to five more and
-    eliminations in rationals among the constraints that matter. None is no proof that there is a minimum.
+    Cost: one test of each row, at any size; then two linear programs and, if these find a candidate, up to five more
+    linear programs and rational eliminations among the relevant constraints. The result None does not prove that a
+    minimum exists.
 
     References
     ----------
@@ -391,7 +394,7 @@ def proof_of_no_minimum(
 
 
 def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return a proof that the constraints contradict one another, whatever the objective is; None for none found."""
+    """Return a proof that the constraints are inconsistent, for any objective; None if no proof was found."""
     folded = FoldedRows.of(program)
     found: Any = folded.proof(contradictory_row(folded.reduced))
     if found is None and _is_sought(program):
@@ -416,20 +419,20 @@ def _is_sought(program: QuadraticProgram) -> bool:
 
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
-    """Return the proof of the row that x within the bounds miss by most; None where no single row is enough."""
+    """Return the proof by the row with the largest violation within the bounds; None if no single row suffices."""
     rows = program.constraints.within_bounds
     proofs = (with_bounds(program, {i: Fraction(sign)}) for i, sign in rows.contradictory_rows())
     return next((proof for proof in proofs if proof.verify()), None)
 
 
 def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:
-    """Return multipliers of all rows with those of the bounds, which take up what the rows leave: a proof, or none."""
+    """Return multipliers of all rows and bounds: multipliers of bounds cancel the residual; verify the result."""
     m, p, n, _ = program.constraints.sizes
     multipliers = [ZERO] * (m + p + 2 * n)
     found = Contradiction(program.constraints.within_bounds, y)
     for i, value in y.items():
         multipliers[i] = value
-    for j, value in found.product.items():  # what an open side leaves is rounding, or no proof
+    for j, value in found.product.items():  # an infinite bound cancels nothing
         if j not in found.left:
             multipliers[m + p + (n + j if value > 0 else j)] = abs(value)
     return QPInfeasibility(program, tuple(multipliers))
@@ -452,7 +455,7 @@ def balance_multipliers(program: QuadraticProgram, y: FloatVector) -> FloatVecto
 
 
 def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPInfeasibility | None:
-    """Return multipliers that contradict each other, exactly if they are to; None where none were found.
+    """Return a Farkas certificate, exact if `exactly`; None if no certificate was found.
 
     The linear program is the dual of the least uniform shift of all right-hand sides that makes them consistent.
     """
@@ -471,7 +474,7 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
 
 
 def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:
-    """Return a feasible point and a direction of endless descent, exactly if they are to; None where none were found.
+    """Return a feasible point and a recession direction, exact if `exactly`; None if none was found.
 
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
@@ -501,10 +504,10 @@ def _first_enough(
     *,
     exactly: bool,
 ) -> T | None:
-    """Return the first proof that counts at the tolerances of programs, else the one of the largest margin.
+    """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin.
 
-    The linear program is asked in one unit of offsets and bounds after the other, the first given or the largest of
-    them: what is 1e-6 of a unit it cannot tell from 0, and what is 1e5 is cut off.
+    The linear program is solved with several units of offsets and bounds, starting with `first` or the largest unit.
+    The linear program cannot distinguish 1e-6 of a unit from 0, and it truncates 1e5 units.
     """
     found, tried = list[T](), list[float]()
     scale: FarkasProgram = FarkasProgram(asked)
@@ -565,9 +568,9 @@ def feasible_point(program: QuadraticProgram) -> Vector | None:
 
 
 def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
-    """Return a point that satisfies all constraints to rounding, and one that does so exactly; those that are found.
+    """Return a point that satisfies all constraints to rounding, and an exactly feasible point, as far as found.
 
-    Unknowns are measured in the caller's units, then in fitted ones.
+    Unknowns are measured in the user's units, then in fitted units.
     """
     found: tuple[Vector, ...] = ()
     for unit in (np.ones(program.n), program.matrices.fit[0]):

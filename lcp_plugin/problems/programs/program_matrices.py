@@ -1,4 +1,4 @@
-"""The matrices of a quadratic program, and what they alone say: shared by programs that differ in vectors."""
+"""Matrices of a quadratic program, and facts that depend on them only: shared by programs with other vectors."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class ProgramMatrices:
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int]:
-        """m, p, n, n: how many rows are of G, of A, and of each kind of bound."""
+        """m, p, n, n: numbers of rows of G, of A, of lower and of upper bounds."""
         n = self.P.shape[0]
         return self.G.shape[0], self.A.shape[0], n, n
 
     @cached_property
     def is_equality(self) -> NDArray[np.bool_]:
-        """Which of the constraints are equations."""
+        """Mask of the equality constraints."""
         (m, p, _, _), is_equality = self.sizes, np.zeros(sum(self.sizes), np.bool_)
         is_equality[m : m + p] = True
         return is_equality
@@ -104,13 +104,13 @@ class ProgramMatrices:
 
     @cached_property
     def sizes_without_entries(self) -> FloatVector:
-        """1 of each row of G and A that has no entry, 0 of others."""
+        """Array with 1 for each row of G and A without entries, else 0."""
         of_C = self.measured[3]
         return np.asarray(largest(of_C, np.ones(of_C.shape[1])) == 0.0, np.float64)
 
     @cached_property
     def has_short_rows(self) -> bool:
-        """Whether some row of G or A has no more than one entry."""
+        """True if some row of G or A has at most one entry."""
         if self._is_full and self.P.shape[0] > 1:
             return False
         counts = (
@@ -121,13 +121,13 @@ class ProgramMatrices:
 
     @cached_property
     def _is_full(self) -> bool:
-        """Whether G and A are ndarrays without zeros, and one of them has rows."""
+        """True if G and A are ndarrays without zeros, and at least one has rows."""
         given = [one for one in (self.G, self.A) if one.shape[0]]
         return bool(given) and all(isinstance(one, np.ndarray) and one.all() for one in given)
 
     @cached_property
     def is_dense(self) -> bool:
-        """Whether P, G and A were given as ndarrays, or have no entries."""
+        """True if P, G and A are ndarrays or have no entries."""
         return not self.has_sparse_rows and (isinstance(self.P, np.ndarray) or not self.P.nnz)
 
     @cached_property
@@ -148,7 +148,7 @@ class ProgramMatrices:
 
     @cached_property
     def diagonal(self) -> FloatVector:
-        """That of P."""
+        """Diagonal of P."""
         return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
@@ -181,7 +181,7 @@ class ProgramMatrices:
         return tuple(map(int, counts))  # type: ignore[return-value]
 
     def terms_of_columns(self, y: FloatVector) -> Any:
-        """Return how many terms c_ij y_i each column has that are not 0, or a number that none exceeds."""
+        """Return the number of nonzero terms c_ij y_i in each column, or one upper bound for all columns."""
         if self.is_dense:
             return np.count_nonzero(y)
         return np.bincount(
@@ -199,7 +199,7 @@ class ProgramMatrices:
 
     @cached_property
     def is_small(self) -> bool:
-        """Whether a program with these matrices is small or dense: for daqp."""
+        """True if a program with these matrices is small or dense: for daqp."""
         m, p, n, _ = self.sizes
         entries = (
             one.size if isinstance(one, np.ndarray) else int(one.nnz)
@@ -209,7 +209,7 @@ class ProgramMatrices:
 
     @cached_property
     def has_sparse_rows(self) -> bool:
-        """Whether some constraints were given as a sparse array."""
+        """True if some constraints are a sparse array."""
         m, p = self.sizes[:2]
         return bool(
             (m and not isinstance(self.G, np.ndarray)) or (p and not isinstance(self.A, np.ndarray))
@@ -227,7 +227,7 @@ class ProgramMatrices:
 
     @cached_property
     def entries(self) -> tuple[int, int]:
-        """How many nonzeros P and [G; A] have."""
+        """Numbers of nonzeros of P and of [G; A]."""
         of_G, of_A = (
             one.nnz if sp.issparse(one) else np.count_nonzero(one) for one in (self.G, self.A)
         )
@@ -237,7 +237,7 @@ class ProgramMatrices:
 
     @cached_property
     def has_curvature(self) -> bool:
-        """Whether P has a nonzero."""
+        """True if P has a nonzero."""
         return bool(np.count_nonzero(self.P) if isinstance(self.P, np.ndarray) else self.P.nnz)
 
     @cached_property
@@ -251,17 +251,17 @@ class ProgramMatrices:
 
     @cached_property
     def is_semidefinite(self) -> bool | None:
-        """Whether P is positive semidefinite to rounding; None where it is too large to say."""
+        """True if P is positive semidefinite to rounding; None if P is too large for the test."""
         return is_semidefinite_to_rounding(self.P)
 
     @cached_property
     def is_nearly_semidefinite(self) -> bool:
-        """Whether P is convex to the rounding of single precision."""
+        """True if P is positive semidefinite to the rounding of single precision."""
         return self.is_semidefinite is True or is_nearly_semidefinite(self.P)
 
     @cached_property
     def is_definite(self) -> bool:
-        """Whether P is proven positive definite; a factorisation where its diagonal is positive."""
+        """True if P is proved positive definite; cost: a factorization if the diagonal is positive."""
         return bool((self.diagonal > 0.0).all()) and positive_definite_solver(self.P) is not None
 
     @cached_property
@@ -301,7 +301,7 @@ class ProgramMatrices:
         )
 
     def recall(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return what was made for the same arrays the last time, or make it."""
+        """Return the cached value if the arrays are unchanged since the last call, else make and cache it."""
         key = tuple(array.tobytes() for array in keys)
         known = self._kept.get(name)
         if known is None or known[0] != key:
@@ -310,7 +310,7 @@ class ProgramMatrices:
         return value
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what can be computed again."""
+        """Drop the cache, because its values can be computed again."""
         return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
 
 
@@ -412,7 +412,7 @@ def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
 
 
 def or_one(sizes: FloatVector) -> FloatVector:
-    """Return the sizes, 1 in the place of 0."""
+    """Return the sizes with 1 instead of 0."""
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
@@ -435,7 +435,7 @@ def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, Flo
 
 
 def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
-    """Return some rows and columns, each in order, of an ndarray or a canonical CSR array; read-only, of the same kind.
+    """Return some rows and columns, each in order, of an ndarray or a canonical CSR array; read-only, same type.
 
     Examples
     --------
@@ -462,12 +462,12 @@ def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
 
 @lru_cache(maxsize=64)
 def no_rows(n: int) -> sp.csr_array:
-    """Return the same read-only matrix without rows for all: to make one takes longer than a small program."""
+    """Return a read-only matrix without rows, cached because its construction takes longer than a small program."""
     return freeze_csr(sp.csr_array((0, n)))
 
 
 def as_csr(matrix: Any) -> sp.csr_array:
-    """Return an ndarray as CSR, and a CSR array as it is.
+    """Return an ndarray as CSR, and a CSR array unchanged.
 
     Examples
     --------
@@ -487,7 +487,7 @@ def as_csr(matrix: Any) -> sp.csr_array:
 
 
 def vertically(*blocks: sp.csr_array) -> sp.csr_array:
-    """Return CSR arrays one above the other, as wide as the first; a narrower one has zeros on its right.
+    """Return CSR arrays stacked vertically, as wide as the first; narrower arrays are padded with zeros.
 
     Examples
     --------
@@ -509,7 +509,7 @@ def vertically(*blocks: sp.csr_array) -> sp.csr_array:
 
 
 def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
-    """Return two CSR arrays of the same height, one beside the other.
+    """Return two CSR arrays of the same height, stacked horizontally.
 
     Examples
     --------

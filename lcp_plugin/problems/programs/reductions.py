@@ -1,4 +1,4 @@
-"""A program without rows of one variable, and the way back of answers and proofs."""
+"""Program without rows of one variable, and the inverse transformation of solutions and proofs."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ OWN = -1  # the variable's own bound, not a row's
 class FoldedRows:
     """The program's bounds and rows with singleton, empty and unlimited rows gone.
 
-    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
-    singleton rows whose bounds contradict one another – stays a row: that it has no solution is for a solver to find.
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. An infeasible row – 0 ≤ −1, or
+    singleton rows with inconsistent bounds – remains a row, so that the solver detects that the program is infeasible.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class FoldedRows:
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> FoldedRows:
-        """Return that of a program; done once for a program."""
+        """Return the reduction of a program, computed once per program."""
         known: FoldedRows | None = program.__dict__.get("_folded")
         if known is None:
             known = program.__dict__["_folded"] = cls._of(program)
@@ -128,7 +128,7 @@ class FoldedRows:
     def proof(
         self, found: QPInfeasibility | QPUnboundedness | None
     ) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the same proof that there is no minimum, of the program; None if it does not hold there.
+        """Return the proof for the original program; None if the proof does not hold there.
 
         A limit over a coefficient is rounded, and no number of the program.
         """

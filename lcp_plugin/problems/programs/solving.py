@@ -44,7 +44,7 @@ FEW = (
 OF_THE_LCP = (
     1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
 )
-SMALL_RESIDUAL = 1e-4  # of the LCP, relative: a larger one is not worth a look at x
+SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 PIVOTS = "lemke"  # on thousands of rows they take minutes; external solvers are next
 VECTORS = {"c", "h", "b", "lower", "upper"}
@@ -72,21 +72,21 @@ class QuadraticProgramResult(Answer):
     solution : QPSolution
         x, the multipliers and the two measures.
     algorithm, iterations, seconds
-        Of the solver whose point this is, seconds of the whole run in wall-clock time.
+        Steps of the solver that found this point; wall-clock seconds of the entire run.
     tolerance : float
-        Of the duality gap; rows are tested to 1e-9 at every tolerance.
+        Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
     proof : QPInfeasibility or QPUnboundedness or None
-        Of INFEASIBLE or UNBOUNDED.
+        Proof of INFEASIBLE or UNBOUNDED.
     stages : tuple of StageRecord
-        What ran, in order.
+        Stages of the run, in order.
     history : tuple of Sample
         With ``record=True``, the start and the end of an external solver, or the samples of a run on the LCP.
     z : ndarray or None, shape (n + rows,)
-        The answer to the complementarity problem, where one was solved: a start of a further run.
+        Solution of the complementarity problem, if a run computed it: a start for a further run.
     begun : str
-        As of :class:`lcp_plugin.Result`.
+        Same meaning as in :class:`lcp_plugin.Result`.
     contradiction : str
-        Of an infeasible cvxpy problem: which of its constraints are inconsistent.
+        Names of the inconsistent constraints of an infeasible cvxpy problem.
     """
 
     status: Status
@@ -116,7 +116,7 @@ class QuadraticProgramResult(Answer):
 
     @property
     def objective(self) -> float | None:
-        """½ xᵀP x + cᵀx; None where a proof says that there is no minimum."""
+        """½ xᵀP x + cᵀx; None if the program is proved infeasible or unbounded."""
         return None if self.has_no_solution else self.solution.objective
 
     @property
@@ -129,7 +129,7 @@ class QuadraticProgramResult(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means for this program, and behind ``next:`` what to do."""
+        """Meaning of the status for this program, and after ``next:`` the next step for the user."""
         happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
         words = [happened, *self._describe_scope("x")]
         if self.status is Status.PRECISION_LIMIT and self.program.facts.contradicts_by_rounding:
@@ -150,7 +150,7 @@ class QuadraticProgramResult(Answer):
         return {**super()._numbers(), **residuals, "tolerance": self.tolerance}
 
     def describe_accuracy(self) -> str:
-        """Return the measures and what was asked of them, or what proves that there is no minimum."""
+        """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""
         if self.proof is None:
             found = self.solution
             return (
@@ -172,30 +172,30 @@ def solve_program(
     tolerance: float = PROGRAM_TOLERANCE,
     **options: Any,
 ) -> QuadraticProgramResult:
-    """Return the first point that passes the test of programs, a proof that there is no minimum, or the best point.
+    """Return the first point that passes the test, a proof of infeasibility or unboundedness, or the best point.
 
     Parameters
     ----------
     program : QuadraticProgram
-        Convex; merely convex and linear programs included.
+        Convex program, including merely convex and linear programs.
     algorithm : str or Algorithm or Engine
-        "auto" asks external solvers (`engine_calls.ATTEMPTS`), and runs on the complementarity problem if bounds are
-        all constraints or the program is small and no other point passes. A solver by name is asked alone;
-        "interior_point" is "piqp" here.
+        "auto" uses external solvers (`engine_calls.ATTEMPTS`), and runs on the complementarity problem if all
+        constraints are bounds, or if the program is small and no other point passes. If you name a solver, only this
+        solver runs; "interior_point" is "piqp" here.
     tolerance : float
-        Of the duality gap; rows are tested to 1e-9 at every tolerance.
+        Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
     **options
-        Of :func:`lcp_plugin.solve`. A `z0` is an earlier answer's z, where a run on the complementarity problem starts;
-        external solvers begin anew, and give a callback their first and last point. With ``prove_infeasibility=False``
-        two solvers that say that there is no minimum end the run, STALLED.
+        Options of :func:`lcp_plugin.solve`. Pass the z of an earlier result as `z0` to start a run on the
+        complementarity problem. External solvers ignore `z0`, and call a callback with their first and last point. With
+        ``prove_infeasibility=False``, the run ends STALLED if two solvers report infeasible or unbounded.
 
     Raises
     ------
     UnsupportedModel
-        Where the program is not convex, or the named algorithm cannot run on a merely convex one. A program whose
-        constraints are proved to contradict one another is INFEASIBLE whatever its objective is.
+        If the program is not convex, or if the named algorithm cannot run on a merely convex program. A program with
+        constraints that are proved inconsistent is INFEASIBLE for any objective.
     UnknownAlgorithm, InvalidOption
-        As `solve`.
+        Same conditions as for `solve`.
     """
     clock = Clock()
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
@@ -243,7 +243,7 @@ def _name_of(algorithm: Any) -> str:
 
 
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
-    """Return the engine of that name with its options, or as it is given; None of another algorithm."""
+    """Return the engine of that name with its options, or the passed engine; None for another algorithm."""
     if isinstance(algorithm, str):
         return engine_class(algorithm)(**options) if algorithm in ENGINES else None
     if not isinstance(algorithm, Engine):
@@ -280,7 +280,7 @@ class _ProgramRun:
     # --- Where points come from --------------------------------------------------------------------------------------
 
     def all_runs(self) -> Iterator[EngineRun]:
-        """Yield what auto asks: a program of bounds alone is a complementarity problem of n unknowns."""
+        """Yield the runs of auto; a program with bounds only is a complementarity problem of n unknowns."""
         reduced = FoldedRows.of(self.program).reduced
         has_rows, matrices = bool(reduced.constraints.rows), reduced.matrices
         if not has_rows and not matrices.has_curvature:
@@ -293,7 +293,7 @@ class _ProgramRun:
             yield self.solve_lcp("auto", {})
 
     def engine_runs(self, engine: Engine | None) -> Iterator[EngineRun]:
-        """Yield what external solvers come to."""
+        """Yield the runs of external solvers."""
         most = self.wishes.get("max_iterations")
         for asked, units in attempts(self.program, engine):
             steps = {} if most is None else {asked.steps: most}
@@ -326,7 +326,7 @@ class _ProgramRun:
     def solve_lcp(
         self, algorithm: Any, options: dict[str, Any], ends_before: str = ""
     ) -> EngineRun:
-        """Return the point of a run on the complementarity problem of the program, which a method may end."""
+        """Return the point of a run on the complementarity problem of the program; `ends_before` may end it."""
         problem = optimality_conditions(self.program, self.settings.tolerance)
         wishes = {**options, **self.wishes, "max_seconds": seconds_left()}
         if self.start is not None and self.start.size == problem.n:
@@ -354,7 +354,7 @@ class _ProgramRun:
         return EngineRun(solution, errors, EngineStatus.GAVE_UP, stage)
 
     def _ends_run(self, ends_before: str, sample: Sample, z: FloatVector) -> bool:
-        """Return whether a run on the complementarity problem ends: x passes the test, or the callback wants it."""
+        """Return whether a run on the complementarity problem ends: x passes the test, or the callback stops it."""
         if self.callback is not None and self.callback(sample, z):
             return True
         if sample.label == ends_before:
@@ -368,7 +368,7 @@ class _ProgramRun:
             self.passing = z.copy()
         return self.passing is not None
 
-    # --- What becomes of them ----------------------------------------------------------------------------------------
+    # --- Selection of the result -------------------------------------------------------------------------------------
 
     def follow(self, runs: Iterator[EngineRun]) -> None:
         """Take runs until a point passes, a proof is found, or a limit comes."""
@@ -392,7 +392,7 @@ class _ProgramRun:
 
     @property
     def _is_stopped(self) -> bool:
-        """Whether a limit that the caller set, or the caller, ended the run on the LCP."""
+        """True if the caller, or a limit set by the caller, ended the run on the LCP."""
         return self.is_interrupted or (
             self.lcp_result is not None
             and self.lcp_result.status in LIMITS
@@ -411,7 +411,7 @@ class _ProgramRun:
         return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 
     def status(self) -> Status:
-        """Return the proof's status, that of a point that passes, that of a limit, or how near the best point comes."""
+        """Return the status: of the proof, SOLVED, of a limit, or for the accuracy of the best point."""
         tolerance = self.settings.tolerance
         if self.proof is not None:
             return self.proof.status
@@ -430,7 +430,7 @@ class _ProgramRun:
 
     @property
     def _is_nearly_optimal(self) -> bool:
-        """Whether the measures of the best point are small, though above the tolerance."""
+        """True if the measures of the best point are small, but above the tolerance."""
         if self.best is None:
             return False
         primal, gap, _ = self.best.errors
@@ -475,7 +475,7 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
     Raises
     ------
     InvalidProblem
-        Where it is no sequence of mappings from the names of vectors.
+        If it is not a sequence of mappings from the names of vectors.
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
         raise InvalidProblem(

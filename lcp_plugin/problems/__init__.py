@@ -1,1 +1,1 @@
-"""Kinds of problems and of questions, a subpackage each: data, conversion, kernels, certificate, result."""
+"""One subpackage per problem class or task: data, conversion, kernels, certificate, result."""

@@ -64,13 +64,13 @@ class ContactMotion:
     tangential : ndarray, shape (k, t)
         Friction impulses along the tangents, in N s.
     separation : ndarray, shape (k,)
-        Velocity along the normal, in m/s: 0 where the contact stays closed.
+        Velocity along the normal, in m/s; 0 if the contact stays closed.
     slip : ndarray, shape (k, t)
         Velocity along the tangents, in m/s.
     touches : array of bool, shape (k,)
-        Whether the contact presses.
+        True if the contact presses.
     sticks : array of bool, shape (k,)
-        Whether it presses and does not slip: no faster than 1e-8 of the largest velocity given.
+        True if it presses and does not slip: no faster than 1e-8 of the largest velocity given.
     body_velocities : ndarray, shape (v,), or None
         Body velocities after the impulses, u + m⁻¹ Jᵀ impulses. None if the contacts were built without a mass matrix
         and the bodies' velocities u, and for ``problem.with_q(q)``, whose q does not determine u.

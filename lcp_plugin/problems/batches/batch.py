@@ -44,12 +44,12 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     ----------
     problem : LCP or QuadraticProgram
     threads : int, optional
-        As for :func:`lcp_plugin.solve`.
+        Number of threads, see :func:`lcp_plugin.solve`.
 
     Raises
     ------
     InvalidOption
-        If it is neither, or `threads` is not a number of threads.
+        If the problem is neither, or `threads` is not a number of threads.
     UnsupportedModel
         If the program is not convex.
 
@@ -114,12 +114,12 @@ def solve_batch(
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; for a list of LCPs a list of vectors or None.
     algorithm, tolerance, max_iterations, absolute_tolerance, prove_infeasibility
-        For each problem, as in :func:`lcp_plugin.solve`.
+        Options of each problem, as in :func:`lcp_plugin.solve`.
     max_seconds : float, optional
-        In seconds, for the entire batch: problems not solved by then end with MAX_SECONDS.
+        Wall-clock limit in seconds for the entire batch. Unsolved problems then end with MAX_SECONDS.
     threads : int, optional
-        Number of threads that solve stacks; by default all that the process may use. Results are the same bit for
-        bit for any number.
+        Number of threads that solve stacks; by default all threads available to the process. Results are bit-identical
+        for any number.
 
     Returns
     -------
@@ -128,14 +128,14 @@ def solve_batch(
         results of :func:`lcp_plugin.solve`. Accessing an invalid problem raises its error. Each problem has its own
         certificate; a program is tested as in
         :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`. A NaN or an infeasible problem does not
-        affect the others. After Ctrl-C the remaining ones are INTERRUPTED.
+        affect the others. After Ctrl-C the remaining problems are INTERRUPTED.
 
     Raises
     ------
     InvalidProblem
         If shapes do not fit together, or an item of the sequence is not a problem.
     UnknownAlgorithm, InvalidOption
-        As :func:`lcp_plugin.solve`.
+        See :func:`lcp_plugin.solve`.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def solve_batch(
 
 
 def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticProgramBatch | None:
-    """Return programs of one shape, however they were given; None of anything else, and of those with starts."""
+    """Return programs of one shape, from any of three forms; None for other data or with starts."""
     if isinstance(M, QuadraticProgramBatch):
         _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
         return M

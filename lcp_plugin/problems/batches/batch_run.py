@@ -1,4 +1,4 @@
-"""The run of a batch: stacks solve small problems at once, :func:`lcp_plugin.solve` the others one by one."""
+"""The run of a batch: stacks for small problems, :func:`lcp_plugin.solve` for each other problem."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from ..cones.solving import result_of
 from ..many.answers import AnswerSequence
 from ..many.chunks import run_in_chunks
 
-MOST_ITERATIONS = 200  # that a stack takes
+MOST_ITERATIONS = 200  # of a stack
 
 
 class Asked(NamedTuple):
-    """The arguments of solve_batch next to the problems; `options` are those that differ from their defaults."""
+    """The arguments of solve_batch except the problems; `options` has the values that are not defaults."""
 
     algorithm: Any
     options: dict[str, Any]
@@ -45,7 +45,7 @@ class BatchRun:
         iterations and is_solved of these.
     asked : Asked
     errors : dict
-        The error of problem k, if its data are no problem.
+        The error of problem k, if its data are invalid.
     """
 
     def __init__(self, problems: Any, asked: Asked, errors: dict[int, LCPError]) -> None:
@@ -56,23 +56,23 @@ class BatchRun:
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
         self.is_open[[*self.errors]] = False
-        self.results: dict[int, Any] = {}  # of those that were solved one by one
+        self.results: dict[int, Any] = {}  # of problems outside of stacks
         self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
 
     @property
     def has_time(self) -> bool:
-        """Whether the clock of all has not run out."""
+        """True until the time limit of the batch is reached."""
         return self.clock.read() < self.asked.limit
 
     @property
     def is_plain(self) -> bool:
-        """Whether a stack may solve what `auto` would."""
+        """True if a stack may replace `auto`, with equivalent results."""
         settings, few = self.settings, self.settings.max_iterations < MOST_ITERATIONS
         return self.asked.algorithm == "auto" and not (settings.absolute_tolerance or few)
 
     @np.errstate(under="ignore")
     def run(self) -> BatchAnswers:
-        """Solve until all are done, the clock runs out, or Ctrl-C comes."""
+        """Solve all problems, until the clock runs out or Ctrl-C."""
         self.begin()
         try:
             if self.is_plain:
@@ -147,7 +147,7 @@ class BatchRun:
         return solve(self.problems[k], **given, **named, **options)
 
     def result_of(self, k: int) -> Any:
-        """Return the result of problem k, which has no error; one that was not begun has its start's."""
+        """Return the result of problem k, which has no error; for a problem that never ran, at its start."""
         if k in self.results:
             return self.results[k]
         if self.status[k] is not Status.SOLVED:
@@ -173,7 +173,7 @@ class BatchRun:
         )
 
     def tables(self) -> dict[str, Any]:
-        """Return the arrays of the answers by name."""
+        """Return the arrays of the results by name."""
         z = self.z
         if not isinstance(z, np.ndarray) and len(sizes := {len(row) for row in z if len(row)}) <= 1:
             z = np.full((len(z), *(sizes or {0})), np.nan)
@@ -191,28 +191,28 @@ class BatchRun:
 
 
 class BatchAnswers(AnswerSequence[Any]):
-    """The answers to a batch of problems; ``answers[k]`` is the result that :func:`lcp_plugin.solve` gives.
+    """The results of a batch of problems; ``answers[k]`` is the result of :func:`lcp_plugin.solve`.
 
     Parameters
     ----------
     run : BatchRun
-        At its end.
+        The finished run.
 
     Attributes
     ----------
     x, z : array, shape (B, n), or a list of arrays if the sizes differ
-        NaN if the data are no problem; 0 if a world has no contact there.
+        NaN if the data are invalid; 0 for absent contacts of an instance.
     status : array of Status, shape (B,)
-        None if the data are no problem.
+        None if the data are invalid.
     relative_residual : array, shape (B,)
         Upper bound of the residual of the stopping criterion; NaN if it was not measured.
     inequality, equality, lower, upper, residual : array
-        Of programs of one shape: multipliers, as those of a QPSolution, and an upper bound of its largest measure.
+        Programs of one shape only: multipliers as in QPSolution, and an upper bound of the largest error measure.
     iterations : array of int, shape (B,)
     seconds : float
-        Seconds of the whole batch, compilation excluded; results that a stack found have a share of it.
+        Seconds of the entire batch, compilation excluded. Results from a stack have a share of it.
     errors : dict
-        The error of problem k, if its data are no problem; ``answers[k]`` raises it.
+        The error of each problem k with invalid data; ``answers[k]`` raises it.
     problems : Listed, Stacked, FrictionalContactBatch or QuadraticProgramBatch
     threads : int
         Number of threads that took part.
@@ -246,7 +246,7 @@ class BatchAnswers(AnswerSequence[Any]):
         return len(self.status)
 
     def at(self, k: int) -> Answer:
-        """Return answer k, or raise the error of its problem."""
+        """Return result k, or raise the error of its problem."""
         if k in self.errors:
             raise self.errors[k]
         found: Answer = self._run.result_of(k)
@@ -259,10 +259,10 @@ class BatchAnswers(AnswerSequence[Any]):
 
     @cached_property
     def w(self) -> Any:
-        """M z + q of each problem, like z; velocities of contacts, 1 if a world has no contact there."""
+        """M z + q of each problem, like z; velocities of contacts, 1 for absent contacts."""
         return self.problems.slacks(self.z)
 
     @property
     def motion(self) -> Any:
-        """Impulses and velocities of worlds contact by contact, a ContactMotion with an axis in front."""
+        """Impulses and velocities contact by contact, a ContactMotion with a batch axis in front."""
         return self.problems.motion(self.z, self.w)

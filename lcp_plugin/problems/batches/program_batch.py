@@ -1,4 +1,4 @@
-"""The run of a batch of quadratic programs: an engine called for each small one, one judge of all in arrays."""
+"""The run of a batch of quadratic programs: one engine call per small program, one array criterion."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from ..programs.stacked_programs import QuadraticProgramBatch, blocks
 from .batch_run import Asked, BatchRun
 
 ENGINE = "daqp"
-PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # of a singular P: no polish comes after it
-ROUNDING = 4.0 * EPSILON  # of eigenvalues, beside the largest, an unknown
-TOGETHER = 2**18  # entries that are judged at once
+PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
+ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
+TOGETHER = 2**18  # entries per evaluation of the criterion
 BLOCKS_A_THREAD = 4
 
 
@@ -49,7 +49,7 @@ class ProgramBatchRun(BatchRun):
 
     @property
     def is_plain(self) -> bool:
-        """Whether the engine of small programs was asked for."""
+        """True if the algorithm is auto or the engine of small programs."""
         return self.asked.algorithm in ("auto", ENGINE)
 
     def begin(self) -> None:
@@ -59,7 +59,7 @@ class ProgramBatchRun(BatchRun):
         self.x[[*self.errors]] = np.nan
 
     def solve_at_once(self) -> None:
-        """Ask the engine for small programs, some at a time."""
+        """Run the engine on small programs, in blocks."""
         m, p, n, _ = self.problems.sizes
         if not may_be_small(n, m + p, [n * (n + m + p)]):
             return
@@ -78,7 +78,7 @@ class ProgramBatchRun(BatchRun):
         run_in_chunks(solve_blocks, -(-count // size), threads)
 
     def _answer_together(self, data: tuple[Any, ...], engine: Any, may: Any, items: slice) -> None:
-        """Ask the engine for each of these programs, and judge what it says of all."""
+        """Run the engine on each of these programs, and check all points together."""
         P, c, C, d, lower, upper = (one[items] if len(one) > 1 else one for one in data)
         m, n, wanted = self.problems.sizes[0], c.shape[1], np.flatnonzero(may[items])
         signed, steps = np.full((len(c), n + d.shape[1]), np.nan), self.iterations[items]
@@ -104,7 +104,7 @@ class ProgramBatchRun(BatchRun):
         self.is_open[at], self.status[at] = False, Status.SOLVED
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
-        """Solve program k by itself, from the last one if all have the same matrices."""
+        """Solve program k by itself, from the previous solution if all have the same matrices."""
         self.x[k] = np.nan
         result = solve_program(self.problems[k], self.asked.algorithm, z0=self.begun, **options)
         found, self.results[k] = result.solution, result
@@ -130,14 +130,14 @@ class ProgramBatchRun(BatchRun):
         )
 
     def tables(self) -> dict[str, Any]:
-        """Return the arrays of the answers by name."""
+        """Return the arrays of the results by name."""
         m, (lower, upper) = self.problems.sizes[0], self.at_bounds
         rows = {"inequality": self.y[:, :m], "equality": self.y[:, m:]}
         shared = {"x": self.x, "residual": self.residual, "iterations": self.iterations}
         return {**shared, **rows, "lower": lower, "upper": upper}
 
     def objectives(self) -> Any:
-        """Return ½ xᵀP x + cᵀx of each program, NaN if a proof shows that there is no minimum."""
+        """Return ½ xᵀP x + cᵀx of each program, NaN if it is proved infeasible or unbounded."""
         P, c, x = self.problems.P, self.problems.vectors["c"], self.x
 
         def values_of(P: Any, c: Any, x: Any) -> Any:
@@ -151,7 +151,7 @@ class ProgramBatchRun(BatchRun):
 
 
 def _are_semidefinite(P: Any) -> Any:
-    """Return which P are positive semidefinite up to rounding, shape (B or 1,); the others are looked at one by one."""
+    """Return a mask of positive semidefinite P up to rounding error, shape (B or 1,)."""
     if not P.any():
         return np.ones(len(P), np.bool_)
     is_finite = np.isfinite(P).all(axis=(1, 2))

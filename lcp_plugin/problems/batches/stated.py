@@ -1,4 +1,4 @@
-"""The problems of a batch: a list, or arrays with an axis in front; and which of them are solved as stacks."""
+"""The problems of a batch, a list or arrays with a batch axis, and the stacks of small problems."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Stacks = Iterator[tuple[Any, Callable[[], tuple[Any, Any, Any, Any]]]]
 
 
 class Group(NamedTuple):
-    """LCPs of one size as arrays; one row in front stands for all of them.
+    """LCPs of one size as arrays; an array of length 1 applies to all problems.
 
     Attributes
     ----------
     items : array of int, shape (k,)
-        Their numbers in the batch.
+        Indices in the batch.
     M : array, shape (k or 1, n, n)
     q, lower, upper, starts : arrays, shape (k or 1, n)
         Without columns, `starts` means z°.
@@ -119,12 +119,12 @@ class Listed:
         return np.array(rows).reshape(z.shape) if isinstance(z, np.ndarray) else rows
 
     def outer(self, left: Any, right: Any) -> Any:
-        """Return left_i right_j in the places of the entries of each M, a list of CSR arrays."""
+        """Return left_i right_j at the entries of each M, a list of CSR arrays."""
         triples = zip(self.problems, left, right, strict=True)
         return [outer_on_pattern(one.matrix, a, b) for one, a, b in triples]
 
     def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
-        """Yield the LCPs that suit, by their sizes."""
+        """Yield the LCPs for which `suits` is true, grouped by size."""
         by_size: dict[int, list[int]] = {}
         for k, one in enumerate(self.problems):
             if isinstance(one, LCP) and one.n and suits(one):
@@ -199,7 +199,7 @@ class Stacked:
                 self.errors[k] = error
 
     def _are_good(self) -> Any:
-        """Return a mask of the problems with finite numbers and bounds that leave room."""
+        """Return a mask of the problems with finite numbers and consistent bounds."""
         q, lower, upper = (self.rows[name] for name in ("q", "lower", "upper"))
         with np.errstate(all="ignore"):
             is_good = np.isfinite(q).all(1)
@@ -237,7 +237,7 @@ class Stacked:
         return (products(self.M, z) if self.base is None else (self.M @ z.T).T) + self.rows["q"]
 
     def outer(self, left: Any, right: Any) -> Any:
-        """Return products of shape (B, n, n), or their sum where one M stands for all, on its pattern if sparse."""
+        """Return products of shape (B, n, n), or their sum if all problems share M, on a sparse M's pattern."""
         if self.base is None:
             return left[:, :, np.newaxis] * right[:, np.newaxis, :]
         if not sp.issparse(self.M):
@@ -248,7 +248,7 @@ class Stacked:
         return total
 
     def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
-        """Yield the problems without errors, if they suit."""
+        """Yield the problems without errors, if `suits` is true for their matrix."""
         n, is_here = self.M.shape[-1], np.ones(self.count, np.bool_)
         is_here[[*self.errors]] = False
         items = np.flatnonzero(is_here)

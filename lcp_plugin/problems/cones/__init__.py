@@ -1,8 +1,9 @@
-"""Complementarity over cones, and contact with friction as it is.
+"""Complementarity over cones, and contact with quadratic Coulomb cones.
 
-`data` states problems and checks them, `frictional_contact` contacts, one problem or many in arrays. Everything else
-works on stacks of problems with the same blocks (`stack`), one problem is a stack of one: `sweeps` has the compiled
-loop, `newton` the steps of Newton's method with the systems of `systems`, `central_path` the interior point, `programs`
-the convex programs, `certificate` the stopping criterion, `infeasibility` the proof that there is no solution.
-`methods` names these, `solving` chains them, `derivative` differentiates a solution, `files` reads and writes.
+`data` defines and checks problems, `frictional_contact` contact problems, one or a batch in arrays. All other
+modules use stacks of problems with the same blocks (`stack`), in which one problem is a stack of one. `sweeps` has
+the compiled loop, `newton` the steps of Newton's method with the systems of `systems`, and `central_path` the
+interior point. `programs` has the convex programs, `certificate` the stopping criterion, and `infeasibility` the
+proof of infeasibility. `methods` names the algorithms, `solving` runs them one after the other, `derivative`
+differentiates a solution, `files` reads and writes.
 """

@@ -1,10 +1,11 @@
-"""The central path of contacts with friction, which an interior point follows.
+"""Central path of contacts with friction, followed by an interior-point method.
 
-With û = u + μ‖u_T‖ e_N, of which u = û − μ‖û_T‖ e_N, and S = diag(μ, 1, 1) of each contact, x = S r and y = S⁻¹û lie in
-Lorentz' cone, and are complementary. The path x ∘ y = σ e, û − μ‖û_T‖ e_N = W r + b is followed by steps with the
-scaling of Nesterov and Todd, a predictor and a corrector; one step is a factor of W + G S H S, H the scaling and G the
-derivative of u by û. It ends near the middle of all impulses that make the motion, where Newton's method converges:
-many more contacts than bodies determine are no harder than few. Nothing is proved, as the problem is not convex.
+Let û = u + μ‖u_T‖ e_N, so that u = û − μ‖û_T‖ e_N, and S = diag(μ, 1, 1) for each contact. Then x = S r and y =
+S⁻¹û are in Lorentz' cone, and are complementary. The path x ∘ y = σ e, û − μ‖û_T‖ e_N = W r + b is followed by
+steps with the scaling of Nesterov and Todd, a predictor and a corrector. One step takes one factorization of W + G
+S H S, H the scaling and G the derivative of u by û. The path ends near the middle of all impulses that make the
+motion, where Newton's method converges. Therefore contacts with undetermined impulses are not harder than others.
+Convergence is not proved, because the problem is not convex.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from .stack import TINY, ConeStack, length
 
 Cones = NDArray[np.float64]  # shape (k, d)
 
-LEAST_SLOPE = 1e-3  # of the cones that the path is in: Newton's steps have the user's
+LEAST_SLOPE = 1e-3  # of the cones of the path; Newton's steps use the user's cones
 TO_THE_BOUNDARY = 0.9
-SHORT, CENTRED = 0.1, (0.5, 0.9)  # a shorter step goes to the path instead, to these parts of σ
+SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
 
 class CentralPath:
-    """The point x, y on its way, each of shape (k, d), of one contact problem.
+    """The point x, y on the path, each of shape (k, d), of one contact problem.
 
     Parameters
     ----------
     stack : ConeStack
-        Of one problem.
+        Stack of one problem.
     z : array, shape (1, k, d)
-        A point near which the path begins; from nothing if it is 0.
+        A point near which the path begins; 0 means a cold start.
     share : float
-        How far from z, relative to the largest velocity.
+        Distance of the start from z, relative to the largest velocity.
     """
 
     def __init__(self, stack: ConeStack, z: Any, share: float) -> None:
@@ -71,7 +72,7 @@ class CentralPath:
             factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
             def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
-                """Return the changes of x and y with H dx + dy = c that take a share of what is left."""
+                """Return changes of x and y with H dx + dy = c that remove a share of the residual."""
                 dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
                 return dx, c - apply(H, dx)
 

@@ -1,15 +1,16 @@
-"""The stopping criterion over cones: that of an LCP, block by block, for one problem or a stack.
+"""Stopping criterion over cones: the criterion of an LCP, block by block, for one problem or a stack.
 
-The point is snapped first: a block whose projection is the apex, or a bound, is put there, and w computed again. The
-residual of a block is ‖R_k‖₂ of the natural map R_k(z) = z_k − P_K(z_k − ŵ_k/d_k). SOLVED asks for
+The point is snapped first: a block whose projection is the apex, or a bound, is moved onto it, and w is computed
+again. The residual of a block is ‖R_k‖₂ of the natural map R_k(z) = z_k − P_K(z_k − ŵ_k/d_k). SOLVED requires
 
     ‖R_k(z)‖ ≤ tolerance · ref_P in every connected component P, rounding included,
-    d_k ‖R_k‖ ≤ tolerance^(3/4) T_k  and  d_k ‖R_k‖ ≤ tolerance^(1/4) a_k  of every block,
+    d_k ‖R_k‖ ≤ tolerance^(3/4) T_k  and  d_k ‖R_k‖ ≤ tolerance^(1/4) a_k  of every block.
 
-ref_P the smaller of the largest ‖R_k(z°)‖, z° the point of K nearest to 0, and the largest T_k/d_k of the blocks that
-act; T_k = ‖|q_k| + Σ |m_ij z_j|‖; a_k what the slack at z° asks of the block or of its neighbours,
-of contacts what it asks of their component. A block with q_k = 0
-is excused where its residual, or its terms, are rounding relative to the component.
+The reference ref_P is the smaller of the largest ‖R_k(z°)‖, z° the point of K nearest to 0, and the largest T_k/d_k
+of the active blocks. T_k = ‖|q_k| + Σ |m_ij z_j|‖ are the terms of a block. a_k is the size of the slack at z°: its
+largest norm in the component for contacts, otherwise the larger of the block's norm and ‖M_kl‖ a_l / d_l of its
+neighbors. A block with q_k = 0 is exempt from the conditions on T_k and a_k if its residual, or its terms, are at
+rounding level relative to the component.
 
 Rounding is enclosed: with |w − w̃|_i ≤ ρ_i, projections being nonexpansive, ‖R_k‖ is off by no more than
 (1 + μ)‖ρ_k‖ / d_k, and by the rounding of the projection, at most 4 (m + 8) u (1 + μ)(‖z_k‖ + (1 + μ)‖w_k‖ / d_k).
@@ -30,12 +31,12 @@ from .data import Blocks
 from .stack import NOISE, OUT, WITHIN, Array, ConeStack, length
 
 UNIT = 2.0**-53
-EXCUSED = 2.0**-50  # of the terms that act, or of d ‖z_P‖: a residual of a block with q_k = 0
-SMALL = 1e-2  # of the reference: a larger residual is not called limited by rounding
+EXCUSED = 2.0**-50  # of the largest terms, or of d ‖z_P‖: tolerated residual if q_k = 0
+SMALL = 1e-2  # of the reference: a larger residual does not count as limited by rounding
 
 
 class Measures:
-    """How far points are from solving the problems of a stack.
+    """Residuals of points for the problems of a stack.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ class Measures:
     Attributes
     ----------
     z, w : array, shape (B, k, m)
-        The snapped points, which are those that are measured, and their slack.
+        The snapped points, which are measured, and their slack.
     sizes, rounding : array, shape (B, k)
         ‖R_k‖, and a bound of its rounding error.
     relative, terms : array, shape (B, k)
@@ -133,7 +134,10 @@ def _ratio(values: Array, sizes: Array) -> Array:
 
 
 def measure_points(stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> Measures:
-    """Return the measures of points of the cones; of one problem with sums of twice the precision if that decides."""
+    """Return the measures of points of the cones.
+
+    Sums of one problem are repeated in twice the working precision if this may decide.
+    """
     with np.errstate(all="ignore"):
         found = Measures(stack, z)
         excess = found.sizes > np.maximum(tolerance * found.reference, absolute)
@@ -147,12 +151,12 @@ def measure_points(stack: ConeStack, z: Array, tolerance: float, absolute: float
 
 
 class ConeCertificate:
-    """Every measure of how far a point is from solving a problem over cones.
+    """Residuals of a point for a problem over cones.
 
     Attributes
     ----------
     problem : Blocks
-        The problem that the point was measured on.
+        The problem.
     z, w : ndarray, shape (n,)
         The point, and M z + q.
     relative_residual : float
@@ -163,7 +167,7 @@ class ConeCertificate:
         The block of the largest relative residual; −1 without blocks.
     """
 
-    is_linearised: ClassVar[bool] = True  # its rows are not those of an LCP
+    is_linearised: ClassVar[bool] = True  # its rows are not the rows of an LCP
 
     def __init__(self, problem: Blocks, measures: Measures) -> None:
         self.problem, self.measures, pattern = problem, measures, measures.stack.pattern
@@ -183,7 +187,7 @@ class ConeCertificate:
 
     @property
     def term_residual(self) -> float:
-        """The largest residual of a block relative to its own terms."""
+        """The largest residual of a block relative to its terms."""
         return float(self.measures.terms.max(initial=0.0))
 
     @property
@@ -214,7 +218,7 @@ class ConeCertificate:
 
     @property
     def dissipation(self) -> float:
-        """−rᵀu of contacts, what friction would take at the last velocities; of others −zᵀw, their complementarity."""
+        """−zᵀw; for contacts the energy −rᵀu that friction would take at the final velocities."""
         with np.errstate(all="ignore"):
             return float(-(self.z @ self.w))
 

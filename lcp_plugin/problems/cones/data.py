@@ -54,7 +54,7 @@ class Blocks:
 
     offset = "q"  # its name in messages
     origin: Any = None
-    bodies: Any = None  # Bodies, behind contacts that are stated by them
+    bodies: Any = None  # Bodies, if contacts are defined by bodies
 
     def __init__(
         self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool
@@ -85,7 +85,7 @@ class Blocks:
 
     @property
     def nonzeros(self) -> int:
-        """How many entries the matrix has."""
+        """Number of entries of the matrix."""
         return self.rows.nonzeros
 
     @property
@@ -168,7 +168,7 @@ class Blocks:
         if self.bodies is not None:
             other.bodies = self.bodies._replace(
                 velocities=None
-            )  # b does not give those of the bodies
+            )  # b does not determine the velocities of the bodies
         return other
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -179,7 +179,7 @@ class Blocks:
         Raises
         ------
         UnreadableFile
-            Where it cannot be written, or is called otherwise.
+            If the file cannot be written, or has another extension.
         """
         from ...interfaces.files.files import save_arrays
 
@@ -224,7 +224,7 @@ class ConeProblem(Blocks):
     Raises
     ------
     InvalidProblem
-        Where these state no such problem.
+        If the arguments do not define such a problem.
 
     Examples
     --------
@@ -264,7 +264,7 @@ class ConeProblem(Blocks):
 
 
 def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
-    """Return lower and upper bounds of a box, each of its rows; raise InvalidProblem where they have no such shape."""
+    """Return lower and upper bounds of each row of a box; raise InvalidProblem for other shapes."""
     need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
     low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
     lengths = {low.size, high.size} - {1} or {1}

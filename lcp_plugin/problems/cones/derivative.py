@@ -1,8 +1,9 @@
-"""The derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
+"""Derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
 
-It is that of :mod:`lcp_plugin.systems.linearized` with the generalised derivatives of Newton's steps, and R_μ dμ. If
-several impulses give the same motion, dz is the one of least norm; dw is the same for all. Where a block is on the edge
-of two cases, dz is one-sided: the elements are those of the piece into which dz and dw lead.
+The derivative is computed as in :mod:`lcp_plugin.systems.linearized` with the generalised derivatives of Newton's
+steps, and R_μ dμ. If several impulses give the same motion, dz is the change of least norm, and dw is the same for
+all. If a block is on the boundary of two modes, dz is one-sided: it uses the elements of the piece into which dz
+and dw lead.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from .newton import factorize_blocks, system_of_free_rows
 from .stack import ON, WITHIN, Array, ConeStack, length
 
 REFINEMENTS = 5  # steps of Newton towards the solution before it is differentiated
-REFINING = 1e-8  # of d, their proximal term: rounding moves no impulses that the motion leaves undetermined
+REFINING = 1e-8  # of d, their proximal term, so that rounding does not move undetermined impulses
 EXACT = 2.0**-46  # relative to |z| + |w|/d: a smaller residual is not refined
-ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
-ROUNDING = 1e-12  # of a block's terms: z and w/d that are smaller are both 0
-PIECES, ALIKE = 20, 1e-12  # most that are tried for a direction, and the change of dz that ends it
+ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d: distance to another mode of a degenerate block
+ROUNDING = 1e-12  # of a block's terms: smaller z and w/d both count as 0
+PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at which it ends
 
 
 class ConeGradient(NamedTuple):
-    """What a function of z has for gradients: by q and the bounds, (n,), by M on its pattern, by friction, (k,)."""
+    """Gradients of a function of z by q and bounds, (n,), by M on its pattern, and by friction, (k,)."""
 
     q: FloatVector
     M: sp.csr_array
@@ -44,7 +45,9 @@ class ConeGradient(NamedTuple):
 
 
 class StackDerivative(LinearizedSystem):
-    """The derivatives of the solutions of a stack by its data; vectors have shape (B, n). Its system is that of B = 1.
+    """Derivatives of the solutions of a stack by the data, for vectors of shape (B, n).
+
+    The attribute `system` requires B = 1.
 
     Parameters
     ----------
@@ -61,9 +64,10 @@ class StackDerivative(LinearizedSystem):
             self.take_element_at(self.z, self.w)
 
     def take_element_at(self, z: Array, w: Array) -> None:
-        """Take the generalised derivative at z and w, the solution or a point nearby; what sticks has w = 0.
+        """Select the generalised derivative at z and w, the solution or a point nearby.
 
-        Its rounding has a direction, that of ‖w_T‖, on which gradients by least norm would depend.
+        w is set to 0 for sticking contacts, because gradients by least norm would depend on the direction of its
+        rounding error.
         """
         stack = self.stack
         if stack.has_friction:
@@ -102,13 +106,13 @@ class StackDerivative(LinearizedSystem):
 
     @cached_property
     def system(self) -> Any:
-        """The factorization of the system of the free blocks, of one problem."""
+        """The factorization of the system of the free blocks, for one problem."""
         J, _ = system_of_free_rows(self.stack, self.by_z[0], self.by_w[0], self.is_free[0])
         return FreeSystem(Matrix(sp.csr_array(J)), np.ones(J.shape[0], np.bool_), by_factor=True)
 
     @cached_property
     def is_degenerate(self) -> Array:
-        """The blocks on the edge of two cases, as far as rounding tells, shape (B, k)."""
+        """Blocks on the boundary of two modes, up to rounding error, shape (B, k)."""
         stack, shift = self.stack, ON_THE_EDGE * self._sizes
         with np.errstate(all="ignore"):
             cases = stack.residual(self.z, self.w)[1]
@@ -121,7 +125,7 @@ class StackDerivative(LinearizedSystem):
 
     @cached_property
     def _sizes(self) -> Array:
-        """The size of z and w/d of each block, shape (B, k); where both are rounding of its terms, that of these."""
+        """Size of z and w/d of each block, shape (B, k), at least the rounding error of its terms."""
         stack = self.stack
         sizes = length(np.abs(self.z) + np.abs(self.w) / stack.d[..., None])
         terms = length(stack.pattern.times(self.z, absolute=True) + np.abs(stack.q)) / stack.d
@@ -129,7 +133,7 @@ class StackDerivative(LinearizedSystem):
         return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
 
     def branch_towards(self, dz: Array, dw: Array) -> StackDerivative:
-        """Return the derivative of the piece that begins in this direction from the blocks on the edge of two cases."""
+        """Return the derivative of the piece into which degenerate blocks move in this direction."""
         wide = self.stack.pattern.wide
         dz, dw = wide(dz), wide(dw)
         size = length(np.abs(dz) + np.abs(dw) / self.stack.d[..., None])
@@ -159,7 +163,7 @@ class StackDerivative(LinearizedSystem):
         return stack.pattern.flat(np.where((case == ON)[..., None], rows, 0.0))
 
     def gradients(self, g: Array, by_w: Array) -> tuple[Array, Array, Array]:
-        """Return the gradients by q, by the bounds that hold, and by friction, (B, k)."""
+        """Return the gradients by q, by the active bounds, and by friction, (B, k)."""
         by_q, by_bound, multiplier = self.adjoint(g, by_w)
         return by_q, by_bound, -self.stack.pattern.wide(self.by_friction * multiplier).sum(-1)
 
@@ -193,13 +197,13 @@ class StackDerivative(LinearizedSystem):
 
 
 class ConeDerivative:
-    """The derivative of z by the data, at one solution.
+    """Derivative of z by the data, at one solution.
 
     Parameters
     ----------
     problem : ConeProblem or FrictionalContact
     z : array, shape (n,)
-        Its solution, which is refined first.
+        Solution of the problem, which is refined first.
     """
 
     def __init__(self, problem: Blocks, z: FloatVector) -> None:
@@ -215,17 +219,17 @@ class ConeDerivative:
 
     @property
     def is_singular(self) -> bool:
-        """Whether several z make one motion, as far as rounding tells: dz is the least of several then."""
+        """True if several z make one motion, up to rounding error; dz is then of least norm."""
         return bool(self._of.system.is_singular)
 
     @property
     def is_unique(self) -> bool | None:
-        """False where blocks are degenerate or several z answer the problem; else None: nothing is proved."""
+        """False if blocks are degenerate or the solution is not unique, else None: uniqueness is not proved."""
         return False if self.degenerate.size or self.is_singular else None
 
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
-        """The blocks on the edge of two cases, as far as rounding tells: there the derivative is one of several."""
+        """Blocks on the boundary of two modes, up to rounding error; the derivative is not unique there."""
         return np.flatnonzero(self._of.is_degenerate[0])
 
     def jvp(
@@ -237,7 +241,7 @@ class ConeDerivative:
         dlower: Any = None,
         dupper: Any = None,
     ) -> FloatVector:
-        """Return the change dz, shape (n,), that changes of the data make; one-sided where blocks are degenerate.
+        """Return the change dz, shape (n,), for changes of the data; one-sided if blocks are degenerate.
 
         Parameters
         ----------
@@ -247,11 +251,12 @@ class ConeDerivative:
             dW of contacts.
         dfriction : number or array, shape (k,), optional
         dlower, dupper : array, shape (n,), optional
-            Of the bounds; only those that hold matter.
+            Changes of the bounds; only active bounds matter.
 
         Notes
         -----
-        Of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du.
+        For a change dm of a mass matrix m, use dM = −J m⁻¹ dm m⁻¹ Jᵀ. For a change du of the bodies' velocities, use
+        dq = J du.
         """
         changes = dq, dM, dfriction, dlower, dupper
         dz = self._change(self._of, *changes)
@@ -272,7 +277,7 @@ class ConeDerivative:
     def _change(
         self, of: StackDerivative, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any
     ) -> FloatVector:
-        """Return dz by the element that was taken."""
+        """Return dz with the selected generalised derivative."""
         problem, n = self.problem, self.problem.n
         held, more = np.zeros((1, n)), np.zeros(())
         for change, holds in zip((dlower, dupper), self._holds(of), strict=True):
@@ -291,7 +296,7 @@ class ConeDerivative:
         return dz
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> FloatVector:
-        """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
+        """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         change: FloatVector = self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
         return change
 
@@ -302,7 +307,7 @@ class ConeDerivative:
         return change if dM is None else change + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
-        """Return the gradients of a function that has the gradients g by z and gw, 0 by default, by w, (n,) each."""
+        """Return the gradients of a function with the gradients g by z and gw (default 0) by w, (n,) each."""
         n, M = self.problem.n, self.problem.rows.csr
         by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
         parts = self._of.gradients(checked_vector(g, "g", n)[None], by_w[None])
@@ -314,7 +319,7 @@ class ConeDerivative:
         return ConeGradient(by_q, by_M, by_friction, lower, upper)
 
     def _holds(self, of: StackDerivative) -> tuple[Any, Any]:
-        """Return which rows are at their lower bound, and which at the upper one."""
+        """Return the masks of the rows at their lower and at their upper bound."""
         problem, pattern = self.problem, of.stack.pattern
         at_bound = (~of.is_free[0] & pattern.is_row)[pattern.of_row]
         z, w = (pattern.flat(one)[0] for one in of.point)

@@ -33,7 +33,7 @@ from ..contact import (
 )
 from .data import Blocks
 
-NEARLY_SYMMETRIC = 1e-2  # of the largest entry: contact data are written with few digits, and differ by up to 2.5e-3
+NEARLY_SYMMETRIC = 1e-2  # of the largest entry: few-digit contact data differ by up to 2.5e-3
 
 
 class FrictionalContact(Blocks):
@@ -49,7 +49,7 @@ class FrictionalContact(Blocks):
         plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data often have few digits; it is
         used unchanged. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; if one of the arrays is sparse,
         W is sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
-    b : array, shape (d k,) or (k, d); or (v,) with a mass matrix
+    b : array, shape (d k,) or (k, d), or (v,) with a mass matrix
         Velocities without the impulses, in m/s; with a mass matrix the velocities of the bodies.
     friction : number or array, shape (k,)
         Coefficients μ ≥ 0.
@@ -78,7 +78,7 @@ class FrictionalContact(Blocks):
 
     Examples
     --------
-    A block of 1 kg on the ground is pushed along (3, 4); friction is too weak to hold it:
+    A block of 1 kg on the ground is pushed along (3, 4). Friction is too weak to keep it at its place:
 
     >>> from lcp_plugin import solve
     >>> result = solve(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0]], 0.5))
@@ -151,7 +151,7 @@ class FrictionalContact(Blocks):
         contacts : array of int, shape (B,), optional
             Number of contacts of each instance, by default k. Later rows are ignored.
         dimension : int, optional
-            As of :class:`FrictionalContact`.
+            See :class:`FrictionalContact`.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class FrictionalContactBatch:
     Attributes
     ----------
     W, b, friction : array, shapes (B, d k, d k), (B, d k) and (B, k)
-        Contacts that are not there have 1 on the diagonal of W, 1 in b and no friction.
+        Absent contacts have 1 on the diagonal of W, 1 in b and no friction.
     contacts : array of int, shape (B,)
     dimension : int
         d.
@@ -275,7 +275,7 @@ class FrictionalContactBatch:
         Raises
         ------
         UnreadableFile
-            Where it cannot be written, or is called otherwise.
+            If the file cannot be written, or has another extension.
         """
         from ...interfaces.files.files import save_arrays
 
@@ -326,7 +326,7 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
 
 
 def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int:
-    """Return the rows of a contact; raise InvalidProblem where they do not add up."""
+    """Return the number of rows per contact; raise InvalidProblem if the shapes are inconsistent."""
     count = math.prod(friction)
     if given is None and friction and count and rows % count == 0:
         given = rows // count

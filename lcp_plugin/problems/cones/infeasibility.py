@@ -1,13 +1,15 @@
-"""A proof that no point of the cones has a slack in the dual cones.
+"""Proof that no point of the cones has a slack in the dual cones (a Farkas certificate).
 
-With friction û ∈ K* says u_N ≥ 0 at every contact. So let y be ≥ 0 on normals and 0 on tangents (in K without friction,
-free in free rows, ≥ 0 in nonnegative ones), −Mᵀy in K* (0 in free rows) and qᵀy < 0: then 0 ≤ yᵀw = yᵀM z + yᵀq < 0 for
-every z in K, which is a contradiction. A z whose residual is R has p = P_K(z − ŵ/d) in K, z = p + R and ŵ − d R in K*,
+With friction, û ∈ K* means u_N ≥ 0 at every contact. Let y be ≥ 0 on normals and 0 on tangents (in K without
+friction, free in free rows, ≥ 0 in nonnegative rows), with −Mᵀy in K* (0 in free rows) and qᵀy < 0. Then 0 ≤ yᵀw =
+yᵀM z + yᵀq < 0 for every z in K, a contradiction. A z with the residual R has p = P_K(z − ŵ/d) in K, z = p + R and
+ŵ − d R in K*,
 and so
 
     −qᵀy ≤ Σ_k (√(1 + μ_k²) d_k ‖y_k‖ + ‖(Mᵀy)_k‖) ‖R_k‖:
 
-no residual is smaller than the *margin*, −qᵀy over that sum, in the unit of z. Signs are verified in exact arithmetic.
+no residual is smaller than the *margin*, −qᵀy divided by this sum, in the unit of z. Signs are verified in exact
+arithmetic.
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ from .data import Blocks
 from .programs import ConvexProgram
 from .stack import ConeStack, length
 
-DIGITS = 2.0**-20  # of the largest |y_i|, to which y is rounded: then sums cancel exactly
-MARGIN = 1e-3  # what is taken off the margin for the rounding of the sums in it
+DIGITS = 2.0**-20  # of the largest |y_i|: y is rounded to multiples, so that sums cancel exactly
+MARGIN = 1e-3  # reduction of the margin, for the rounding error of its sums
 
 
 @dataclass(frozen=True, eq=False)
 class NoImpulse:
-    """A y as above.
+    """Certificate of infeasibility y, as defined above.
 
     Attributes
     ----------
@@ -47,7 +49,7 @@ class NoImpulse:
     y: FloatVector
 
     def verify(self) -> bool:
-        """Return whether y proves it, in exact arithmetic."""
+        """Return whether y proves infeasibility, in exact arithmetic."""
         problem, M = self.problem, self.problem.rows.csr
         y = [Fraction(value) for value in self.y.tolist()]
         v = [Fraction(0)] * problem.n  # −Mᵀy
@@ -70,7 +72,7 @@ class NoImpulse:
 
     @property
     def margin(self) -> float:
-        """What no residual beside the reference of its component is smaller than, as the criterion measures it."""
+        """Lower bound of the relative residual of every point, in the measure of the stopping criterion."""
         problem, stack = self.problem, ConeStack.of(self.problem)
         wide = stack.pattern.wide
         total = sum(
@@ -87,7 +89,7 @@ class NoImpulse:
             return float(-float(total) / shares.sum() * (1.0 - MARGIN))
 
     def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:
-        """Return whether no point at all could be called SOLVED."""
+        """Return whether the proof excludes SOLVED for every point."""
         return self.margin > tolerance and not absolute_tolerance
 
     def __str__(self) -> str:
@@ -102,7 +104,7 @@ class NoImpulse:
 
 
 def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
-    """Return a proof that there is no answer, None where Clarabel finds none that verifies."""
+    """Return a proof of infeasibility, or None if Clarabel finds no certificate that verifies."""
     program, n = ConvexProgram(problem), problem.n
     engine, cones, places = program.clarabel, list(program.cones), [np.zeros(0, np.int64)]
     for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):

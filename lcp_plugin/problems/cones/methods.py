@@ -24,7 +24,7 @@ STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share o
 GAIN = 0.9
 NEWTON_STEPS = 300
 PATH_STEPS, NO_GAIN = 40, 8  # of the central path, and steps without a new best
-NEAR, NEARER = 1e-3, 1e-2  # the residual from which Newton's steps are tried, then times this
+NEAR, NEARER = 1e-3, 1e-2  # residual below which Newton's steps are tried, and its later reduction
 PROGRAMS, PROGRAM_WORK = 5, 20.0  # convex programs without a gain, and the work of one
 SPREADS = (
     1.0,
@@ -39,7 +39,7 @@ def newton_points(stack: ConeStack, z: Any, steps: int, goal: float, **options: 
 
 
 def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
-    """Yield points of the central path from near z, and of Newton's method from where it is near its end."""
+    """Yield points of the central path from near z, and of Newton's method close to its end."""
     path, best, least, near, since = CentralPath(stack, z, share), z, np.inf, NEAR, 0
     for _ in range(PATH_STEPS):
         if since > NO_GAIN or not (work := path.step()):
@@ -88,7 +88,7 @@ class ConeAlgorithm:
 
 @dataclass(frozen=True, kw_only=True)
 class ConeNPGS(ConeAlgorithm):
-    """Nonsmooth block projected Gauss–Seidel: each block in turn is solved with the others as they are.
+    """Nonsmooth block projected Gauss–Seidel: blocks are solved one after the other.
 
     A contact in space is solved exactly (open, stick, or the angle of sliding), any other cone by projections.
 
@@ -132,9 +132,9 @@ class ConeNewton(ConeAlgorithm):
     Parameters
     ----------
     proximal : float
-        ε of its systems at most, relative to d.
+        Upper bound of ε of its systems, relative to d.
     seed : int
-        With one > 0 the start is moved at random, the same for the same seed.
+        If > 0, the start is perturbed at random, reproducibly for the same seed.
     """
 
     name = "newton"
@@ -153,7 +153,7 @@ class ConeNewton(ConeAlgorithm):
             raise InvalidOption(f"newton: seed must be an integer ≥ 0, got {self.seed!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point per linear system; end where none gains any more."""
+        """Yield the start, then a point per linear system, until no step reduces the residual."""
         if self.seed:
             z = move_at_random(stack, z, self.seed)
         options = {"patience": PATIENCE, "proximal": self.proximal}
@@ -162,7 +162,7 @@ class ConeNewton(ConeAlgorithm):
 
 @dataclass(frozen=True, kw_only=True)
 class ConeInteriorPoint(ConeAlgorithm):
-    """Primal–dual interior point on De Saxcé's cones, scaled after Nesterov and Todd; Newton's steps end it."""
+    """Primal–dual interior point on De Saxcé's cones with Nesterov–Todd scaling, followed by Newton."""
 
     name = "interior_point"
     needs = "contacts with friction, and a factor that fits"
@@ -181,10 +181,11 @@ class ConeInteriorPoint(ConeAlgorithm):
 
 @dataclass(frozen=True, kw_only=True)
 class FixedPoint(ConeAlgorithm):
-    """A fixed point over convex programs: with s = μ‖w_T‖ held, min ½ zᵀM z + (q + s e_N)ᵀz over K, then s anew.
+    """Fixed point over convex programs: min ½ zᵀM z + (q + s e_N)ᵀz over K, with fixed s = μ‖w_T‖.
 
-    Each program goes to Clarabel, an interior point on cones. Of an M that is not symmetric its symmetric part is
-    taken, and the rest of M z is held as s is. Without friction, and for symmetric M, one program is the answer.
+    Each program is solved by Clarabel, an interior-point method on cones. If M is not symmetric, the program uses
+    its symmetric part, and the remainder of M z is fixed as s is. Without friction, and for symmetric M, one
+    program yields the solution.
     """
 
     name = "fixed_point"
@@ -194,7 +195,7 @@ class FixedPoint(ConeAlgorithm):
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point per program until five gain nothing, then Newton's from the best."""
+        """Yield the start, then a point per program until five gain nothing, then Newton's points."""
         engine, pattern = ConvexProgram(problem), stack.pattern
         best, least, since = z, float(stack.measure(z)[2][0]), 0
         yield z, least, 1.0

@@ -1,8 +1,9 @@
 """Newton's method on the natural map of cones, for all problems of a stack at once, and the systems of its steps.
 
-A step solves (R_z + R_w (M + ε D)) s = −R, D = diag(d): the proximal ε keeps the system regular where several impulses
-make the same motion, and falls with the residual. Open blocks leave the system. The system has the unknowns of the
-blocks, or, where contacts are stated by bodies and these have fewer velocities, those.
+A step solves (R_z + R_w (M + ε D)) s = −R, D = diag(d). The proximal term ε falls with the residual. It keeps the
+system regular if several impulses make the same motion. Open blocks leave the system. The unknowns of the system are
+the unknowns of the blocks, or the velocities of the bodies if contacts are defined by bodies and these have fewer
+velocities.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from .stack import ConeStack
 from .systems import Factors, factorize_matrix
 
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
-LEAST_OF_BODIES = 1e-8  # 1/ε stands in the system of the velocities
+LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
 EXACT_OF_BODIES = 2.0**-36
-HARDER, EASIER = 100.0, 0.01  # times ε: of a singular system, and after a full step with no GAIN
-MEMORY = 5  # residuals whose largest a step may rise to
+HARDER, EASIER = 100.0, 0.01  # times ε: for a singular system, and after a full step without GAIN
+MEMORY = 5  # a step may rise to the largest of so many residuals
 HALVINGS, DECREASE = 14, 1e-4
 LAST_STEPS = 2
-GAIN, EXACT = 0.9, 2.0**-46  # a relative residual that another linear system hardly reduces
+GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
 PATIENCE = 15  # steps without GAIN
 STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
 
@@ -38,9 +39,9 @@ def newton_steps(
     patience: int = PATIENCE,
     proximal: float = PROXIMAL,
 ) -> Iterator[tuple[Any, Any, Any, float]]:
-    """Yield which problems are open, their points and residuals, and the work: of the start, then of each step.
+    """Yield the open problems, their points and residuals, and the work: for the start, then per step.
 
-    Steps are found by a nonmonotone line search on ‖R‖₂; a problem whose residual is at most `goal` is left out.
+    Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """
     open_ones, here, at = np.arange(stack.B), stack, z
     w, found, largest, size = here.measure(at)
@@ -101,7 +102,7 @@ def accuracy_of(stack: ConeStack) -> tuple[float, float]:
 def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
     """Return points and residuals after the linear systems of two active sets, if these reduce the residual.
 
-    If M is ill-conditioned, a small residual is no small error: a run that knows its active set ends with its system.
+    The linear systems are solved because a small residual does not imply a small error if M is ill-conditioned.
     """
     least, exact = accuracy_of(stack)
     w, found, largest, _ = stack.measure(z)
@@ -122,7 +123,7 @@ def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
 
 
 def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
-    """Return what solves (mixed + by_w M) s = right, shape (B, k, m).
+    """Return a solver for (mixed + by_w M) s = right, shape (B, k, m).
 
     Raises
     ------
@@ -176,7 +177,7 @@ def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
 
 
 def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> tuple[Any, Any]:
-    """Return mixed + by_w M on the rows and columns of the free blocks of one problem, and which rows these are."""
+    """Return mixed + by_w M on rows and columns of the free blocks of one problem, and the rows."""
     pattern, m = stack.pattern, stack.m
     rows = np.flatnonzero(free[pattern.of_row])
     if pattern.place is None and not pattern.is_sparse:

@@ -1,4 +1,4 @@
-"""Convex programs over cones, as Clarabel takes them."""
+"""Convex programs over cones, in the form of Clarabel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .data import Blocks
 
 
 class ConvexProgram:
-    """The convex programs of one problem over cones, as Clarabel takes them."""
+    """Convex programs of one problem over cones, in the form of Clarabel."""
 
     def __init__(self, problem: Blocks) -> None:
         try:
@@ -32,11 +32,11 @@ class ConvexProgram:
 
     @property
     def is_final(self) -> bool:
-        """Whether nothing is held: another program would be the same."""
+        """True if no data of the program depend on z, so that another program would be the same."""
         return not (self.problem.has_friction or self.rest.count_nonzero())
 
     def minimize(self, z: FloatVector) -> FloatVector | None:
-        """Return the minimiser where what depends on z is held; None where there is none."""
+        """Return the minimiser with all terms that depend on z fixed, or None if Clarabel finds none."""
         problem = self.problem
         q = problem.q + self.rest @ z
         if problem.has_friction:
@@ -50,7 +50,7 @@ class ConvexProgram:
         return problem.project(z) if z.size == problem.n and np.isfinite(z).all() else None
 
     def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
-        """Return what Clarabel makes of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
+        """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
         settings = self.clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
@@ -60,7 +60,7 @@ class ConvexProgram:
 
 
 def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[Any]]:
-    """Return A, b and cones such that z ∈ K says b − A z ∈ cones."""
+    """Return A, b and cones such that z ∈ K is equivalent to b − A z ∈ cones."""
     rows: list[Any] = []
     limits: list[FloatVector] = []
     cones: list[Any] = []

@@ -1,4 +1,4 @@
-"""Solving a problem over cones: what auto tries in turn, the run, the result."""
+"""Solution of a problem over cones: the sequence of algorithms of auto, the run, the result."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from .sweeps import sweeps
 
 Callback = Callable[[Sample, FloatVector], Any]
 
-CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals are without rounding
+CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
-SHARES = (0.01, 0.1, 0.001)  # of the largest velocity, by which a path begins away from a point
-ROUNDS, LONG, TRIED_AFTER = 8, 2500, (0, 3, 7)  # of sweeps to the end
-ROUNDING = 2.0**-44  # of the largest entry of W, by which it may differ from its transpose
+SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
+ROUNDS, LONG, TRIED_AFTER = 8, 2500, (0, 3, 7)  # for sweeps until nothing changes
+ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 STARTS = 17  # of Newton's method, moved at random
 GROWTH, VERBOSE_GROWTH = 1.05, 1.5  # of the iterations from one sample, or line, to the next
 WORST = (
@@ -56,7 +56,7 @@ WORST = (
     Status.MAX_SECONDS,
     Status.INFEASIBLE,
     Status.INTERRUPTED,
-)  # the last of these that a component has is that of all
+)  # the last of these statuses that a component has is the status of the problem
 WORDS = {
     Status.STALLED: (
         "no method reduces the residual further; next: try another start z0, or less friction: with much friction or "
@@ -90,13 +90,13 @@ def solve_cones(
     threads: int | None = None,
     verbose: bool = False,
 ) -> ConeResult:
-    """Return the answer to a :class:`ConeProblem` or :class:`FrictionalContact`, judged on its own data.
+    """Solve a :class:`ConeProblem` or :class:`FrictionalContact`; the result is measured on its data.
 
     Parameters
     ----------
     problem : ConeProblem or FrictionalContact
     algorithm : str or object
-        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of their classes in
+        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of a class in
         :mod:`lcp_plugin.problems.cones.methods`, with options.
     z0 : array, shape (n,), optional
         Warm start, projected onto the cones.
@@ -142,7 +142,7 @@ def solve_cones(
 def solve_cone_stack(
     stack: ConeStack, start: Any, tolerance: float, has_time: Callable[[], bool], *, is_warm: bool
 ) -> tuple[Any, Any, Any, Any]:
-    """Return what sweeps and Newton's steps make of all problems of a stack, as `solve` does for each.
+    """Solve all problems of a stack by sweeps and Newton's steps, as `solve` does for each.
 
     Returns
     -------
@@ -184,14 +184,14 @@ def solve_cone_stack(
 
 
 class Ended(Exception):
-    """Raised where a run ends before its methods do."""
+    """Raised if a run ends before its methods do."""
 
     def __init__(self, status: Status) -> None:
         self.status = status
 
 
 class Log:
-    """What a run has done, all its components together, and who watches it: counts, samples, callback, lines."""
+    """Record of a run over all components: counts, samples, callback, printed lines."""
 
     def __init__(
         self, problem: Blocks, settings: Settings, callback: Callback | None, clock: Clock
@@ -222,7 +222,7 @@ class Log:
         )
 
     def show(self, residual: float | None, z: Callable[[], FloatVector]) -> None:
-        """Record, print and call back, the clock stopped; raise Ended if the user wants to stop."""
+        """Record, print and call back, with the clock stopped; raise Ended if the callback returns true."""
         with self.clock.pause():
             name = self.stages[-1].name
             sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
@@ -241,7 +241,7 @@ class Log:
             raise Ended(Status.INTERRUPTED)
 
     def require_room(self) -> None:
-        """Raise Ended where a limit has come."""
+        """Raise Ended if a limit is reached."""
         if self.iterations >= self.settings.max_iterations:
             raise Ended(Status.MAX_ITERATIONS)
         self.clock.read()
@@ -255,18 +255,18 @@ class Log:
 
 
 class ConeRun:
-    """The run on one problem, or on one of its components: methods give points, the best one is kept and judged.
+    """The run on one problem or component: methods yield points, the best one is stored and measured.
 
     Parameters
     ----------
     problem : Blocks
     stack : ConeStack
-        Of this problem alone.
+        Stack of this problem only.
     log : Log
     z : array, shape (1, k, m), or None
-        The user's start.
+        Start passed by the user.
     embed : callable
-        Puts a point of the component, shape (n,), into that of the whole problem.
+        Function that embeds a point of the component, shape (n,), into a point of the entire problem.
     """
 
     def __init__(
@@ -278,7 +278,7 @@ class ConeRun:
         embed: Callable[[FloatVector], FloatVector] = lambda z: z,
     ) -> None:
         self.problem, self.stack, self.log, self.embed = problem, stack, log, embed
-        self.share = problem.nonzeros / log.nonzeros  # of the work of the whole problem
+        self.share = problem.nonzeros / log.nonzeros  # of the work of the entire problem
         settings = log.settings
         self.tolerance, self.absolute = settings.tolerance, settings.absolute_tolerance
         if self.absolute:
@@ -295,7 +295,7 @@ class ConeRun:
         self.measures: Measures | None = None
 
     def solve(self, chosen: str | ConeAlgorithm) -> None:
-        """Find a point that passes, or the reason why there is none."""
+        """Find a point that passes, or the reason why no point passes."""
         try:
             if isinstance(chosen, ConeAlgorithm):
                 points = chosen.points(self.problem, self.stack, self.start, self.goal)
@@ -315,7 +315,7 @@ class ConeRun:
             self.status = Status.PRECISION_LIMIT
 
     def _chain(self) -> None:
-        """Take what auto tries in turn, on the whole problem, then on each component that is open."""
+        """Run the algorithms of auto, on the entire problem, then on each unsolved component."""
         stack, has_friction = self.stack, self.problem.has_friction
         self.log.begin("npgs", SWEPT)
         if self.is_warm or stack.is_answered.all():
@@ -344,7 +344,7 @@ class ConeRun:
         self._to_the_end()
 
     def _prove(self) -> None:
-        """Look for a proof that there is no solution, and raise Ended if it excludes all points."""
+        """Search for a proof of infeasibility, and raise Ended if it excludes all points."""
         if self.log.settings.prove_infeasibility:
             self.log.require_room()
             self.proof = infeasibility_proof(self.problem)
@@ -370,7 +370,7 @@ class ConeRun:
     def _sweep_and_solve(
         self, count: int, steps: int, because: str = SWEPT, patience: int = 15
     ) -> None:
-        """Take sweeps from where the last ones ended, then Newton's steps."""
+        """Continue the sweeps from their last point, then take Newton's steps."""
         log = self.log
         if log.stages[-1][:2] != ("npgs", because):
             log.begin("npgs", because)
@@ -387,12 +387,12 @@ class ConeRun:
         self.take("newton", FOLLOWS, points)
 
     def _follow(self, share: float | None) -> None:
-        """Follow the central path from nothing, or from a share of the largest velocity away from the best point."""
+        """Follow the central path from a cold start, or from near the best point, at a share of the speed."""
         z = self.stack.origin if share is None else self.stack.snap(self.best)
         self.take("interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal))
 
     def take(self, name: str, because: str, points: Iterator[Any], *, judges: bool = True) -> None:
-        """Take the points of one method, keep the best, and judge it at the end."""
+        """Run one method, keep its best point, and measure this point at the end."""
         log = self.log
         for number, (z, residual, work) in enumerate(points):
             is_there = not number and residual <= EXACT and name == "newton" and judges
@@ -411,7 +411,7 @@ class ConeRun:
             self.judge(self.best)
 
     def offer(self, z: Any, residual: float) -> None:
-        """Keep the point if it is the best so far; below EXACT differences are rounding."""
+        """Store the point if it is the best so far; below EXACT, differences are rounding errors."""
         if (residual < self.residual and self.residual > EXACT) or self.residual == np.inf:
             self.best, self.residual = z, residual
             self.measures = None
@@ -426,7 +426,7 @@ class ConeRun:
         return measure_points(self.stack, self.stack.snap(z), self.tolerance, self.absolute)
 
     def judge(self, z: Any) -> None:
-        """Raise Ended if the point passes, or misses only by rounding."""
+        """Raise Ended if the point passes, or fails only because of rounding error."""
         if EXACT < self.residual <= self.goal:
             self._polish()
             z = self.best
@@ -442,7 +442,7 @@ class ConeRun:
         self.residual, self.measures = float(residual[0]), None
 
     def _solve_components(self) -> None:
-        """Solve each component that does not pass, and put the points together."""
+        """Solve each component that does not pass, and combine the points."""
         pattern: Any = self.stack.pattern
         whole = self.stack.snap(self.best)
         flat = pattern.flat(whole)[0].copy()
@@ -538,7 +538,7 @@ def _result_at(certificate: ConeCertificate, status: Status, **parts: Any) -> Co
 def result_of(
     problem: Blocks, z: FloatVector, iterations: int, settings: Settings, seconds: float
 ) -> ConeResult:
-    """Return the result of a problem that a stack has solved."""
+    """Return the result of a problem that was solved in a stack."""
     certificate = ConeCertificate.at(problem, z, settings.tolerance)
     stage = StageRecord("npgs, newton", f"{SWEPT}, {FOLLOWS}", iterations, 0.0)
     return _result_at(
@@ -554,7 +554,7 @@ def result_of(
 
 
 def _merge_stages(stages: tuple[StageRecord, ...]) -> tuple[StageRecord, ...]:
-    """Return the stages with those of one name and reason as one."""
+    """Return the stages; stages of the same name and reason are merged."""
     merged: dict[tuple[str, str], StageRecord] = {}
     for stage in stages:
         known = merged.get(stage[:2])
@@ -567,27 +567,27 @@ def _merge_stages(stages: tuple[StageRecord, ...]) -> tuple[StageRecord, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ConeResult(Result):
-    """The answer to a problem over cones; attributes as of :class:`Result`, and these.
+    """The result of a problem over cones; attributes as in :class:`Result`, and the following.
 
     Attributes
     ----------
     problem : ConeProblem or FrictionalContact
-        What was solved.
+        The solved problem.
     z, w : ndarray, shape (n,)
         The point and its slack; impulses r and velocities u of contacts.
     certificate : ConeCertificate
         All residuals, by blocks.
     status, algorithm, iterations, work, seconds, setup_seconds, tolerance, absolute_tolerance, begun
-        As of :class:`Result`, in its units.
+        See :class:`Result`; work is counted in products with M.
     history, stages, infeasibility
-        As of :class:`Result`.
+        See :class:`Result`.
     """
 
     problem: Any = None
 
     @cached_property
     def motion(self) -> ContactMotion:
-        """Impulses and velocities contact by contact, and which press and stick; of a FrictionalContact."""
+        """Impulses and velocities contact by contact, and masks of contacts that press and stick."""
         problem = self.problem
         if not isinstance(problem, FrictionalContact):
             raise InvalidOption(
@@ -606,7 +606,7 @@ class ConeResult(Result):
         )
 
     def explain(self) -> str:
-        """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
+        """Return the status, its reliability and advice, a line each; then the reason and the stages."""
         lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))

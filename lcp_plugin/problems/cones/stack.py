@@ -1,8 +1,8 @@
 """Problems with the same blocks as a stack of arrays: vectors have shape (B, k, m), and one problem is B = 1.
 
-Block k has up to m rows, the rest of its row in an array is 0. A block of one row is a number between bounds; others
-are a point of the cone K = {‖x_T‖ ≤ μ x_N}, x_N the first row. With friction the slack of a cone is û = w + μ‖w_T‖ e_N
-(De Saxcé), without it w. The residual of a block is the natural map R = z − P_K(z − ŵ/d).
+Block k has up to m rows; unused entries of its row in an array are 0. A block of one row is a number between bounds.
+Other blocks are points of the cone K = {‖x_T‖ ≤ μ x_N}, x_N the first row. The slack of a cone is û = w + μ‖w_T‖ e_N
+with friction (De Saxcé), and w without. The residual of a block is the natural map R = z − P_K(z − ŵ/d).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import scipy.sparse as sp
 
 from .systems import Arms
 
-OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: apex or bound, interior, boundary of a cone
+OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
 TINY = np.finfo(np.float64).tiny
-LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is no scale
-DENSE_UP_TO = 300  # unknowns of a sparse problem that is taken as dense
-NOISE = 2.0**-42  # of the sum of a row's terms: what rounding may leave of it
+LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is not a scale
+DENSE_UP_TO = 300  # unknowns of a sparse problem that is stored as dense
+NOISE = 2.0**-42  # of the sum of a row's terms: bound of its rounding error
 Array = Any
 
 
@@ -34,7 +34,7 @@ def length(x: Array) -> Array:
 
 
 class Pattern:
-    """Which blocks of M are not 0, how large they are, and what follows from that: scale and components.
+    """Block structure of M: nonzero blocks, their sizes, scales and connected components.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ class Pattern:
     Attributes
     ----------
     rows, indices, indptr : array of int
-        The blocks of M, one after the other, by rows of blocks; every diagonal block is one of them.
+        The blocks of M, one after the other, by rows of blocks; all diagonal blocks are included.
     norms : array, shape (B, blocks)
-        Their Frobenius norms.
+        Frobenius norms of the blocks.
     own : array, shape (B, k, m, m)
         The diagonal blocks.
     d : array, shape (B, k)
-        What w is divided by: ‖M_kk‖/√m of a block of m rows, the diagonal entry of a row, or where these are less than
-        2⁻²⁰ of the largest block of its row, that; 1 of an empty row.
+        Divisor of w. It is ‖M_kk‖/√m for a block of m rows, and the diagonal entry for one row. If this is less than
+        2⁻²⁰ of the largest block of its row, d is the size of that block; 1 for an empty row.
     labels : array of int, shape (B, k), or None
-        The connected component of each block; None where every problem is connected.
+        The connected component of each block; None if every problem is connected.
     """
 
     def __init__(self, M: Array, starts: Array) -> None:
@@ -205,7 +205,7 @@ class Pattern:
         return np.maximum.reduceat(terms, self.indptr[:-1], axis=1) if terms.size else values
 
     def take(self, some: Array) -> Pattern:
-        """Return the pattern of some of the problems."""
+        """Return the pattern of the selected problems."""
         other = copy(self)
         for name in ("M", "norms", "own", "d", "most", "labels"):
             values = getattr(self, name)
@@ -227,7 +227,7 @@ class ConeStack:
         Bounds of the blocks of one row.
     has_friction : bool
     arms : Arms, optional
-        The bodies of one problem.
+        The bodies of one problem, if any.
     """
 
     def __init__(
@@ -251,13 +251,13 @@ class ConeStack:
         w = self.slack(self.origin) if self.origin.any() else self.q
         size = length(self.residual(self.origin, w)[0])
         self.reference = pattern.largest(size)
-        self.is_answered = self.reference == 0.0  # by the origin
+        self.is_answered = self.reference == 0.0  # the origin is a solution
         self.weight = np.where(self.is_answered, 0.0, 1.0 / self.reference)
         asks = length(w)
         if pattern.has_rows and self.origin.any():
             terms = length(pattern.times(self.origin, absolute=True) + np.abs(self.q))
             asks = np.where(asks > NOISE * terms, asks, 0.0)
-        # In a pile a contact at rest asks for rounding of b alone, and its neighbours too.
+        # b may be rounding error at a contact of a pile and at its neighbors, so contacts use the component.
         self.asks = (
             pattern.largest(asks)
             if has_friction
@@ -266,14 +266,14 @@ class ConeStack:
 
     @classmethod
     def of(cls, problem: Any) -> ConeStack:
-        """Return the stack of one problem; what depends on its matrix alone is kept with that."""
+        """Return the stack of one problem; data that depend only on its matrix are cached with it."""
         pattern, arms = _pattern_of(problem)
         arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
         with np.errstate(all="ignore"):
             return cls(pattern, *arrays, has_friction=problem.has_friction, arms=arms)
 
     def take(self, some: Array) -> ConeStack:
-        """Return the stack of some of the problems, by a mask."""
+        """Return the stack of the problems selected by a mask."""
         if some.all():
             return self
         other = copy(self)
@@ -289,9 +289,10 @@ class ConeStack:
         return self.pattern.times(z) + self.q
 
     def residual(self, z: Array, w: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return R, where the projections lie, x = d z − w, ‖x_T‖, and x_N of the projection on the boundary.
+        """Return R, the locations of the projections, x = d z − w, ‖x_T‖, and x_N on the boundary.
 
-        With friction d z_N − w_N + μ(‖x_T‖ − ‖w_T‖) decides, and the norms of a fast slide nearly cancel:
+        With friction, the sign of d z_N − w_N + μ(‖x_T‖ − ‖w_T‖) decides. The norms of a fast slide nearly cancel,
+        so this uses
         ‖a‖ − ‖b‖ = (a − b)ᵀ(a + b) / (‖a‖ + ‖b‖).
         """
         mu, d = self.mu, self.d[..., None]
@@ -336,7 +337,7 @@ class ConeStack:
         return found
 
     def snap(self, z: Array) -> Array:
-        """Return the nearest point of the cones, the one nearest to 0 in components that this one solves."""
+        """Return the nearest point of the cones, or the origin in components that the origin solves."""
         z, answered = self.project(z), self.is_answered
         return np.where(answered[..., None], self.origin, z) if answered.any() else z
 
@@ -354,7 +355,7 @@ class ConeStack:
             (mu * mu * share - radius)[..., None, None] * way[..., :, None] * way[..., None, :]
         )
         P[..., 1:, 1:] += radius[..., None, None] * eye[1:, 1:]
-        is_apex = (axis == 0.0) & (tangent == 0.0) & ~self.pattern.is_row  # belongs to all cases
+        is_apex = (axis == 0.0) & (tangent == 0.0) & ~self.pattern.is_row  # belongs to all modes
         is_whole = ((case == WITHIN) | is_apex) & (mu > 0.0)
         if self.low is not None:
             is_whole |= self.pattern.is_row & (case == WITHIN)
@@ -366,7 +367,7 @@ class ConeStack:
         return eye - P, by_w
 
     def measure(self, z: Array) -> tuple[Array, Any, Array, Array]:
-        """Return w, what `residual` gives, the largest ‖R_k‖ relative to its reference, and the norm of all."""
+        """Return w, the values of `residual`, the largest ‖R_k‖ / reference, and the norm of all."""
         w = self.slack(z)
         found = self.residual(z, w)
         sizes = length(found[0]) * self.weight
@@ -374,7 +375,7 @@ class ConeStack:
 
 
 def _pattern_of(problem: Any) -> tuple[Pattern, Any]:
-    """Return the pattern of a problem and the arms of its bodies, which all problems of its matrix share."""
+    """Return the pattern and the arms of a problem, shared by all problems with its matrix."""
     if "stack" not in problem._facts:
         M = problem.rows.M
         if sp.issparse(M) and problem.bodies is None and problem.n <= DENSE_UP_TO:

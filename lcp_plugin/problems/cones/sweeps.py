@@ -1,4 +1,4 @@
-"""The one compiled loop over cones: sweeps of block Gauss–Seidel, each block solved with the others as they are.
+"""The compiled loop over cones: sweeps of block Gauss–Seidel.
 
 A contact in space is solved exactly, a number is clipped into its bounds, other cones get projected steps.
 """
@@ -16,16 +16,16 @@ from .stack import ConeStack
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
 ACCURATE = 1e-14
-TURN = 0.5  # radians that a step turns at most
-ENTRIES = 2_000_000  # of M that the loop reads between two looks at the clock
+TURN = 0.5  # radians: largest change of the angle per step
+ENTRIES = 2_000_000  # of M that the loop reads between two checks of the clock
 
 
 @helper
 def _solve_contact(A, b, f, x):  # type: ignore[no-untyped-def]
-    """Write the impulse of a contact in space with velocities A x + b over x; return whether it was found.
+    """Solve a contact in space with velocities A x + b, write its impulse to x; return whether it was found.
 
-    It opens, or sticks with x = −A⁻¹b, or slides: along the angle θ of the impulse x_N is −b_N / (A_NN + f A_NT d(θ)),
-    and θ is where the velocity across d vanishes, which Newton's method finds.
+    The contact opens, sticks with x = −A⁻¹b, or slides. Along the angle θ of the impulse, x_N is −b_N / (A_NN + f
+    A_NT d(θ)). Newton's method finds the θ at which the velocity across d vanishes.
     """
     if b[0] >= 0.0:
         x[:] = 0.0
@@ -73,7 +73,7 @@ def _solve_contact(A, b, f, x):  # type: ignore[no-untyped-def]
 
 @helper
 def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-untyped-def]
-    """Take x nearer to the solution of one block by x ← P(x − step · ŵ), w = A x + b."""
+    """Move x towards the solution of one block by x ← P(x − step · ŵ), w = A x + b."""
     for _ in range(LOCAL_STEPS):
         slip, change, longest = 0.0, 0.0, 0.0
         for i in range(size):
@@ -106,7 +106,7 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
 def sweep(  # type: ignore[no-untyped-def]
     starts, friction, mu, lower, upper, indptr, indices, data, q, own, step, z, sweeps, stop
 ):
-    """Take sweeps on z, shape (B, n), in each problem until its changes are `stop` times its largest unknown."""
+    """Sweep over z, shape (B, n), until the changes of each problem are `stop` times its largest unknown."""
     m = max(own.shape[2], 3)
     b, x, w = np.zeros(m), np.zeros(m), np.zeros(m)
     for world in range(z.shape[0]):
@@ -136,7 +136,7 @@ def sweep(  # type: ignore[no-untyped-def]
 
 
 def sweeps(stack: ConeStack, z: Any, count: int, stop: float, each: int = 0) -> Iterator[Any]:
-    """Yield z, shape (B, k, m), after some of so many sweeps: as many as `each` says, or as the clock allows."""
+    """Yield z, shape (B, k, m), after every `each` of `count` sweeps, or between checks of the clock."""
     pattern, M, shape = stack.pattern, stack.pattern.M, (stack.B, stack.pattern.n)
     if pattern.is_sparse:
         indptr, indices, data = M.indptr, M.indices, M.data[None]

@@ -1,4 +1,4 @@
-"""Factorizations of the systems of Newton's steps, and the one of the bodies behind contacts."""
+"""Factorizations of the systems of Newton's steps, in the unknowns or in the velocities of bodies."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-ACCURATE = 1e-4  # of the right-hand side, which a factorization may leave: more is singular
+ACCURATE = 1e-4  # of the right-hand side: a larger residual means that the matrix is singular
 LAPACK_UP_TO = 600  # unknowns of a dense system
-DENSE_UP_TO = 150  # unknowns of a sparse system that is taken as dense
-FEW = 60  # unknowns: a smaller system is not worth that of the bodies
+DENSE_UP_TO = 150  # unknowns of a sparse system that is solved as dense
+FEW = 60  # unknowns: up to here the system of the bodies does not pay
 
 
 class Factors(NamedTuple):
-    """A factorization: the function that solves with it, and how many entries making it touches."""
+    """A factorization: the function that solves with it, and the number of entries processed."""
 
     solve: Callable[[Any], Any]
     entries: float
 
 
 def factorize_matrix(J: Any) -> Factors:
-    """Return what solves with J, by LAPACK or SuperLU.
+    """Return a solver for J, by LAPACK or SuperLU.
 
     Raises
     ------
     LinAlgError
-        For a singular matrix, by the function where only its solutions show it.
+        For a singular matrix; raised by the solver if only its solutions reveal this.
     """
     from scipy.linalg.lapack import dgetrf, dgetrs
 
@@ -81,11 +81,11 @@ class Arms:
             self.pattern, self.flat = np.unique(self.flat, return_inverse=True)
 
     def are_fewer(self, rows: int) -> bool:
-        """Return whether a system of the velocities is worth while next to one of so many rows."""
+        """Return whether a system of the velocities is cheaper than a system of so many rows."""
         return bool(max(FEW, self.mass.shape[0]) < rows)
 
     def factorize(self, mixed: Any, by_w: Any, free: Any) -> Factors:
-        """Return what solves by the velocities v: (mass + JᵀKJ) v = JᵀA right, s = A right − K J v."""
+        """Return a solver in the velocities v: (mass + JᵀKJ) v = JᵀA right, s = A right − K J v."""
         v, columns, arms = self.mass.shape[0], self.columns, self.rows.swapaxes(1, 2)
         A = np.linalg.inv(mixed[free])
         K = np.zeros_like(by_w)

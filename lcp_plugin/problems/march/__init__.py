@@ -1,4 +1,4 @@
-"""A march in time: one matrix, and a q that the answer of each step gives to the next."""
+"""Time stepping: one matrix, and a q that depends on the solution of the previous step."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..many.answers import AnswerSequence
 from .on_band import Marches, needs_no_scaling
 
 ITERATIVE = ("npsor", "psor", "multigrid")
-BLOCK = 64  # steps between two checks for Ctrl-C, and nothing before them is lost
+BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
 
 
 class March(AnswerSequence[Result]):
@@ -39,7 +39,7 @@ class March(AnswerSequence[Result]):
     z : list of arrays, shape (n,)
         The solution of each step.
     all_solved : bool
-        Whether every step that was taken is SOLVED, and none was rejected or interrupted.
+        True if every step that was taken is SOLVED, and none was rejected or interrupted.
     error : LCPError or None
         Error of the q of the step that ended the march.
     seconds : float
@@ -80,7 +80,7 @@ class March(AnswerSequence[Result]):
         return self[-1].algorithm if len(self) else "no step"
 
     def explain(self) -> str:
-        """Return the number of steps taken, how they ended, and the explanation of the last one."""
+        """Return the number of steps by status, and the explanation of the last step."""
         last = f"the last step: {self[-1]}" if len(self) else ""
         return "\n".join(filter(None, [*self._summary(), last]))
 
@@ -92,7 +92,7 @@ class March(AnswerSequence[Result]):
         return f"March({'; '.join(self._summary())})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Build the results that were not read yet, because what builds them cannot be pickled."""
+        """Build the results that were not read yet, because their builders cannot be pickled."""
         return {**self.__dict__, "_results": [self.at(k) for k in range(len(self))]}
 
     def take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
@@ -104,7 +104,7 @@ class March(AnswerSequence[Result]):
 def take_steps_together(
     marches: list[March], algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
 ) -> None:
-    """Take the steps of marches on narrow bands within so many seconds, up to one that is not solved in all of them."""
+    """Take the steps of marches on narrow bands within a time limit, until one of them is not solved."""
     problem, clock = marches[0].problem, Clock()
     if not isinstance(problem, LCP) or not problem.n:
         return
@@ -140,14 +140,14 @@ def take_steps_together(
 def _result_at(
     stated: Callable[[], LCP], z: FloatVector, algorithm: str | Algorithm, wishes: dict[str, Any]
 ) -> Result:
-    """Return the result of a step from its solution, which ends where it begins."""
+    """Return the result of a step, by a solve that starts at its known solution."""
     return solve_lcp(stated(), algorithm, z0=z, **wishes)
 
 
 def take_steps(
     done: March, algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
 ) -> None:
-    """Take the further steps of a march within so many seconds, up to one that is not solved."""
+    """Take the remaining steps of a march within a time limit, until one is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
     is_lcp, clock = isinstance(problem, LCP), Clock()
     state = done.z[-1] if done.z else done.z0
@@ -166,7 +166,7 @@ def take_steps(
                 )
             elif is_lcp:
                 found = solve_lcp(stated, algorithm, z0=state, **{**wishes, **left})
-            else:  # a start at rest is none: over cones Newton begins where one is given
+            else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
                 start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
                 found = solve(stated, algorithm, **{**wishes, **left, **start})
             done.all_solved = found.is_solved
@@ -187,9 +187,9 @@ def take_steps(
 
 
 def beginning_of_next(found: Result, step: int) -> str | None:
-    """Return the iteration that finished this step, with which the next one begins; None: auto plans it.
+    """Return the algorithm that finished this step, which starts the next step; None: auto selects it.
 
-    The first step begins anywhere, the second one near its solution, as all later ones do.
+    The first step does not count, because it may start far from its solution.
     """
     last = found.stages[-1].name
     return last if step and last in ITERATIVE else None

@@ -1,8 +1,8 @@
-"""The derivative of a march in time: that of each step, through the chain of steps, forwards or backwards.
+"""Derivative of a time-stepping run: the chain of the derivatives of its steps, forwards or backwards.
 
-With q_k = f_k + C z_{k−1} each step hands on dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all z
-has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which the step's own derivative makes ∂L/∂q_k; what M, C and the bounds have is
-summed up.
+With q_k = f_k + C z_{k−1} each step passes on dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all
+z has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which the derivative of the step computes ∂L/∂q_k. The gradients by M, C
+and the bounds are summed over the steps.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from . import BLOCK, March, checked_rows
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
 
-STEPS = 6  # rounds of active sets; from a solved problem one or two settle all rows
-SETTLED = 2.0**-26  # relative to z, of the last change: the next one would be rounding
-LEFT = 2.0**-20  # relative to the last change, more than it leaves of the error
+STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
+SETTLED = 2.0**-26  # relative to z, of the last change: the next change would be rounding error
+LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
 BACKWARD = 2.0**-40  # relative residual of a stable solution
-CANCELLED = 2.0**40  # terms relative to their sum: the block is about singular
+CANCELLED = 2.0**40  # terms relative to their sum: the block is nearly singular
 KINK = 2  # times the side of a row at this bound with w = 0
 NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
 
 
 class Band(NamedTuple):
-    """The matrix of a march on a narrow band, its bands, and the propagator; or the transposed ones."""
+    """The matrix of a march on a narrow band, its bands, and the propagator; possibly transposed."""
 
     M: sp.csr_array
     size: sp.csr_array
@@ -49,7 +49,7 @@ class Band(NamedTuple):
 
     @classmethod
     def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
-        """Return it, None if the band is not narrow."""
+        """Return the band of a matrix, or None if it is not narrow."""
         width = sum(bandwidth(matrix) or (matrix.n, matrix.n))
         if width > BANDED_UP_TO or (entries := bands(matrix)) is None:
             return None
@@ -58,10 +58,11 @@ class Band(NamedTuple):
     def solve(
         self, state: NDArray[np.int8], value: FloatVector, right: FloatVector
     ) -> tuple[FloatVector, FloatVector, float] | None:
-        """Return the x that is `value` on the rows with a state and solves M x + right = 0 on the others.
+        """Return x, M x + right and its rounding error; x is `value` on rows with a state.
 
-        Also M x + right, and its rounding error in units of the rows. None if the block of the free rows is about
-        singular: its residual is not rounding, or its terms cancel.
+        The other rows are free and satisfy M x + right = 0. The rounding error is relative to the row weights. The
+        result is None if the block of the free rows is nearly singular, because its residual exceeds the rounding
+        error, or its terms cancel.
         """
         x = solve_on_band(self.entries, state, value, right)
         if x is None:
@@ -77,17 +78,17 @@ class Band(NamedTuple):
 
 
 def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVector:
-    """Return Σ_k left_ki right_kj in the places of A's entries."""
+    """Return Σ_k left_ki right_kj at the entries of A."""
     sums: FloatVector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
     return sums
 
 
 class Steps:
-    """Some steps that follow each other; `here` are their numbers.
+    """Consecutive steps of a march; `here` is the slice of their indices.
 
-    On a narrow band each solution is first computed again on its free rows, and its rows are told apart: −1 at the
-    lower bound, 0 between, 1 at the upper one, ∓2 if w = 0 there as well. A step with rows that rounding leaves open,
-    or with a free block that is about singular, is left to its Derivative.
+    On a narrow band each solution is first computed again on its free rows, and its rows are classified: −1 at the
+    lower bound, 0 between, 1 at the upper bound, ∓2 if also w = 0. A step is passed to its Derivative if rounding
+    error leaves rows undecided, or if its free block is nearly singular.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ class Steps:
         return len(self.z)
 
     def _settle(self, band: Band) -> None:
-        """Solve each step on its free rows until their set stays, and tell its rows apart."""
+        """Solve each step on its free rows until the active set is stable, and classify the rows."""
         problem, z, sides = self.march.problem, self.z, self.sides
         lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
         change, are_settled = np.zeros(z.shape), np.zeros(len(z), np.bool_)
@@ -153,7 +154,7 @@ class Steps:
                 return
 
     def at(self, k: int) -> Derivative:
-        """Return the derivative of a step by its own data."""
+        """Return the derivative of a step by the data of the step."""
         if self._of_step is None or self._of_step[0] != k:
             problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
             self._of_step = k, self.whole.next_at(problem, z, problem.slack(z))
@@ -174,7 +175,10 @@ class Steps:
         dupper: FloatVector,
         before: FloatVector,
     ) -> FloatVector:
-        """Return the changes of the solutions, and write the last one over that of the state before the first step."""
+        """Return the changes of the solutions, and write the last change to `before`.
+
+        At the call, `before` is the change of the state before the first step.
+        """
         given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
         right, dz, band = given + (dM @ self.z.T).T, np.empty(self.z.shape), self.whole.band
         for k, side in enumerate(self.sides):
@@ -195,9 +199,10 @@ class Steps:
         return dz
 
     def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
-        """Return the gradients by q, and add those by both bounds, shape (2, n).
+        """Return the gradients by q, and add the gradients by both bounds to `of_bounds`, shape (2, n).
 
-        `after` is the gradient by q of the step behind these, 0 if there is none; then that of the first of these.
+        `after` is the gradient by q of the next step (0 if there is none), and is overwritten by the gradient of
+        the first of these steps.
         """
         by_q, band = np.empty(self.z.shape), self.whole.transposed
         for k in reversed(range(len(self))):
@@ -223,10 +228,10 @@ class MarchGradient(NamedTuple):
     Attributes
     ----------
     z0, lower, upper : array, shape (n,)
-        By the state before the first step, also where that was left to its default, and by the bounds of all steps.
+        Gradients by the state before the first step, also for the default z0, and by the bounds of all steps.
     M, propagator : csr_array, shape (n, n)
-        By the entries that M and the propagator have, in their places. A propagator that is a number has the sum of
-        the diagonal.
+        Gradients by the entries of M and the propagator, on their sparsity patterns. For a number as propagator, use
+        the sum of the diagonal.
     forcing : array, shape (k, n)
     """
 
@@ -241,30 +246,30 @@ class MarchGradient(NamedTuple):
 class MarchDerivative:
     """The derivative of all steps in time with respect to M, forcing, propagator, z0 and bounds.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by its own q, which says what is
-    proved of it.
+    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by the q of the step, with its
+    proofs.
 
     Parameters
     ----------
     march : March
     each : callable
-        Gives the Derivative of a problem at its z and w.
+        Returns the Derivative of a problem at its z and w.
 
     Raises
     ------
     UnsuitableProblem
-        Where the march was not solved to its end.
+        If the march was not solved to its end.
 
     Notes
     -----
-    A step on a narrow band is one banded system. A step with rows that are about degenerate, or with a free block that
-    is about singular, is left to its Derivative, and so are all steps of other problems.
+    A step on a narrow band is one banded system. A step is passed to its Derivative if its rows are nearly degenerate
+    or its free block is nearly singular, and for other matrices.
     """
 
     def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
         _require_all_steps(march)
         self.march, self._derivative_at = march, each
-        self._before: Derivative | None = None  # its factor may serve the next one
+        self._before: Derivative | None = None  # its factorization may be used again
 
     def __len__(self) -> int:
         return len(self.march)
@@ -274,15 +279,15 @@ class MarchDerivative:
         return self._derivative_at(result.certificate.problem, result.z, result.w)
 
     def next_at(self, problem: LCP, z: FloatVector, w: FloatVector) -> Derivative:
-        """Return the derivative of the next step asked for; the factor of the last one serves again."""
+        """Return the derivative of the next step, with the last factorization if it fits."""
         self._before = self._derivative_at(problem, z, w, before=self._before)
         return self._before
 
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
-        """Pairs of a step and a row at a bound with w = 0, as far as rounding can tell; shape (count, 2).
+        """Pairs of a step and a row at a bound with w = 0, up to rounding error; shape (count, 2).
 
-        Rows that only give z, as boundary values written as rows of the identity, are none without a bound.
+        Rows without a bound that only prescribe z, such as boundary values as identity rows, do not count.
         """
         found = [np.empty((0, 2), np.intp)]
         for part in self._parts():
@@ -293,9 +298,9 @@ class MarchDerivative:
 
     @cached_property
     def is_unique(self) -> bool | None:
-        """Whether each step's derivative exists, at the q that the step before gave it: see ``Derivative``.
+        """True if the derivative of each step exists, at the q given by the previous step: see ``Derivative``.
 
-        True if that is proved of all steps, False if rows of one are degenerate, None if neither is known.
+        True if this is proved for all steps, False if rows of a step are degenerate, otherwise None.
         """
         if self.degenerate.size:
             return False
@@ -312,33 +317,33 @@ class MarchDerivative:
         dupper: Any = None,
         only_last: bool = False,
     ) -> FloatVector:
-        """Return how the answers change with the data, dz; one-sided where rows are degenerate.
+        """Return the changes dz of the solutions for changes of the data; one-sided if rows are degenerate.
 
         Parameters
         ----------
         dM : array or sparse array, shape (n, n), optional
             The change of M, on any pattern.
         dforcing : array, shape (k, n) or (n,), optional
-            Of each step, or the same for all.
+            Change of the forcing of each step, or one row for all.
         dpropagator : number or array or sparse array, shape (n, n), optional
             The change of the propagator, on any pattern; a number stands for a multiple of the identity.
         dz0 : array, shape (n,), optional
         dlower, dupper : number or array, shape (n,), optional
-            The change of the bounds; only those that hold matter.
+            Changes of the bounds; only active bounds matter.
         only_last : bool
-            Return that of the last answer alone.
+            If True, return only the change of the last solution.
 
         Returns
         -------
         array, shape (k, n), or (n,) for the last answer alone
-            That of z0 where there is no step.
+            Changes of the solutions. Without steps, `only_last` returns dz0.
 
         Raises
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
         UnsuitableProblem
-            As that of a step's Derivative.
+            See the Derivative of a step.
 
         Examples
         --------
@@ -365,7 +370,7 @@ class MarchDerivative:
         return before if only_last else dz
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
-        """Return the gradients of a function L of the answers by M, the forcing, the propagator, z0 and the bounds.
+        """Return the gradients of a function L of the solutions by M, forcing, propagator, z0 and bounds.
 
         If rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
 
@@ -379,7 +384,7 @@ class MarchDerivative:
         InvalidProblem
             For another shape, or numbers that are not finite.
         UnsuitableProblem
-            Where the block of M on the free rows of a step is singular.
+            If the block of M on the free rows of a step is singular.
 
         Examples
         --------
@@ -412,7 +417,7 @@ class MarchDerivative:
         return MarchGradient(z0, of_bounds[0], of_bounds[1], by_M, by_C, forcing)
 
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
-        """Yield the steps, some at a time, with what has been found out about each."""
+        """Yield the steps in blocks, with their classified rows."""
         march = self.march
         starts = range(0, len(march), BLOCK)
         for first in reversed(starts) if backwards else starts:
@@ -426,7 +431,7 @@ class MarchDerivative:
 
     @cached_property
     def transposed(self) -> Band | None:
-        """The same of the transposed matrices."""
+        """The band of the transposed matrices."""
         return Band.of(
             Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T)
         )
@@ -443,20 +448,20 @@ def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
 def _vector(
     given: ArrayLike | None, name: str, n: int, *, may_be_number: bool = True
 ) -> FloatVector:
-    """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
+    """Return a finite vector, zeros by default; a number is accepted if `may_be_number`."""
     if given is None or (may_be_number and np.ndim(given) == 0):
         given = np.full(n, 0.0 if given is None else given)
     return finite_vector(given, name, n)
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
-    """Return a row per step, or the vector that stands for one thing."""
+    """Return a row per step, or one row if one vector is passed."""
     shapes = (steps, n), (n,)
     return checked_rows(name, given, f"({steps}, {n}), or ({n},) for {one}", shapes.__contains__)
 
 
 def _require_all_steps(march: March) -> None:
-    """Reject a march that ended before its last step, or where that is not solved."""
+    """Raise UnsuitableProblem for a march that ended before its last step, or at an unsolved step."""
     if march.all_solved and len(march) == len(march.forcing):
         return
     last = len(march) - 1

@@ -1,4 +1,4 @@
-"""Marches in time, one or many: the strikes of an option, a volatility for each, the loads of a rod."""
+"""march(): time stepping for one or many problems, for example strikes of an option or loads of a rod."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OF_MARCH = (
     *BOUNDS,
     "algorithm",
 )  # options of `march`, not of `solve`
-SIDE_BY_SIDE = 16  # marches in one array, so that a block of their steps stays in the cache
+SIDE_BY_SIDE = 16  # marches per array, so that a block of steps fits into the cache
 
 
 @np.errstate(under="ignore")
@@ -66,15 +66,15 @@ def march(
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
-        In seconds, for all marches together: the current step is then the last one.
+        Wall-clock limit in seconds for all marches together. The current step is then the last step.
     algorithm, **wishes
         Other options of :func:`lcp_plugin.solve`, for each step.
 
     Returns
     -------
     March, or a list of m of them
-        A sequence of k Results. It is shorter if a step was not solved, which is then the last one, if its q overflows
-        (see ``error``), or after Ctrl-C. Ctrl-C and a callback also end the other marches.
+        A sequence of k Results. The sequence is shorter after Ctrl-C, after a step that was not solved, or if the q of
+        a step overflows (see ``error``). Ctrl-C and a callback also end the other marches.
 
     Raises
     ------
@@ -94,10 +94,10 @@ def march(
     with damping: take four implicit half steps first, with the same M, the propagator −B and the forcing
     −½ Δt f (Rannacher 1984).
 
-    Contacts with friction on elastic bodies: W has displacements by forces, and a slow load gives, step by step, the
-    gaps without contact and the tangential displacements from the step before. The propagator is −W with zeros in the
-    rows of the normals then, because slip is the tangential displacement of a step. If contacts change, W changes:
-    use ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step instead of `march`.
+    Contacts with friction on elastic bodies: W has displacements by forces. A slow load determines, step by step, the
+    gaps without contact and the tangential displacements from the step before. Use the propagator −W with zeros in the
+    rows of the normals, because the slip is the tangential displacement of a step. If contacts change, W changes: use
+    ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step instead of `march`.
 
     References
     ----------
@@ -137,7 +137,7 @@ def march(
 
 
 def _groups(marches: list[March]) -> Iterator[list[March]]:
-    """Yield the marches that step together: neighbors with bounds on the same side, and others alone."""
+    """Yield groups of marches that step together: neighbors with bounds on the same side, or single."""
 
     def side(one: March) -> int:
         return bounded_side(one.problem) if isinstance(one.problem, LCP) else 0
@@ -149,10 +149,10 @@ def _groups(marches: list[March]) -> Iterator[list[March]]:
 
 
 def _has_more_axes(forcing: Any, of_states: tuple[Any, ...]) -> bool:
-    """Return whether one of these has an axis for several marches."""
+    """Return whether forcing or some state has a batch axis for several marches."""
     try:
         return np.ndim(forcing) == 3 or any(np.ndim(one) == 2 for one in of_states)
-    except ValueError:  # rows of different lengths, which one march rejects in words
+    except ValueError:  # rows of different lengths, which later raise InvalidProblem
         return False
 
 
@@ -166,7 +166,7 @@ def _begin(
     *,
     are_many: bool,
 ) -> list[March]:
-    """Return the marches before their first steps; whatever is wrong is rejected."""
+    """Return the marches before their first steps; raise an error for invalid data."""
     n = getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
         if not takes("march", one):
@@ -211,12 +211,12 @@ def _begin(
 
 
 def _is_one_a_march(propagator: Any) -> bool:
-    """Return whether this is a sequence of propagators: of sparse arrays, or with an axis more than one has."""
+    """Return whether the argument is a sequence of propagators: sparse arrays, or a batch axis."""
     if sp.issparse(propagator) or is_number(propagator):
         return False
     if isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator)):
         return True
     try:
         return np.ndim(propagator) in (1, 3)  # numbers, or matrices
-    except ValueError:  # rows of different lengths, which one march rejects in words
+    except ValueError:  # rows of different lengths, which later raise InvalidProblem
         return False

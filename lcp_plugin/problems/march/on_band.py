@@ -1,8 +1,8 @@
-"""Steps in time on narrow bands: marches that step together, judged a block of steps at a time.
+"""Time stepping on narrow bands: several marches step together, and blocks of steps are checked.
 
-If M is tridiagonal with off-diagonal entries ≤ 0 and one side has no bounds, as in an American option, each step is one
-pass of :func:`~lcp_plugin.methods.banded.solve_one_sided`, for several marches in one call. On other bands a step runs
-:func:`~lcp_plugin.methods.banded.active_sets`, one march after the other.
+M may be tridiagonal with off-diagonal entries ≤ 0 and bounds on one side only, as in an American option. Each step
+is then one pass of :func:`~lcp_plugin.methods.banded.solve_one_sided`, for several marches in one call. On other
+bands a step runs :func:`~lcp_plugin.methods.banded.active_sets`, one march after the other.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ...systems.factors import bands
 
 
 class Marches:
-    """Marches of one size on narrow bands, in arrays with an axis for them.
+    """Marches of one size on narrow bands, in arrays with a batch axis.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Marches:
         The matrix and the bounds of each march.
     propagators : sequence of csr_array, shape (n, n)
     tolerance : float
-        Of the stopping criterion.
+        Tolerance of the stopping criterion.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Marches:
                     break
                 states = Z[k] = found
             are_solved = self._are_solved(Q, Z, of_nearest)
-        Z.flags.writeable = False  # they were judged
+        Z.flags.writeable = False  # because they were checked
         counts = (
             np.where(are_solved.all(axis=0), len(Q), np.argmin(are_solved, axis=0))
             if len(Q)
@@ -80,7 +80,7 @@ class Marches:
     def _step(
         self, Q: FloatVector, of_nearest: FloatVector, states: FloatVector
     ) -> FloatVector | None:
-        """Return the solutions of one step, None if one of them is not found."""
+        """Return the solutions of one step, or None if a solution was not found."""
         if self.side:
             found = solve_one_sided(self.entries, Q, self.side, self.value, self.none_held)[0]
             return None if found is None else np.clip(found, self.lower, self.upper, out=found)
@@ -99,7 +99,7 @@ class Marches:
     def _are_solved(
         self, Q: FloatVector, Z: FloatVector, of_nearest: FloatVector
     ) -> NDArray[np.bool_]:
-        """Return which steps meet the stopping criterion, shape (k, m), with rounding errors as violations."""
+        """Return a mask of the steps that meet the stopping criterion, shape (k, m), rounding included."""
         T = self._product(np.abs(Z), is_magnitude=True)
         T += np.abs(Q)
         W = self._product(Z)
@@ -168,5 +168,5 @@ def _entries(problem: LCP) -> FloatVector:
 
 
 def needs_no_scaling(problem: LCP) -> bool:
-    """Return whether one reference serves all rows: M is connected."""
+    """Return whether one reference applies to all rows, because M is connected."""
     return connected_components(problem.matrix) is None

@@ -1,4 +1,4 @@
-"""solve(): one verb for every class of problem."""
+"""The function solve(), for all problem classes."""
 
 from __future__ import annotations
 
@@ -183,5 +183,5 @@ def solver_of(name: str) -> Callable[..., Any]:
 
 @cache
 def options_of(name: str) -> Mapping[str, Any]:
-    """Return the options of the solver of a class; "options" is one of them if it takes an algorithm's as well."""
+    """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
     return {option: None for option in [*inspect.signature(solver_of(name)).parameters][1:]}

@@ -1,4 +1,4 @@
-"""solve() for an LCP: the plan of ``algorithm="auto"``, a list of stages, and the run that follows it.
+"""The solver for LCPs: the plan of ``algorithm="auto"``, a list of stages, and the run that follows it.
 
 A small problem (256 unknowns if M is dense, 128 otherwise, except tridiagonal M-matrices) begins with sweeps of npsor
 that guess the active set, rounds that solve for it and Lemke's path. Larger problems:
@@ -122,7 +122,7 @@ def direct_stages(problem: LCP, goal: float, *, prove_infeasibility: bool) -> It
 
 
 def _quick_stages(problem: LCP) -> Iterator[Stage]:
-    """Yield the methods for M that are seen to be quick."""
+    """Yield methods that are evidently fast for this M: narrow bands, triangles, dominant diagonals."""
     from .methods.banded import Banded, banded_passes
 
     passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
@@ -288,7 +288,7 @@ def _triangle(problem: LCP) -> str | None:
 
 
 def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
-    """Return the method that the `algorithm` and options of a call mean; None for "auto".
+    """Return the algorithm object for the `algorithm` and the options of a call; None for "auto".
 
     Raises
     ------
@@ -331,7 +331,7 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
 def stages_of(
     problem: LCP, method: Algorithm | None, goal: float, *, prove_infeasibility: bool = True
 ) -> Iterator[Stage]:
-    """Yield the stages of auto, or the method, and after one that ends by itself a look for a proof.
+    """Yield the stages of auto, or one stage for the method and a search for a proof if it ends by itself.
 
     Parameters
     ----------
@@ -367,12 +367,12 @@ def solve_lcp(
     verbose: bool = False,
     **options: Any,
 ) -> Result:
-    """Return the answer to an LCP: what :func:`lcp_plugin.solve` does with one, and says of these parameters.
+    """Return the result of an LCP; :func:`lcp_plugin.solve` describes the parameters and the result.
 
     Raises
     ------
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-        As there.
+        As :func:`lcp_plugin.solve`.
     """
     clock = Clock()
     method = method_of(algorithm, options)
@@ -481,7 +481,7 @@ def _header(matrix: Matrix) -> tuple[str, str]:
 def parse_call(
     algorithm: str | Algorithm, wishes: dict[str, Any]
 ) -> tuple[Algorithm | None, Settings]:
-    """Return the method, None for auto, and the settings of a call; a start and a callback may be among the options."""
+    """Return the method (None for auto) and the settings of a call; `wishes` may contain z0 and callback."""
     settings = Settings(
         **{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE}
     )

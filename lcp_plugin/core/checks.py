@@ -28,7 +28,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def restore_state(thing: Any, state: dict[str, Any]) -> None:
-    """Give a copied or unpickled object its state: unpickled arrays are writable again, and must not be."""
+    """Restore the state of a copied or unpickled object, and make its arrays read-only again."""
     vars(thing).update(state)
     for value in state.values():
         for array in (
@@ -40,7 +40,7 @@ def restore_state(thing: Any, state: dict[str, Any]) -> None:
 
 
 def freeze_csr(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the CSR array itself, on read-only views of its arrays, canonical flags set."""
+    """Make the arrays of a CSR array read-only, set its canonical flags, and return it."""
     index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64
     matrix.data = read_only(matrix.data)
     matrix.indices = read_only(matrix.indices.astype(index_type, copy=False))
@@ -185,7 +185,7 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
 
 
 def check_kind(dtype: np.dtype[Any], need: str) -> None:
-    """Raise unless the dtype is one of real numbers, saying what is needed."""
+    """Raise InvalidProblem, with the text `need`, unless the dtype holds real numbers."""
     if dtype.kind not in "fiub":
         what = {
             "c": "complex",
@@ -201,7 +201,7 @@ def check_kind(dtype: np.dtype[Any], need: str) -> None:
 
 
 def real_array(values: Any, need: str) -> NDArray[np.float64]:
-    """Return the values as float64; reject what is not an array of real numbers, saying what is needed."""
+    """Return the values as a float64 array; raise InvalidProblem, with the text `need`, if they are not real."""
     if type(values) is np.ndarray and values.dtype == DOUBLE:
         return values
     if isinstance(values, np.ma.MaskedArray):
@@ -263,7 +263,7 @@ def real_vector(
 
 
 def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
-    """Return what to write for a vector that came as a row or a column."""
+    """Return a hint if the array is a row or a column instead of a vector."""
     is_one = array.ndim == 2 and 1 in array.shape and length in (None, array.size)
     return f"; write np.ravel({name})" if is_one else ""
 
@@ -330,19 +330,19 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
-    """Return a bound that callers state; ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
+    """Return a bound as a vector of length n; ±1e20 and beyond means no bound (±∞), as in files and other solvers."""
     return read_only(copy_limits(checked_bound(values, name, n)))
 
 
 def copy_limits(limits: NDArray[Any]) -> FloatVector:
-    """Return a copy of the limits, with ±∞ where ±1e20 and beyond says that there is none."""
+    """Return a copy of the limits in which ±1e20 and beyond is replaced by ±∞."""
     return np.where(np.abs(limits) >= INFINITE_LIMIT, np.copysign(np.inf, limits), limits)
 
 
 def checked_right_side(
     values: Any, name: str, length: int | None, *, may_be_number: bool = False
 ) -> FloatVector:
-    """Return the right-hand side of rows ≤ it, where 1e20 and beyond stands for ∞: the row says nothing."""
+    """Return the right-hand side h of inequalities G x ≤ h; 1e20 and beyond becomes ∞: no constraint."""
     right = checked_vector(
         values, name, length, allow_plus_infinity=True, may_be_number=may_be_number
     )
@@ -357,7 +357,7 @@ def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, F
 
 
 def check_order(lower: FloatVector, upper: FloatVector) -> None:
-    """Raise where lower ≤ upper fails or admits no number."""
+    """Raise InvalidProblem unless lower ≤ upper on every row, with a real number between them."""
     is_right = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
     if not is_right.all():
         i = int(np.argmin(is_right))

@@ -1,4 +1,4 @@
-"""The clock of a run and the seconds it has left; compilation counts against no limit."""
+"""The clock and the time limit of a run; compilation of kernels does not count."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ _limit: ContextVar[tuple[float, bool]] = ContextVar("limit", default=(math.inf, 
 
 
 class OutOfTimeError(Exception):
-    """Work that cannot be divided would end after the limit of a run; who set the limit ends the run."""
+    """Indivisible work is predicted to end after the time limit; the code that set the limit ends the run."""
 
 
 class Compilation:
-    """The seconds that a thread has spent on compilation since it began."""
+    """The seconds that the current thread has spent on compilation."""
 
     def __init__(self) -> None:
         self.seconds, self._depth, self._began = 0.0, 0, 0.0
 
     def begin(self) -> None:
-        """Note that a compilation begins, perhaps within another one."""
+        """Record that a compilation begins, perhaps within another one."""
         if self._depth == 0:
             self._began = time.perf_counter()
         self._depth += 1
 
     def end(self) -> None:
-        """Note that it has ended."""
+        """Record that a compilation has ended."""
         self._depth = max(self._depth - 1, 0)
         if self._depth == 0:
             self.seconds += time.perf_counter() - self._began
@@ -42,7 +42,7 @@ _compilation: ContextVar[Compilation] = ContextVar("compilation")
 
 
 def compilation() -> Compilation:
-    """Return that of the thread at work."""
+    """Return the record of compilation of the current thread."""
     found = _compilation.get(None)
     if found is None:
         _compilation.set(found := Compilation())
@@ -51,7 +51,7 @@ def compilation() -> Compilation:
 
 @contextmanager
 def pause_for_compilation() -> Iterator[None]:
-    """Stop the clocks of all runs around, and their limits, inside a ``with`` statement."""
+    """Stop the clocks and the time limits of all current runs inside a ``with`` statement."""
     own = compilation()
     own.begin()
     try:
@@ -61,9 +61,9 @@ def pause_for_compilation() -> Iterator[None]:
 
 
 class Clock:
-    """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
+    """The clock of a run, without pauses and without compilation.
 
-    Those are not counted in runs inside this one either.
+    Pauses count towards the time limit (`elapsed`). Compilation does not, also not in runs inside this one.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Clock:
 
     @contextmanager
     def pause(self) -> Iterator[None]:
-        """Take off what happens inside a ``with`` statement: the algorithm did not need it."""
+        """Exclude the work inside a ``with`` statement from the seconds of the run."""
         own = self._compilation
         began = time.perf_counter() - own.seconds
         try:
@@ -98,10 +98,10 @@ def _now() -> float:
 
 @contextmanager
 def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
-    """Let what runs inside know that it ends so many seconds from now.
+    """Set a time limit for the work inside a ``with`` statement, in seconds from now.
 
-    If the limit is enforced, work that cannot be divided is not begun where it is predicted to end later:
-    OutOfTimeError, which the caller expects.
+    If the limit is enforced, indivisible work that is predicted to end later raises OutOfTimeError before it begins.
+    The caller of this function catches it.
     """
     token = _limit.set((_now() + seconds, is_enforced))
     try:
@@ -131,7 +131,7 @@ def enforced_seconds_left() -> float:
 
 
 def require_seconds(predicted: float) -> None:
-    """Raise OutOfTimeError where work that cannot be divided is predicted to end after an enforced limit.
+    """Raise OutOfTimeError if indivisible work of this predicted duration would end after an enforced limit.
 
     Examples
     --------
@@ -145,5 +145,5 @@ def require_seconds(predicted: float) -> None:
 
 
 def is_over() -> bool:
-    """Return whether the limit has passed: what comes out of long work now comes too late."""
+    """Return whether the time limit has passed."""
     return _now() > _limit.get()[0]

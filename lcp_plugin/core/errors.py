@@ -34,7 +34,7 @@ class UnsupportedModel(LCPError, ValueError):
 
 
 class NotSquare(UnsupportedModel):
-    """The model has rows or bounds that no unknown gives way to: a search over its solutions may take it."""
+    """The model has constraints without a complementary unknown; a search over its solutions may accept it."""
 
 
 class UnknownAlgorithm(LCPError, LookupError):

@@ -26,7 +26,7 @@ TAKES: dict[str, tuple[str, ...]] = {
 
 
 def class_of(problem: Any) -> str | None:
-    """Return the name of a problem's class, None if it is no problem.
+    """Return the name of a problem's class, or None for any other object.
 
     Examples
     --------
@@ -46,7 +46,7 @@ def takes(function: str, problem: Any) -> bool:
 
 
 def refusal(function: str, given: Any) -> str:
-    """Return the message of a function that does not take what it was given."""
+    """Return the error message for an argument that a function does not accept."""
     *most, last = TAKES.get(function, ("LCP",))
     needs = with_article(f"{', '.join(most)} or {last}" if most else last)
     step = ""

@@ -1,4 +1,4 @@
-"""Problems, counts and radii in words."""
+"""Short texts for messages: problems, counts, radii of proofs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def format_count(count: int, what: str) -> str:
-    """Return how many there are.
+    """Return a count with its noun, in the singular or the plural.
 
     Examples
     --------
@@ -20,7 +20,7 @@ def format_count(count: int, what: str) -> str:
 
 
 def describe_lcp(problem: Any) -> str:
-    """Return how large an LCP is, and which bounds it has."""
+    """Return the text of ``repr`` for an LCP: its size and its kinds of bounds."""
     return f"LCP(n={problem.n}, nonzeros={problem.nonzeros}, bounds {_bounds_in_words(problem)})"
 
 
@@ -34,7 +34,7 @@ def _bounds_in_words(problem: Any) -> str:
 
 
 def describe_radius(radius: float, what: str) -> str:
-    """Return the words for the radius of a proof; none if it is ∞.
+    """Return the restriction of a proof to points up to a radius, rounded down; an empty text if the radius is ∞.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Sums of products with a rigorous bound of what rounding did to them.
+"""Sums of products with rigorous bounds of their rounding errors.
 
 Each row is summed as Ogita, Rump and Oishi do it: every product and every sum is split without error into a rounded
 value and its rounding error (that of a product is one fused multiply–add), and the errors are summed beside the values.
@@ -40,7 +40,7 @@ def gamma(terms: int) -> float:
 def compensated_product(
     M: Any, x: FloatVector, q: FloatVector | None = None
 ) -> tuple[FloatVector, FloatVector]:
-    """Return (value, radius) with |M x + q − value| ≤ radius, each of shape (n,).
+    """Return (value, radius) with |M x + q − value| ≤ radius, each of shape (m,).
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def upper_end(value: FloatVector, radius: FloatVector) -> FloatVector:
 def round_sums(
     high: FloatVector, low: FloatVector, radius: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
-    """Return the value and the radius of such sums: what rounding took from the value is an error of it."""
+    """Return (value, radius) of sums (high, low, radius): the value is `high`, and `low` counts as an error."""
     low = np.abs(low)
     with np.errstate(over="ignore"):
         return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))

@@ -1,6 +1,6 @@
-"""Where one way becomes cheaper than another on today's machines, and what is too large to be tried.
+"""Measured thresholds: the sizes from which one method is cheaper than another, and sizes that are too large to try.
 
-A number that a theorem, or the precision of a double, fixes stands beside its proof, not here.
+Numbers that follow from a theorem or from double precision are next to their proofs.
 """
 
 from __future__ import annotations

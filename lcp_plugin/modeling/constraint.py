@@ -144,8 +144,9 @@ def complements(first: Any, second: Any) -> Complements:
 
     Parameters
     ----------
-    In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F. Also a variable with
-    bounds, with F, or a free variable with ``G == 0``. Cones: ``cp.SOC(t, x)`` with ``cp.SOC(s, y)``, or with an
+    first, second : cvxpy constraints or expressions
+        In either order: ``x >= 0`` with ``F >= 0``; ``box(x, l, u)`` with an expression F. Also a variable with
+        bounds, with F, or a free variable with ``G == 0``. Cones: ``cp.SOC(t, x)`` with ``cp.SOC(s, y)``, or with an
         affine F that has s in its first row and y below; ``friction_cone(r, mu)`` with velocities u. Both sides may
         be general expressions, affine or smooth; see ``help("lcp_plugin.modeling")``. At a lower bound F ≥ 0, at an
         upper bound F ≤ 0, between them F = 0.

@@ -1,1 +1,1 @@
-"""How wrong a z is: residuals of rows, what they are compared with, the certificate."""
+"""Accuracy of a point z: residuals of rows, the stopping criterion, the certificate."""

@@ -144,7 +144,7 @@ class RowData:
         return low, high
 
     def violations(self, z: FloatVector, w: FloatVector) -> FloatVector:
-        """Return v_i of the module's head."""
+        """Return the violations v_i of the rows, as the docstring of this module defines them."""
         return np.maximum(w * (z > self.lower), -w * (z < self.upper))
 
     def acts(self, z: FloatVector, wrong: FloatVector) -> Any:
@@ -160,7 +160,7 @@ class RowData:
 
     @cached_property
     def asked(self) -> FloatVector:
-        """a_i of the module's head."""
+        """What each row asks for: a_i in the docstring of this module."""
         at = self.rows(self.start)
         w = np.abs(at.w)
         w = np.where(w > NEGLIGIBLE * at.terms, w, 0.0)
@@ -177,8 +177,8 @@ class RowData:
         Parameters
         ----------
         z : array, shape (…, n)
-        at : Rows
-            At z.
+        at : RowsAtPoint
+            The rows at z.
         power : float
             Of the tolerance next to T_i.
         """
@@ -213,7 +213,7 @@ class RowData:
         return is_candidate & ~is_led & (is_small | (wrong <= ROUNDING * unit))
 
     def _underflow(self, z: FloatVector) -> Any:
-        """Return what underflow alone makes of each w_i: no z_j that is not a normal number can be nearer."""
+        """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""
         grid = np.where((z != 0.0) & (np.abs(z) < NORMAL), TINY, 0.0)
         return times(self.absolute, grid) + (self._counts + 2) * TINY if grid.any() else 0.0
 

@@ -1,4 +1,4 @@
-"""The residual of every row, measured and between bounds that rounding cannot leave; quotients of such numbers."""
+"""Residuals of rows with bounds of their rounding errors; quotients that are rounded upwards."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def measured_residual(problem: LCP, z: FloatVector) -> float:
 
 
 def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> FloatVector:
-    """Return what rounding alone can make of each residual, k_i ε (|M||z| + |q|)_i / d_i, k_i = nonzeros of row i + 2.
+    """Return the rounding level of each residual: k_i ε (|M||z| + |q|)_i / d_i with k_i = nonzeros of row i + 2.
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> 
 
 
 def find_rounding_rows(residual: FloatVector, floor: FloatVector) -> BoolVector:
-    """Return where a residual is no more than four times that."""
+    """Return the rows whose residual is at most four times its rounding level."""
     with np.errstate(over="ignore"):
         return (residual <= 4.0 * floor) & np.isfinite(floor)
 
 
 def is_at_bound(problem: LCP, z: FloatVector) -> BoolVector:
-    """Return where z has reached a bound, shape (n,), by its own value; what a step would do is not asked.
+    """Return the rows whose z_i is at a bound or beyond it, bool, shape (n,).
 
     Examples
     --------

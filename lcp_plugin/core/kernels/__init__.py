@@ -1,1 +1,1 @@
-"""Compiled loops over arrays, and the one way to compile and keep them; they know no problem and no class."""
+"""Compiled loops over plain arrays; how they are compiled and cached."""

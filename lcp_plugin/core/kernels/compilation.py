@@ -58,7 +58,7 @@ event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-cal
 
 
 def kernel(function: Any) -> Any:
-    """Compile a function that Python calls; what it writes to is named in its docstring."""
+    """Compile a function that Python calls, and keep the code in numba's cache if that is possible."""
     with suppress(RuntimeError):  # there is no place for a cache
         compiled = njit(cache=True, **OPTIONS)(function)
         cache = compiled._cache
@@ -68,19 +68,19 @@ def kernel(function: Any) -> Any:
 
 
 def _save(save: Any, *compiled: Any) -> None:
-    """Keep compiled code where the disk takes it; a full one keeps none."""
+    """Write compiled code to the cache; ignore a disk that is full or read-only."""
     with suppress(OSError):
         save(*compiled)
 
 
 def helper(function: Any = None, **options: Any) -> Any:
-    """Compile a function that kernels call: not kept by itself, but as a part of these. Python must not call it.
+    """Compile a function that only kernels call; it is cached as a part of them.
 
-    There is no wrapper that would take Python's objects: a call ends the process.
+    Python must not call it: without a wrapper for Python objects, a call ends the process.
     """
     return njit(**(OF_HELPERS | options))(function) if function else partial(helper, **options)
 
 
 def inline(function: Any) -> Any:
-    """Compile a short function that kernels call line by line as if it stood there."""
+    """Compile a short function whose code is inserted into the kernels that call it."""
     return helper(function, inline="always")

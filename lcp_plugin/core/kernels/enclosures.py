@@ -1,6 +1,6 @@
-"""Compiled sums of rows with proved bounds of what rounding did to them; they know arrays only.
+"""Compiled row sums with proved bounds of their rounding errors, for plain arrays.
 
-`rounding` says how; here is how it becomes fast: a product is split by one fused multiply–add, loops have no branches,
+`rounding` describes the method. For speed, a product is split by one fused multiply–add, loops have no branches,
 and no sum meets a subnormal number where none was given.
 """
 
@@ -68,7 +68,7 @@ def _unsigned_code(context, builder, signature, arguments):  # type: ignore[no-u
 
 @inline
 def split_sum(a, b):  # type: ignore[no-untyped-def]
-    """(s, e) with s = fl(a + b) and s + e = a + b, exactly."""
+    """Return (s, e): s is a + b rounded, and s + e = a + b exactly."""
     s = a + b
     t = s - a
     return s, (a - (s - t)) + (b - t)
@@ -76,7 +76,7 @@ def split_sum(a, b):  # type: ignore[no-untyped-def]
 
 @helper
 def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-def]
-    """Return a bound of what underflow takes from the products of a row and from their rounding errors."""
+    """Return a bound of the underflow errors in the products of a row and in their rounding errors."""
     lost = 0.0
     for k in range(first, end):
         a, b = data[k], x[to_unsigned(indices[k - shift])]

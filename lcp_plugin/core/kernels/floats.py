@@ -1,4 +1,4 @@
-"""What a double is: the constants that rounding margins consist of."""
+"""Constants of double precision, and margins for rounding errors."""
 
 from __future__ import annotations
 

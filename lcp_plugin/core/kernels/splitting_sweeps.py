@@ -1,4 +1,4 @@
-"""Compiled sweeps over CSR arrays; they know arrays only.
+"""Compiled sweeps over the rows of CSR arrays, for plain arrays.
 
 Every sweep is one pass over the rows in the chosen direction. The matrix arrives as
 ``(indptr, split, indices, data)``; ``split`` cuts each row in two, so that one side of the cut holds exactly

@@ -1,4 +1,4 @@
-"""Compiled loops cut into pieces that several threads take: the rows of one large problem, or many small problems.
+"""Threads for compiled loops: the rows of one large problem, or many small problems, are split into pieces.
 
 A hand-over costs some 50 µs, more where other programs want the cores; so the
 thread that has work to share does the pieces that no thread has begun, and waits only for those under way.
@@ -22,7 +22,7 @@ _threads: ContextVar[int] = ContextVar("threads", default=1)
 
 @contextmanager
 def threads_for(count: int) -> Iterator[None]:
-    """Let work inside a ``with`` statement be shared among so many threads.
+    """Let the work inside a ``with`` statement use `count` threads.
 
     Examples
     --------
@@ -84,7 +84,7 @@ def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
 
 
 def shared_among(work: Callable[[int, int], T], ends: Sequence[int], threads: int) -> list[T]:
-    """Return the values of ``work`` on the pieces between consecutive ends, by so many threads, this one among them."""
+    """Return the values of ``work`` on the pieces between consecutive ends, computed by this thread and helpers."""
     count = len(ends) - 1
     pieces, values = iter(range(count)), list[Any]([None]) * count
 

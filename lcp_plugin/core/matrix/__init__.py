@@ -1,1 +1,1 @@
-"""The matrix, and what is known of it: each fact once, computed when it is first asked for."""
+"""The matrix and its properties, each computed once, at first use."""

@@ -1,4 +1,4 @@
-"""What an iteration tells the convergence theorems about itself: plain facts."""
+"""The data of an iteration that convergence theorems require."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODULUS = "modulus"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class IterationFacts:
-    """What the theorems ask of an iteration.
+    """The family and the parameters of an iteration, for convergence theorems.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A square matrix, canonical and read-only, with the facts about it: each computed once, by whoever asks first."""
+"""A square matrix in canonical, read-only form; the decorator `fact` caches its properties."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ T = TypeVar("T")
 
 
 class fact(Generic[P, T]):  # noqa: N801 - a decorator
-    """A function of a matrix (and of hashable arguments) whose value is kept with the matrix; of a problem as well.
+    """Decorator of a function of a matrix or a problem (and hashable arguments): its value is cached in that object.
 
-    A fact about M is one such function, in whichever module knows it: the function is its key, its annotation the type.
+    Such a function may be in any module; the function itself is the key of the cache.
 
     Examples
     --------
@@ -39,7 +39,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         update_wrapper(self, compute)
 
     def __call__(self, matrix: Any, *args: P.args, **kwargs: P.kwargs) -> T:
-        """Return the value, computed where it was not asked for before."""
+        """Return the cached value; compute it at the first call."""
         key = (self, *args)
         try:
             value: T = matrix._facts[key]
@@ -51,11 +51,11 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         return value
 
     def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
-        """Return whether it was asked for before."""
+        """Return whether the value is cached."""
         return (self, *args) in matrix._facts
 
     def keep(self, matrix: Matrix, value: T) -> None:
-        """Keep a value that is known without computing it."""
+        """Cache a value that is known without computation."""
         matrix._facts[self,] = value
 
 
@@ -150,7 +150,7 @@ class Matrix:
         return sp.csc_array(self.csr)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what can be computed again, and the lock."""
+        """Return the state without cached values and without the lock."""
         csr = None if self.is_dense else self.csr
         return {"n": self.n, "_dense": self._dense, "_csr": csr}
 
@@ -175,7 +175,7 @@ def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
 
 
 def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
-    """Return the largest |entry| of each row of an ndarray or CSR array, or size of a stored one; 0 where none is."""
+    """Return the largest |entry| of each row, 0 for an empty row; `sizes` replaces the |entries| of a CSR array."""
     if not sp.issparse(M):
         return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
     largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
@@ -202,7 +202,7 @@ def residual_scale_of(M: Any, diagonal: FloatVector, largest: float) -> FloatVec
 
 
 def residual_scales(diagonal: FloatVector, largest: FloatVector) -> FloatVector:
-    """Return the same of rows with these diagonal entries and largest sizes, arrays of one shape."""
+    """Return D of the scaled residual from the diagonal and the largest |entry| of each row, arrays of one shape."""
     # The product may underflow to 0, which no diagonal of 0 may pass.
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
     return np.where(largest == 0.0, 1.0, np.where(is_usable, diagonal, largest))

@@ -1,4 +1,4 @@
-"""What sweeps and their theorems ask of the rows of M: scales, splits, sums over both triangles, NP's row scaling."""
+"""Row data for sweeps and their theorems: scales, splits, sums over both triangles, the row scaling of NP methods."""
 
 from __future__ import annotations
 

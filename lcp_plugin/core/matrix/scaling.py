@@ -18,7 +18,7 @@ FITTED, MOST_STEPS = 1e-6, 300  # relative residual of a fit; steps of conjugate
 
 
 class Exponents(NamedTuple):
-    """The scaled matrix has entries m_ij 2^(row_i + column_j); an exponent a row and one per column."""
+    """One exponent per row and per column: the scaled matrix has entries m_ij 2^(row_i + column_j)."""
 
     row: IntVector
     column: IntVector

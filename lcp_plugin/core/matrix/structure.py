@@ -1,6 +1,6 @@
-"""Structure of a matrix: what its pattern and its row sums tell.
+"""Structure of a matrix from its pattern of nonzeros: triangular form and connected components.
 
-Its components are the connected components of its graph: no entry stands between two of them.
+The components are those of the graph of M: no entry couples two of them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def triangular_form(matrix: Matrix) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Which component each of the own rows belongs to, where a matrix has several.
+    """The connected components of a matrix that has several.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def connected_components(matrix: Matrix) -> Components | None:
 
 
 def _is_seen_connected(matrix: Matrix) -> bool:
-    """Return whether every row but the first meets one before it, by its first entry: all lead to row 0 then."""
+    """Return whether each row except the first has an entry left of its diagonal: then all rows are connected."""
     if matrix.n < 2:
         return True
     if matrix.is_dense and bool(matrix.array[0].all()):

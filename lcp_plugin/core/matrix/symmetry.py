@@ -1,4 +1,4 @@
-"""Whether a matrix is its transpose, relative to the size of its rows.
+"""Symmetry of a matrix up to rounding, relative to the size of its rows.
 
 Sweeps, factors and energies do not see a small entry in a row of large ones, and an assembly leaves rounding of these
 where an entry ought to be 0.

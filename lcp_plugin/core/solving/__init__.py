@@ -1,1 +1,1 @@
-"""solve(): a run, its incumbent and its judge; the result."""
+"""A run: its stages, its best point, the stopping criterion, the result."""

@@ -38,7 +38,7 @@ ALIKE = 1.0 + 1e-9  # references so near are one
 
 
 class End(Enum):
-    """Why the steps of a run ended; what that makes of its best z only :meth:`Judge.verdict` says."""
+    """Why the steps of a run ended; :meth:`Judge.verdict` derives the status from it and from the best z."""
 
     CONVERGED = "the judge was content with a step"
     NO_SOLUTION = "a step proved that there is no solution"
@@ -67,7 +67,7 @@ STATUS_OF = {
 
 
 class Judge:
-    """Measures, certifies and names the end of a run on the user's own data; this one judges an LCP.
+    """Measures and certifies the points of a run on the user's data, and determines its status; this class is for LCPs.
 
     A problem of another class brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run`
     asks: at each step `residual_of` (the residual that the algorithm knows), `measure`, `certify` and
@@ -176,7 +176,7 @@ class Judge:
     def bound_at_the_end(
         self, certificate: Certificate
     ) -> BoundOrReason | Callable[[], BoundOrReason]:
-        """Return how the bound of the error is computed, if it was asked for."""
+        """Return the function that computes the error bound, or an empty bound if none was requested."""
         if not self.settings.error_bound:
             return BoundOrReason()
         return partial(bound_or_reason, self.problem, certificate.z)
@@ -229,7 +229,7 @@ class Judge:
         )
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
-        """Return the cleaned one unless its residual is larger, or a row fails."""
+        """Return the certificate of the cleaned point, unless its residual is larger or only the other one passes."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
         meets = [one.meets(self.settings, self.answered) for one in (certificate, cleaned)]
         is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]

@@ -124,7 +124,7 @@ class Run:
                 raise
 
     def _observe(self, stage: Stage, step: Any) -> End | None:
-        """Take note of one step; return why the run ends with it, or None."""
+        """Record one step; return why the run ends with it, or None."""
         if not isinstance(step, Step):  # of an algorithm from outside
             raise InvalidOption(
                 f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"

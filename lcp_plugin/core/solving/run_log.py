@@ -1,4 +1,4 @@
-"""What ``verbose=True`` prints: the problem, a line a stage, lines at geometric intervals, and how the run ended."""
+"""The output of ``verbose=True``: the problem, a line per stage, lines at geometric intervals, the end of the run."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class RunLog:
         say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}")
 
     def end(self, result: Result) -> None:
-        """Print what came out."""
+        """Print the status, the residual and the advice."""
         say(
             f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
             f"iterations, the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; "

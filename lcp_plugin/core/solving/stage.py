@@ -34,7 +34,7 @@ class Stage:
     z : ndarray, shape (n,), or None
         The latest iterate, as long as the stage lasts.
     residuals : list of (int, float)
-        Iteration and relative residual: the first 512 measured ones and the latest.
+        Iteration and relative residual: the first measured ones and the latest, at most 512.
     parts : list of (str, int, float)
         Label, iterations and work, if the algorithm labels its steps.
     remark : str
@@ -60,7 +60,7 @@ class Stage:
     _residual_per_increment: float = 1.0
 
     def count(self, step: Step) -> bool:
-        """Take note of a step; return whether it is the first one, the start, which does not count."""
+        """Record a step; return whether it is the first one, which is the start and no iteration."""
         is_first = self.z is None
         self.z = step.z
         self.add(0 if is_first else 1, step.work, step.label)
@@ -106,7 +106,7 @@ class Stage:
         return increment * self._residual_per_increment <= goal
 
     def learn(self, increment: float, residual: float) -> None:
-        """Take note of the residual of a step with this increment: the next one is due half as far again."""
+        """Record the residual of a step with this increment; the next one is due at 1.5 times the iterations."""
         latest = max(self.iterations, FIRST_CHECK)
         self._next_check = max(self.iterations + 1, math.ceil(latest * CHECK_GROWTH))
         if increment > 0.0:

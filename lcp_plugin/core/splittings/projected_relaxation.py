@@ -1,4 +1,4 @@
-"""P*: projected Jacobi, Gauss–Seidel, SOR and AOR, and the general fixed-point iteration."""
+"""Projected relaxation (P*): projected Jacobi, Gauss–Seidel, SOR and AOR, and the general fixed-point iteration."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ class GFP(_Simultaneous):
 
 
 class AdaptiveRelaxation:
-    """ω from the size Σ|z⁺ − z| of the increments, by trials that are undone where they do not pay.
+    """Automatic choice of ω by trials, measured by the increments Σ|z⁺ − z|; a trial that does not pay is undone.
 
     A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive
     definite matrix SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best.
@@ -279,7 +279,7 @@ class AdaptiveRelaxation:
         return self.relaxation
 
     def _is_time_to_prove(self, size: float) -> bool:
-        """Return whether the trial has had its time, or three times as long where its increments are still large."""
+        """Return whether the trial has lasted one period, or four periods if its increments are still large."""
         period = math.ceil(4.0 / (2.0 - self._omega)) + 8
         sweeps = len(self._sizes)
         return sweeps >= period and (

@@ -1,4 +1,4 @@
-"""NP*: the projected-type splitting iterations of Kumar, Deepmala and Das.
+"""New projected-type methods (NP*): the splitting iterations of Kumar, Deepmala and Das.
 
 Their Method 3.1 with any splitting M = 𝓜 − 𝓝 is, because |w − z| = w + z − 2 min(z, w), exactly
 

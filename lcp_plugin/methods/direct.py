@@ -1,4 +1,4 @@
-"""The methods that factorize, pivot or search, in the order of their prospects.
+"""Methods that factorize, pivot or search, ordered by priority.
 
 | M | methods, in this order |
 |---|---|
@@ -13,10 +13,10 @@
 | any other, sparse, n > 500, diagonal > 0 | newton, interior_point, feasibility, lemke |
 | any other, sparse, n > 2000 | interior_point, newton, feasibility, lemke |
 
-Where no theorem promises an end, newton has 20 steps and lemke so many pivots; both come back after all others. If
-the diagonal is negative throughout, newton is left out beyond n = 5000. If a factorization is too large by the counts
-of its columns, newton and interior_point are left out, except of programs. A row that contradicts its bounds by itself
-brings `feasibility` to the front (n ≤ 5000). lemke takes n ≤ 6000; beyond, psor comes at the end. `search` enumerates
+If no theorem guarantees termination, newton has 20 steps and lemke a budget of pivots; both continue after all other
+methods. If the diagonal is negative throughout, newton is omitted for n > 5000. If a factorization is too large by the
+counts of its columns, newton and interior_point are omitted, except for programs. A row that is inconsistent with its
+bounds puts `feasibility` first (n ≤ 5000). lemke takes n ≤ 6000; beyond, psor comes at the end. `search` enumerates
 the active sets in exact arithmetic (n ≤ 60, at most 24 rows that leave a choice), up to a counted number of operations.
 """
 
@@ -51,16 +51,16 @@ from .newton.semismooth_newton import Newton
 
 # Turns of lemke, in pivots by n, and of newton, in steps.
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
-FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
+FULL_SHARE = 0.25  # of n² entries: the factorization of such an M is dense in any storage
 PIVOTS = 2.0
 PIVOTS_BEFORE_PIQP_UP_TO = (
     2000  # rows: of frictional contact a path takes .1 (600 rows) to .4 (1 800) of PIQP's time
 )
 LARGE_FACTOR = (
-    1e8  # operations; a factor of the program that has M in its rows takes 4 to 11 times as many
+    1e8  # operations; factorizing the program with M in its rows takes 4 to 11 times as many
 )
 GAME_PIVOTS = (
-    20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
+    20.0  # times n, if other methods are unlikely to succeed: paths of random games take 3 n to 13 n
 )
 
 
@@ -134,7 +134,7 @@ def _exceeds_steps(stage: Stage, goal: float) -> bool:
 def _order(
     problem: LCP, goal: float, newton: Stage, lemke: Stage, interior: Stage, check: Stage
 ) -> list[Stage]:
-    """Return the methods by their prospects, with their budgets."""
+    """Return the methods by priority, with their budgets."""
     is_positive = bool(has_positive_diagonal(problem.matrix).all())
     is_symmetric = is_nearly_symmetric(problem.matrix)
     is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
@@ -163,8 +163,8 @@ def _order(
 def _too_large(problem: LCP) -> set[str]:
     """Return the names of the methods that take no problem as large.
 
-    A program has no quicker method than those of a factorization, whatever it fills. If the diagonal is negative,
-    newton's active sets change at random.
+    For a program, methods that factorize are the fastest, even with a large fill. If the diagonal is negative, newton's
+    active sets change at random.
     """
     found = set()
     is_large = problem.n > LINEAR_PROGRAM_UP_TO
@@ -192,7 +192,7 @@ def _suits_newton(problem: LCP) -> bool:
 
 
 def _seems_monotone(problem: LCP) -> bool:
-    """Return whether the interior point method has good prospects; proves nothing."""
+    """Return whether the interior point method is likely to succeed; this is not a proof."""
     if problem.n == 0:
         return False
     if getattr(problem.origin, "is_of_convex_program", False):

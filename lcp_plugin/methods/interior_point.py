@@ -37,14 +37,15 @@ class InteriorPoint(Algorithm):
 
     Notes
     -----
-    If M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds; if diag(s) M is, with s = ±1, the saddle point
-    problem of a program, that program; else min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly for other bounds.
-    The linear systems of the active set of its point, and of the following active sets, reduce the residual to rounding
-    level. If M is not monotone the program is not convex, and the run ends with PIQP.
+    If M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds. If diag(s) M with s = ±1 is the saddle point
+    problem of a program, that program is solved. Otherwise it is min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly
+    for other bounds. Linear solves on the active set of PIQP's point, and on the following active sets, reduce the
+    residual to rounding level. If M is not monotone, the program is not convex, and the run ends with PIQP.
 
-    PIQP does not report its iterations: the history holds its final point and the point after each linear solve. PIQP
-    cannot be stopped: it starts only if its factorizations are predicted to fit into the seconds that are left, and
-    Ctrl-C waits for its end. The active set of a start z0 near the answer is tried first; other starts change nothing.
+    The history contains PIQP's final point and the point after each linear solve, because PIQP does not report its
+    iterations. PIQP cannot be stopped: it starts only if its factorizations are predicted to fit into the remaining
+    seconds, and Ctrl-C waits for its end. The active set of a start z0 near the solution is tried first; any other
+    start has no effect.
 
     References
     ----------
@@ -271,7 +272,7 @@ def signs_of(matrix: Matrix) -> FloatVector | None:
     )
     if is_same.all() or not (is_same | is_opposite).all():
         return np.ones(n) if is_same.all() else None
-    # In a graph of every row and its opposite: who is connected with his own has no sign.
+    # In a graph of every row and its opposite, a row that is connected with its opposite has no consistent sign.
     beside = columns + np.where(is_same, 0, n)
     edges = np.append(rows, rows + n), np.append(beside, (beside + n) % (2 * n))
     part = connected_components(

@@ -38,7 +38,7 @@ class NPSplitting(ScaledByRows):
     Raises
     ------
     UnsuitableMatrix
-        Where S(𝓜 + D) + 2I is singular.
+        If S(𝓜 + D) + 2I is singular.
     """
 
     name: ClassVar[str] = "npsplitting"

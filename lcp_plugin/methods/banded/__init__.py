@@ -37,11 +37,11 @@ class Banded(Algorithm):
     bounds on one side the changes are monotone and finite. The z of the final active set is refined once. A start
     determines the first active set.
 
-    Where M is tridiagonal and no entry off the diagonal is positive, the rows at their bounds on one side are found
-    directly, in O(n), those at the other side held: bounds on one side take one round, boxes some, in which the sides
-    take turns. If 30 turns do not suffice, one side stays: on an M-matrix z is monotone then, and rows only
-    leave the other side, so that it ends. The direct part is the method of Brennan and Schwartz where the contact set
-    is one interval at an end, Cryer's in general.
+    If M is tridiagonal and no off-diagonal entry is positive, the rows at the bounds of one side are found directly in
+    O(n), with the rows at the other side fixed. One-sided bounds require one iteration; boxes require several, which
+    alternate between the sides. After 30 iterations, the side is no longer alternated. On an M-matrix, z is monotone
+    then and rows only leave the other side, so that the method terminates. The direct part is the method of Brennan and
+    Schwartz if the contact set is one interval at an end, and Cryer's method in general.
 
     References
     ----------
@@ -78,7 +78,7 @@ class Banded(Algorithm):
         return f"M is an M-matrix, {what}: the changes are monotone and finite (Chandrasekaran 1970, Cryer 1983)"
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then z of one active set after the other; end if no other is to be tried."""
+        """Yield the start, then z of each active set; end if no active set remains to be tried."""
         yield from without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -110,7 +110,7 @@ def banded_passes(matrix: Matrix) -> float:
     M, middle = matrix.csr, matrix.n // 2
     columns = M.indices[M.indptr[middle] : M.indptr[middle + 1]] if matrix.n else np.zeros(0)
     if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > BANDED_PASSES:
-        return math.inf  # a look at one row spares most matrices the look at all
+        return math.inf  # one row rules out most matrices without a scan of all rows
     below, above = bandwidth(matrix) or (0, 0)
     rounds, cost = BANDED_ROUNDS, below + 2.0
     if max(below, above) <= 1 and (band := bands(matrix)) is not None and band.is_tridiagonal_z:
@@ -123,20 +123,20 @@ def active_sets(
 ) -> Iterator[tuple[FloatVector, float]]:
     """Yield z, shape (n,), and its ‖r(z)‖∞: the start, then the z of one active set per round.
 
-    A round solves w = 0 on the free rows, the others at their bounds, and takes z into the bounds. Then every row
-    changes whose z leaves the bounds or whose w has the wrong sign. If M is tridiagonal with off-diagonal entries ≤ 0,
-    the rows at the bound of one side are found directly, with those at the other side held; the sides take turns, and
-    from round TURNS on one side stays, so that rows only leave the other one. A settled active set is solved again
-    with its residual as the right-hand side, unless M is such a tridiagonal matrix: its elimination has no
-    cancellation. The rounds end there, at a singular block, or if neither the wrong rows nor the rows at bounds have
-    become fewer in TRIES rounds.
+    An iteration solves w = 0 on the free rows, with all other rows at their bounds, and clips z to the bounds. Then
+    every row changes whose z leaves the bounds or whose w has the wrong sign. If M is tridiagonal with off-diagonal
+    entries ≤ 0, the rows at the bound of one side are found directly, with the rows at the other side fixed. The sides
+    alternate until iteration TURNS; then one side stays, so that rows only leave the other side. A final active set is
+    solved again with its residual as the right-hand side. This is unnecessary for such a tridiagonal matrix, because
+    its elimination has no cancellation. The iterations end at a final active set, at a singular block, or if neither
+    the number of wrong rows nor the number of rows at bounds has decreased in TRIES iterations.
 
     Parameters
     ----------
     problem : LCP
         The matrix and the bounds.
     band : Bands
-        Of its matrix.
+        Bands of its matrix.
     q, z0 : arrays, shape (n,)
     """
     lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
@@ -195,7 +195,7 @@ def active_sets(
 def _contacts(
     problem: LCP, band: Bands, q: FloatVector, target: NDArray[np.int8], side: int
 ) -> tuple[NDArray[np.int8], FloatVector | None]:
-    """Return the active set whose rows at the bound of side −side are found directly, and its z; None if it fails."""
+    """Return the active set with directly found rows at the bound of side −side, and its z; None if this fails."""
     near, far = (problem.lower, problem.upper)[::side]
     is_held = (problem.lower == problem.upper) | (target == side)
     value = np.where(is_held, far, near)[None]
@@ -237,7 +237,7 @@ def solve_on_band(
     Parameters
     ----------
     band : Bands
-        Of M.
+        Bands of M.
     state : array of int, shape (n,)
     value, q : arrays, shape (n,)
     """

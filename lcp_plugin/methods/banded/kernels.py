@@ -1,11 +1,11 @@
 """Contacts of a tridiagonal M with off-diagonal entries ≤ 0, bounded on one side: Cryer's pass, O(n).
 
-The theory is Chandrasekaran's, the order of the rows Cryer's. With all rows at their bounds, free a row whose w is
-negative, then the next: z only rises, so that no free row returns to its bound. Take the rows from first to last, with
-all later ones at their bounds. A row that becomes free raises its neighbours on both sides: it joins the free rows
-before it, and if that makes w negative at the bound where these begin, that row becomes free too, and joins the free
-rows before it. A block of free rows depends on the rest by the two values next to it, and the z of its two ends are
-linear in those; two blocks and the row between them join by one division. Each row is joined once.
+The theory is due to Chandrasekaran, the order of the rows to Cryer. With all rows at their bounds, free a row whose w
+is negative, then the next: z only rises, so that no free row returns to its bound. Take the rows from first to last,
+with all later rows at their bounds. A row that becomes free raises its neighbors on both sides and joins the block of
+free rows before it. If w becomes negative in the bound row before this block, that row also becomes free and joins the
+next block. A block of free rows depends on the remaining rows only by the two values next to it, and z of its first and
+last row is linear in these values. Two blocks and the row between them join by one division. Each row is joined once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ EMPTY = (
 def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     """Return the block that two blocks and the free row between them make, and the pivot of that row.
 
-    A block is the z of its first and of its last row, each as constant, factor of the z left, and of the z right of it.
+    A block is z of its first and of its last row, each as constant, factor of the left z, and factor of the right z.
     """
     pivot = d - a * before[5] - c * after[1]
     own, left, right = (
@@ -52,11 +52,11 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
         m_{i,i−1}, m_ii and m_{i,i+1}; 0 outside of M.
     q : array, shape (n,)
     sign : float
-        1, or −1: the problem is the one of −z, with −q.
+        1, or −1 for the problem of −z, with −q.
     value : array, shape (n,)
         The bound of each row, −∞ for none.
     is_held : array of flags, shape (n,)
-        The rows that stay at their value whatever their w is.
+        Rows that stay at their value for any w.
     is_free : array of flags, shape (n,)
     stops, blocks : arrays, shapes (n + 1,) of int64 and (n + 1, 7)
         Workspace: the rows at their bounds so far; the free rows before each, and its w.
@@ -64,14 +64,14 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
     Returns
     -------
     bool
-        False where a pivot is not positive, or negligible: M is no M-matrix, or singular.
+        False if a pivot is negligible or not positive: M is singular or not an M-matrix.
     """
     n = is_free.size
     top, left, block = (
         0,
         0.0,
         EMPTY,
-    )  # rows at their bounds, the z of the last one, and the free rows behind it
+    )  # number of rows at bounds, z of the last such row, and the free rows behind
     for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
         here, after = value[i], value[i + 1] if i + 1 < n else 0.0
@@ -90,7 +90,7 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
             return False
         while (
             top > 0 and after > -np.inf
-        ):  # a row without bound becomes free next, and then they are looked at
+        ):  # a row without bound becomes free next, and the test follows then
             k = stops[top]
             a, d, c = -bands[0, k], bands[1, k], -bands[2, k]
             if is_held[k] or not blocks[top, 6] < c * (
@@ -143,14 +143,14 @@ def solve_one_sided(bands, Q, sign, value, is_held, is_free, Z):  # type: ignore
     value : array, shape (m, n)
         The bound of each row, ±∞ for none.
     is_held : array of bool, shape (m, n)
-        The rows that stay at their value whatever the sign of their w.
+        Rows that stay at their value for any sign of w.
     is_free : array of bool, shape (m, n)
     Z : array, shape (m, n)
 
     Returns
     -------
     int
-        m, or the first problem with a pivot that is not positive or negligible: its M is no M-matrix, or singular.
+        m, or the first problem with a negligible or nonpositive pivot: its M is singular or not an M-matrix.
     """
     m, n = Q.shape
     stops, blocks, turned, slope = (

@@ -87,7 +87,7 @@ class Lemke(Algorithm):
         Raises
         ------
         UnsuitableProblem
-            Where a connected component is too large for a dense inverse.
+            If a connected component is too large for a dense inverse.
         """
         return without_warnings(self._steps(problem, z0))
 
@@ -108,7 +108,7 @@ class Lemke(Algorithm):
                 yield Step(z, work=touched / entries, is_settling=True)
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
-        """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
+        """Return the reason that no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
         _components_that_fit(problem)
         if np.isfinite(problem.lower).all() and np.isfinite(problem.upper).all():
             reason = "all bounds are finite"
@@ -120,14 +120,14 @@ class Lemke(Algorithm):
         return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
 
     def _paths(self, component: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float]]:
-        """Yield (z, entries touched) along one path after the other until one ends in a solution."""
+        """Yield (z, entries touched) along successive paths until a path ends in a solution."""
         from .pivoting_path import LemkePath, starts
 
         if not np.array_equal(
             guess, component.nearest_to_zero
-        ):  # its active set first: a factor and a check
+        ):  # test the active set of the start first: one factorization
             at_lower, at_upper = guess <= component.lower, guess >= component.upper
-            if is_near(component, guess):  # and may be off its bounds by rounding
+            if is_near(component, guess):  # z may miss its bounds by rounding
                 at_lower, at_upper = classify(component, guess, component.slack(guess))
             found = solve_active_set(component, at_lower, at_upper & ~at_lower)
             if found is not None:
@@ -137,7 +137,7 @@ class Lemke(Algorithm):
         box = canonical_box(component)
         if (
             not box.is_finite
-        ):  # a solution, if there is one, is out of the reach of a tableau of doubles
+        ):  # the tableau overflows, so that its path cannot reach a solution in double precision
             return
         path = LemkePath(box.M, box.q, box.upper)
         path.entries += box.work
@@ -188,7 +188,7 @@ class Lemke(Algorithm):
         return False
 
     def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
-        """Yield the end of a path, solved again on the problem's own data first; return whether one is good."""
+        """Yield the end of a path, first solved again on the unscaled problem; return whether a point passes."""
         from .tableau import AT_LOWER, AT_UPPER
 
         z = np.clip(box.recover(path.z), component.lower, component.upper)
@@ -209,7 +209,7 @@ class Lemke(Algorithm):
 
 
 def _components_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
-    """Return the connected components, or raise where one is too large for a dense inverse."""
+    """Return the connected components; raise UnsuitableProblem if one is too large for a dense inverse."""
     components = rows_of_components(problem)
     size = max((rows.size for rows in components), default=0)
     if size > PIVOTED_UP_TO:

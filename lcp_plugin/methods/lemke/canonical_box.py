@@ -20,7 +20,7 @@ LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
 
 @dataclass(frozen=True, eq=False)
 class CanonicalBox:
-    """M, q, upper of the canonical problem, and the way back: z[rows] = offset[rows] + step z̄, and what was eliminated.
+    """Canonical problem (M, q, upper), and the inverse mapping z[rows] = offset[rows] + step z̄ with the elimination.
 
     Attributes
     ----------
@@ -30,14 +30,13 @@ class CanonicalBox:
         max |q_i| is about 1; upper > 0.
     offset : ndarray, shape (n,)
     rows : ndarray, shape (k,)
-        The variable of the problem that each canonical variable is, up to shift, sign and scale; split ones are there
-        twice.
+        Variable of the problem for each canonical variable, up to shift, sign and scale; split variables appear twice.
     step : ndarray, shape (k,)
-        By how much that variable changes when the canonical one grows by 1; negative where the bounds change places.
+        Change of that variable per unit of the canonical variable; negative if the bounds are exchanged.
     eliminated : ndarray, shape (g,)
-        The free variables that were eliminated.
+        Eliminated free variables.
     elimination : ndarray, shape (g, k)
-        By how much each of them changes when a canonical variable grows by 1.
+        Change of each eliminated variable per unit of a canonical variable.
     """
 
     M: FloatMatrix
@@ -51,13 +50,13 @@ class CanonicalBox:
 
     @property
     def work(self) -> float:
-        """Entries that the elimination touched: a factor, and solutions with it."""
+        """Entries that the elimination touched: a factorization and its solves."""
         g, k = self.eliminated.size, float(self.q.size)
         return g * (g * g / 3.0 + g * k + k * k)
 
     @property
     def is_finite(self) -> bool:
-        """Whether nothing in it has left the range of doubles."""
+        """True if all arrays are finite."""
         return all(
             bool(np.isfinite(part).all())
             for part in (self.M, self.q, self.step, self.elimination, self.offset)
@@ -86,7 +85,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     M = np.ldexp(M, row_scale[:, None])
     is_void = (problem.q == 0.0) & ~M.any(axis=1)
     if is_void.any():
-        # Such a row is always satisfied; minus its column asks z_i for what the other rows need, as a multiplier would.
+        # A zero row is always satisfied. With minus its column as row i, z_i acts like a multiplier of the other rows.
         M = np.where(is_void[:, None], -M.T, M)
     M = M * sign[:, None] * sign
     start = base * sign

@@ -1,4 +1,4 @@
-"""Bimatrix games among complementarity problems: told by signs alone, and begun by Lemke and Howson's paths."""
+"""Bimatrix games among complementarity problems: detected by signs only, solved along Lemke and Howson's paths."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def is_game(problem: LCP) -> bool:
 
 
 def bimatrix_players(M: NDArray[np.float64], q: FloatVector) -> NDArray[np.bool_] | None:
-    """Return which rows belong to the first player if the problem is a game of costs, else None.
+    """Return the mask of the first player's rows if the problem is a game of costs, else None.
 
     A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B ≥ 0 and q < 0. Every covering vector r > 0 ends such a path on
     its first ray.

@@ -1,4 +1,4 @@
-"""Paths of complementary pivoting: where they start, how far they are, whether their numbers still hold.
+"""Paths of complementary pivoting: starts, state, and tests of their accuracy.
 
 They start along covering vectors or at the labels of a game.
 """
@@ -36,10 +36,10 @@ from .tableau import (
 
 FloatMatrix = NDArray[np.float64]
 
-FRESH_FOR = 25  # pivots after which the tableau is computed anew, n where that is more: it costs about as much
+FRESH_FOR = 25  # pivots (or n, if larger) until the tableau is computed again, at about that cost
 ACCURATE = 1e-12
 FEASIBLE = 1e-7
-CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
+CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
 
 
 class LemkePath:
@@ -70,7 +70,7 @@ class LemkePath:
             self.whole[SIDE, :n],
         )
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
-        self.entries = self._reported = 0.0  # touched so far, and up to when that was asked last
+        self.entries = self._reported = 0.0  # touched so far, and at the last report
         self.fresh_for = max(FRESH_FOR, n)
         self.pivots = self.age = 0
         self.basis[:] = n + np.arange(n)
@@ -78,7 +78,7 @@ class LemkePath:
     # --- starts -----------------------------------------------------------------------------------------
 
     def start_along(self, covering: FloatVector) -> bool:
-        """Start at z = 0 with the smallest t for which q + t r ≥ 0; False where there is none.
+        """Start at z = 0 with the smallest t for which q + t r ≥ 0; return False if no such t exists.
 
         `covering` is r, shape (n,), positive where q is negative and nowhere negative.
         """
@@ -101,7 +101,7 @@ class LemkePath:
         *,
         level: float = 0.0,
     ) -> bool:
-        """Start at a given basis with variable `driven` moving in the direction; t, if driven, stands at the level."""
+        """Start at a given basis with variable `driven` moving in the direction; `level` is the value of a driven t."""
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
         self.driven, self.value, self.direction = driven, level, direction
@@ -109,7 +109,7 @@ class LemkePath:
         return self._renew()
 
     def touched(self) -> float:
-        """Return how many entries were touched since this was asked last."""
+        """Return the number of entries touched since the last call."""
         since, self._reported = self.entries - self._reported, self.entries
         return since
 
@@ -118,7 +118,7 @@ class LemkePath:
     def advance(self, limit: int) -> int:
         """Make up to `limit` pivots and return the outcome, a constant of `tableau`.
 
-        A ray, and a pivot too small to trust, are looked at again with a new tableau.
+        A ray or an unreliable small pivot is tested again with a new tableau.
         """
         outcome = self._run(limit)
         if outcome == SOLVED:
@@ -165,7 +165,7 @@ class LemkePath:
         )
 
     def _renew(self) -> bool:
-        """Compute tableau and basic values from the data; False where the basis is singular to working precision."""
+        """Compute tableau and basic values from the data; False if the basis is singular to working precision."""
         n, basis, D = self.n, self.basis, self.columns  # w = D (z, t) + q
         is_other = np.ones(2 * n + 1, dtype=bool)
         is_other[basis] = False
@@ -183,7 +183,7 @@ class LemkePath:
         if is_over() or not np.isfinite(inverse).all():
             return False
         absolute = np.abs(inverse)
-        # What is zero in exact arithmetic must be zero here, or a pivot could stand on it.
+        # Entries that are zero in exact arithmetic must be zero here, because a pivot could otherwise use them.
         inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
         if is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
             return False
@@ -213,7 +213,7 @@ class LemkePath:
         return True
 
     def _sorted_out(self) -> tuple[Any, Any, Any, Any]:
-        """Return where z and t, and where w are basic; whether what is not basic is a w, and the rows of these."""
+        """Return positions of basic z and t, positions of basic w, the mask of nonbasic w, and the rows of these w."""
         n = self.n
         is_w = (self.basis >= n) & (self.basis < 2 * n)
         is_slack = (self.others >= n) & (self.others < 2 * n)
@@ -229,7 +229,7 @@ class LemkePath:
         return b
 
     def _correct(self) -> float:
-        """Refine the basic values by one step; return how wrong they were, relative to their terms."""
+        """Refine the basic values by one step; return their previous residual, relative to its terms."""
         n, z, w = self.n, self.z, np.zeros(self.n)
         _, outer, is_slack, rows = self._sorted_out()
         slack_rows = self.basis[outer] - n
@@ -242,7 +242,7 @@ class LemkePath:
         self.entries += 3.0 * n * n
         of_others = np.zeros(n + 1)
         of_others[is_slack] = error[rows]
-        self.values += self.tableau @ of_others  # the columns of w are those of −B⁻¹
+        self.values += self.tableau @ of_others  # the columns of w are columns of −B⁻¹
         self.values[outer] -= error[slack_rows]
         return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
 
@@ -278,9 +278,9 @@ def starts(path: LemkePath, restarts: int) -> Iterator[Start]:
     Parameters
     ----------
     path : Path
-        Of an equilibrated problem.
+        Path of an equilibrated problem.
     restarts : int
-        How many arbitrary starts follow the principled ones.
+        Number of arbitrary starts after the systematic starts.
     """
     n, q = path.n, path.q
     players = bimatrix_players(path.M, q)
@@ -297,7 +297,7 @@ def starts(path: LemkePath, restarts: int) -> Iterator[Start]:
 
 
 def _lemke_howson(path: LemkePath, players: NDArray[np.bool_], k: int) -> bool:
-    """Start Lemke and Howson's path that drops label k: z_k rises from ∞, w_k is what r = −e_k covers."""
+    """Start Lemke and Howson's path that drops label k: z_k rises from ∞, and r = −e_k covers w_k."""
     n = path.n
     mine, others = players == players[k], players != players[k]
     s = _last_to_become_feasible(path, k, others)

@@ -39,16 +39,16 @@ def shapes(n: int) -> tuple[tuple[int, int], ...]:
 def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
 
-    The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow it:
-    those of the last few pivots. They are added at once, so that a large tableau goes through memory once for all of
-    them. The entries that a pivot needs are updated before.
+    The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow:
+    the updates of the last few pivots. All updates are added together, so that a large tableau goes through memory only
+    once. The entries that a pivot needs are updated before.
 
     Parameters
     ----------
     real, whole, matrix : arrays
-        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE; the tableau. All but WIDTH are updated.
+        Rows KEPT, LOW, HIGH, WIDTH; rows BASIC, OTHER, PLACE, SIDE. `matrix` is the tableau. All but WIDTH are updated.
     is_fresh : bool
-        The tableau has just been computed: a first pivot is taken however small it is.
+        True if the tableau has just been computed: a first pivot of any size is then accepted.
     """
     size, most = 0.0, HELD if n > ADDED_AT_ONCE_UP_TO else 1
     factors, rows = matrix[n : n + HELD], matrix[n + HELD : n + 2 * HELD]
@@ -146,8 +146,8 @@ def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
 def _move(real, whole, matrix, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
     """Move the driven variable by a step, at whose end `row` blocks it; return the leaving and the driven variable.
 
-    That is 2n at the end of the path, OWN_BOUND where the variable has met its own other bound; then (driven variable,
-    its value, its direction).
+    The leaving variable is 2n at the end of the path, and OWN_BOUND if the driven variable has reached its other bound.
+    The driven variable is returned with its value and direction.
     """
     is_falling = row >= 0 and direction * matrix[row, column] < 0.0
     for i in range(n):
@@ -167,7 +167,7 @@ def _move(real, whole, matrix, n, driven, value, direction, row, column, step): 
 
 @inline
 def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
-    """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
+    """Exchange the basic variable of `row` and the nonbasic variable of `column`; return the leaving variable."""
     leaving, entering = whole[BASIC, row], whole[OTHER, column]
     whole[BASIC, row], whole[OTHER, column] = entering, leaving
     whole[PLACE, entering], whole[PLACE, leaving] = row, n + column
@@ -193,9 +193,9 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
 
 @inline
 def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
-    """Return the row that blocks the driven variable, OWN_BOUND or NOTHING, the distance, and how many CANDIDATES do.
+    """Return the row that blocks the driven variable (or OWN_BOUND, NOTHING), the distance, the number of CANDIDATES.
 
-    Where that is more than one the row is the first of them.
+    If there are several candidates, the row is the first candidate.
     """
     own = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
     nearest = own

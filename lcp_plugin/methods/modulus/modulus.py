@@ -108,7 +108,7 @@ class ModulusBased(Splitting):
 
     @property
     def _has_one_omega(self) -> bool:
-        """Whether omega is a multiple of the diagonal (or nothing that could be a vector)."""
+        """True if omega is a multiple of the diagonal (or not a vector)."""
         return is_number(self.omega) or isinstance(self.omega, (str, bool)) or self.omega is None
 
 

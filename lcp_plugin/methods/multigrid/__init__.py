@@ -36,28 +36,28 @@ class Multigrid(Algorithm):
     smoother : {"pgs", "psor"}
         The projected sweep on the finest grid and in the nested iteration.
     relaxation : float
-        Of psor.
+        Relaxation parameter of psor.
     nested : bool
         Whether to start on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int
         A grid with at most this many unknowns is not coarsened, ≥ 1.
     hands_over : bool
-        Whether to end if three rounds of cycles and sweeps gain little, so that another method can continue, although
-        the energy still falls; used by `auto`.
+        If True, end as soon as cycles and sweeps have gained little three times, even if the energy still falls, so
+        that another method can continue; used by `auto`.
 
     Notes
     -----
-    The hierarchy is classical (first pass of Ruge and Stüben, interpolation through fine unknowns where coarse ones
-    are too far); columns may have any scaling. Unknowns at a bound are removed from all grids, fine unknowns that are
-    strongly coupled to them are not interpolated any more, and a coarse row is computed again only if it changes. If
-    the free set hardly changes and a cycle gains less than a factor 10, a few steps of conjugate gradients (M
-    symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each. If corrections
-    fail, few contacts carry much load: then, and from the start if couplings jump from edge to edge, such steps
-    solve on a sequence of free sets, each determined by the projected solution on the previous one, and only the last
-    result is tested (primal–dual active sets). A correction that raises the energy (M symmetric) is shortened. If
-    the residual grows a hundredfold, or the energy nevertheless rises, or neither has fallen enough for twelve cycles
-    after such rounds, projected Gauss–Seidel sweeps from the last accepted iterate replace the cycles for a while:
-    with this safeguard the run converges on every symmetric positive definite M, from any start, for any
+    The hierarchy is classical (first pass of Ruge and Stüben, interpolation through fine unknowns if coarse unknowns
+    are too far). Columns may have any scaling. Unknowns at a bound are removed from all grids, fine unknowns with
+    strong couplings to removed unknowns are no longer interpolated, and a coarse row is computed again only if it
+    changes. If the free set changes little and a cycle gains less than a factor 10, a few steps of conjugate gradients
+    (M symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each. If corrections fail,
+    few contacts carry much load. Then, and from the start if couplings jump from edge to edge, such steps solve on a
+    sequence of free sets. The projected solution on a free set determines the next free set, and only the last result
+    is tested (primal–dual active sets). A correction that raises the energy (M symmetric) is shortened. Projected
+    Gauss–Seidel sweeps from the last accepted iterate replace the cycles for a while if the residual grows a
+    hundredfold, if the energy nevertheless rises, or if neither has fallen enough for twelve cycles after such free
+    sets. With this safeguard the run converges on every symmetric positive definite M, from any start, for any
     corrections (:mod:`lcp_plugin.methods.multigrid.multigrid_safeguard` has the proof). It ends if three such
     rounds gain only rounding; without symmetry, if they gain little. The driver ends a run whose best residual no
     longer falls, as for sweeps. If coarser grids would cost too much, only sweeps run.
@@ -114,7 +114,7 @@ class Multigrid(Algorithm):
             )
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
-        """Return the theorem on symmetric positive definite matrices; nothing where the run may hand over."""
+        """Return the theorem on symmetric positive definite matrices; None if the run may hand over."""
         require_positive_diagonal(problem, self.name)
         if self.hands_over or not (report.is_symmetric and report.is_positive_definite):
             return None

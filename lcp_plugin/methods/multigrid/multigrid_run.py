@@ -1,4 +1,4 @@
-"""One run of projected full multigrid: the problems of its grids, its truncation, its safeguards."""
+"""Run of projected full multigrid: problems on the grids, truncation, safeguards."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ JUMPS, ROUND_GAIN_AT_JUMPS = (
 TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, where such rounds have failed
 FALL_BACK_SWEEPS = 20
 NOTEWORTHY_CUT = (
-    1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
+    1e-4  # share of unknowns clipped to a bound, above which the change of the energy is tested
 )
 HALVINGS = 4
 
@@ -70,7 +70,7 @@ class MultigridRun:
         self.entries = max(finest.matrix.data.size, 1.0)
 
     def iterates(self, z: FloatVector) -> Iterator[Step]:
-        """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
+        """Yield the start, then the iterates of the finest grid; end when no correction makes progress."""
         is_cold = np.array_equal(z, self.problem.nearest_to_zero)
         begun = self._residual(z)
         yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
@@ -78,14 +78,14 @@ class MultigridRun:
             yield from self._sweeps_alone(z)
             return
         start = z.copy()
-        if not is_cold:  # the start may be much better than what the first cycle makes of it
+        if not is_cold:  # the first cycle may increase the residual of a good start
             begun = max(begun, self._residual(self.problem.nearest_to_zero.copy()))
         if self.algorithm.nested and len(self.hierarchy.grids) > 1:
             self._nested_start(z, is_cold)
         yield from self._cycles(z, begun, start)
 
     def _residual(self, z: FloatVector) -> float:
-        """Return the largest scaled residual of z, and leave everything as it is."""
+        """Return the largest scaled residual of z without a change of the free set."""
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         residual = fine.residual
@@ -96,10 +96,10 @@ class MultigridRun:
     # --- nested iteration -------------------------------------------------------------------------------
 
     def _nested_start(self, z: FloatVector, is_cold: bool) -> None:
-        """Add to z what the coarser grids' problems for it answer, each the start of the next finer one.
+        """Add to z the solution of the coarse problems, each of which starts the next finer problem.
 
-        From a warm start they are asked for the increment only: its free set may have to move by more rows than cycles
-        would move it, and what the start has got right stays as it is.
+        From a warm start, the coarse problems determine only the increment. This can move the free set by more rows
+        than cycles can, and keeps the correct part of the start.
         """
         fine = self.problems[0]
         own = z
@@ -153,7 +153,7 @@ class MultigridRun:
             self.work += 2.0 * fine.entries
             if (
                 cycle >= COARSE_CYCLES and changed <= few
-            ):  # what is left to move is dearer one grid up
+            ):  # stop: few rows remain, and the finer grid moves them
                 break
 
     # --- the finest grid --------------------------------------------------------------------------------
@@ -191,9 +191,9 @@ class MultigridRun:
             self.work += self.entries
 
     def _tries_again(self, z: FloatVector, guard: Safeguard) -> Generator[Step, None, bool]:
-        """Go on from the accepted iterate by other means than those that have failed; return False where none is left.
+        """Continue from the accepted iterate after failed corrections; return False if no method remains.
 
-        They are free sets found by Krylov steps in rounds, and sweeps.
+        The methods are a sequence of free sets by Krylov steps, and then sweeps.
         """
         guard.restore(z)
         if not self.has_tried_rounds:
@@ -272,8 +272,8 @@ class MultigridRun:
     def _krylov(self, z: FloatVector, *, is_settled: bool) -> Iterator[Step]:
         """Add to z the correction of the free rows by Krylov steps, one V-cycle each.
 
-        In rounds: that cut off at the bounds gives the next free rows, until none changes; the method of primal-dual
-        active sets, which no single V-cycle can stand in for where few contacts hold much.
+        The result, clipped to the bounds, determines the next free rows, until no row changes (primal–dual active
+        sets). A single V-cycle cannot replace this method if few contacts carry much load.
         """
         fine, part, origin = (
             self.problems[0],
@@ -317,7 +317,7 @@ class MultigridRun:
     # --- without coarser grids --------------------------------------------------------------------------
 
     def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
-        """Yield sweeps: multigrid is no help for this matrix. Where no theorem says more, as long as they contract."""
+        """Yield sweeps if multigrid does not help for this matrix; without a theorem, as long as they contract."""
         goes_on = self.is_symmetric and not self.algorithm.hands_over
         before = np.inf
         while True:

@@ -1,31 +1,31 @@
-"""Why projected multigrid converges, and the safeguard that makes it so: the last accepted iterate.
+"""Convergence proof of projected multigrid, and its safeguard: the last accepted iterate.
 
 J(z) = ½ zᵀMz + qᵀz, ρ(z) the largest scaled residual |z_i − mid(l_i, u_i, z_i − w_i/d_i)|, d the diagonal of M, and S
 one projected Gauss–Seidel sweep. From an accepted iterate y the run tries z: any correction (a truncated V-cycle,
-Krylov steps, a nested iteration), cut off at the bounds and followed by sweeps. It accepts z where
+Krylov steps, a nested iteration), clipped to the bounds and followed by sweeps. It accepts z if
 
 (a)  ρ(z) ≤ 0.9 · the least ρ of all accepted iterates, or
 (b)  J(z) ≤ J(y) − σ min(d) ρ(y)²,  σ = 1e-4.
 
-Where J rises, and where neither holds for twelve cycles in a row, it goes back and accepts S²⁰(y); but the first time
-it tries other corrections from y.
+If J rises, or if neither (a) nor (b) holds for twelve cycles in a row, the run returns to y and accepts S²⁰(y), except
+for the first time, when it tries other corrections from y.
 
 **Theorem.** Let M be symmetric positive definite, with any bounds. In exact arithmetic the accepted iterates converge
-to the solution z* from any start, whatever the corrections are.
+to the solution z* from any start, for any corrections.
 
-*Proof.* ‖y − z*‖ ≤ C ρ(y) for some C [1]_, and J(y) − J(z*) ≥ ½ λ_min ‖y − z*‖², since z* is the minimiser of J
-within the bounds. If (a) accepts infinitely often, its iterates tend to z*, and J along them to J(z*). Between two of
-them J does not rise, neither by (b) nor by sweeps; so J of all accepted iterates tends to J(z*), and they to z*.
-Otherwise J never rises from some iterate on and has a limit. If (b) accepts infinitely often, the ρ(y) before those
-steps tend to 0, these y to z*, and J with all iterates to J(z*). If it does not, sweeps follow upon sweeps from some
-iterate on, and they converge [2]_. ∎
+*Proof.* ‖y − z*‖ ≤ C ρ(y) for some C [1]_, and J(y) − J(z*) ≥ ½ λ_min ‖y − z*‖², since z* is the minimizer of J
+within the bounds. If (a) accepts infinitely often, the iterates that (a) accepts tend to z*, and J along them to J(z*).
+Between two of these iterates, neither (b) nor sweeps raise J. Therefore J of all accepted iterates tends to J(z*), and
+the accepted iterates tend to z*. Otherwise J never rises from some iterate on and has a limit. If (b) accepts
+infinitely often, the ρ(y) before the steps of (b) tend to 0, these y to z*, and J with all iterates to J(z*). If (b)
+accepts finitely often, only sweeps follow from some iterate on, and sweeps converge [2]_. ∎
 
-Without symmetry there is no J, and any z with a smaller ρ than all since the last sweeps is accepted. On an H₊-matrix
-sweeps contract in a maximum norm; so a run in which corrections are accepted finitely often converges, and where each
-acceptance reduced the least ρ by a fixed factor so would any other. That is not asked: a correction may lower ρ by ever
-less, and no proof covers that. Such a run ends after three rounds of cycles and sweeps that gained little.
+Without symmetry J does not exist, and z is accepted if its ρ is smaller than all since the last sweeps. On an
+H₊-matrix, sweeps contract in a maximum norm, so that a run with finitely many accepted corrections converges. Any other
+run would also converge if each acceptance reduced the least ρ by a fixed factor. This is not required: a correction may
+lower ρ by less and less, which no proof covers. Such a run ends after cycles and sweeps have gained little three times.
 
-(a) costs nothing. (b) is looked at where (a) fails, which is where cycles gain little, and costs one product with M.
+Test (a) costs nothing. Test (b) costs one product with M. It follows only if (a) fails, that is, if cycles gain little.
 
 References
 ----------
@@ -75,7 +75,7 @@ class Safeguard:
     z : array, shape (n,)
         An iterate; copied.
     residual : float
-        Its largest scaled residual.
+        Largest scaled residual of the iterate.
     """
 
     def __init__(self, problem: LCP, is_symmetric: bool, z: FloatVector, residual: float) -> None:
@@ -86,13 +86,13 @@ class Safeguard:
         self._products = 0
 
     def is_out_of_hand(self, z: FloatVector, residual: float) -> bool:
-        """Return whether the residual is no number, or far beyond the least one while the energy has not fallen."""
+        """Return whether the residual is NaN or much larger than the least residual, without a fall of the energy."""
         if residual <= OUT_OF_HAND * self.least:
             return False
         return not (self.is_symmetric and np.isfinite(residual) and self._energy_change(z)[0] < 0.0)
 
     def lets_pass(self, z: FloatVector, residual: float) -> bool:
-        """Return whether the run may go on from z, which is accepted if it has gained enough."""
+        """Return whether the run may continue from z, which is accepted if it has gained enough."""
         self.idle += 1
         if residual < (SHRUNK * self.least if self.is_symmetric else self.least):
             self._accept(z, residual)
@@ -112,10 +112,10 @@ class Safeguard:
         self.idle = 0
 
     def lets_sweeps_pass(self, z: FloatVector, residual: float, *, hands_over: bool) -> bool:
-        """Accept what sweeps have made of the accepted iterate; return False where another method should take over.
+        """Accept the result of sweeps from the accepted iterate; return False if another method should take over.
 
-        That is where three rounds of cycles and sweeps have hardly reduced the least residual, and the energy has not
-        fallen beyond rounding; where the run `hands_over`, whatever the energy did.
+        Another method should take over if cycles and sweeps have barely reduced the least residual three times and the
+        energy has not fallen beyond rounding. If the run `hands_over`, the energy is not tested.
         """
         is_gain = self.least < GAINED * self._least_of_round
         if not is_gain and self.is_symmetric and not hands_over:
@@ -148,7 +148,7 @@ class Safeguard:
 
     @np.errstate(all="ignore")  # between bounds of ±1e308
     def _energy_change(self, z: FloatVector) -> tuple[float, float, FloatVector]:
-        """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), what rounding may make of it, and w."""
+        """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), its rounding error bound, and w."""
         problem, accepted = self.problem, self.z
         if self._slack is None:
             self._slack = problem.slack(accepted)
@@ -205,7 +205,7 @@ class GridProblem:
 
 @dataclass
 class Advance:
-    """How cycles gain: the last residual and number of rows that changed sides, and how long the front has crept."""
+    """Progress of cycles: last residual, number of rows that changed sides, and duration of slow front movement."""
 
     may_nest: bool
     residual: float = np.inf
@@ -223,9 +223,9 @@ class Advance:
 
     @property
     def is_creeping(self) -> bool:
-        """True where the free set moves layer by layer, and a nested start has not failed to help."""
+        """True if the free set moves layer by layer, and no nested start has failed to help."""
         return self.is_slow and bool(self.changed) and self.crept > CREPT_LONG and self.may_nest
 
     def start_nested(self, size: float) -> None:
-        """Note that the free set is found anew on coarser grids: so many rows may change."""
+        """Record that coarser grids determine the free set again, so that `size` rows may change."""
         self.changed, self.crept, self.nested_at = size, 0, self.residual

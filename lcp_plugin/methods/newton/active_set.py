@@ -39,7 +39,7 @@ class ActiveSetSolution(NamedTuple):
 
     @property
     def is_singular(self) -> bool:
-        """Whether the free block is singular to working precision: z is one of many solutions, or none at all."""
+        """True if the free block is singular to working precision: z is one of many solutions, or not a solution."""
         return self.system.is_singular
 
 
@@ -94,7 +94,7 @@ def solve_active_set(
     at_lower, at_upper : ndarray of bool, shape (n,)
         The active rows; the bounds there are finite.
     near : ndarray, shape (n,), optional
-        Where the free block is singular, a solution close to this z is sought; 0 by default.
+        Target if the free block is singular: a solution close to this z is computed; 0 by default.
     system : FreeSystem, optional
         The system of an earlier call with the same M, used if its rows are the free ones.
 
@@ -165,7 +165,7 @@ class NewtonState:
         self.move(z)
 
     def move(self, z: FloatVector) -> None:
-        """Go to z, and keep it, and its projection, where it is the best so far."""
+        """Move to z; store z or its projection if the residual is the best so far."""
         self.z, self.w = z, self.slack(z)
         residual = self.residual = self._residual(z, self.w)
         size = float(np.max(residual, initial=0.0))
@@ -179,7 +179,7 @@ class NewtonState:
 
     @property
     def is_large(self) -> bool:
-        """Whether steps without clear gain are given up after LARGE_PATIENCE."""
+        """True if steps without clear gain end after LARGE_PATIENCE."""
         return self.problem.n > LARGE
 
     def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:

@@ -102,7 +102,7 @@ class Newton(Algorithm):
 
 
 def rounds(state: NewtonState) -> Generator[Step, None, bool]:
-    """Yield full steps and damped ones in turn; return whether an active set settled."""
+    """Yield full steps and damped steps alternately; return whether an active set settled."""
     for _ in range(ROUNDS):
         is_settled = yield from full_steps(state)
         before = state.best
@@ -227,7 +227,7 @@ def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
 
 
 def _full_step(state: NewtonState, phi: LinearizedPhi) -> tuple[LinearizedPhi, bool] | None:
-    """Move to the solution of the active set of z if it is a new one and halves ‖Φ‖; return whether that settled it."""
+    """Move to the solution of the active set of z if the set is new and halves ‖Φ‖; return whether the set settled."""
     at_lower, at_upper = classify(state.problem, state.z, state.w)
     if state.is_known(at_lower, at_upper):
         return None

@@ -39,19 +39,19 @@ SHOWN = 6  # vertices of a face in a printed solution
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """One solution, or one vertex of a face of solutions.
+    """Solution, or vertex of a face of solutions.
 
     Attributes
     ----------
     z, w : ndarray, shape (n,)
-        Rounded to double precision, each entry by itself. An entry beyond the largest double has no such rounding:
-        UnsuitableProblem, `exact_z` holds it.
+        Rounded to double precision, each entry by itself. An entry beyond the largest double raises UnsuitableProblem;
+        read `exact_z` then.
     exact_z, exact_w : tuple of Fraction, shape (n,)
         The solution of the problem that the stored doubles state.
     pattern : tuple of str, shape (n,)
         The choice of every row: "lower" (z at its bound, w ≥ 0), "zero" (w = 0), "upper", "fixed" (lower = upper).
     dimension : int
-        Of the face of all solutions with this pattern; 0 is an isolated solution.
+        Dimension of the face of all solutions with this pattern; 0 is an isolated solution.
     problem : LCP
     """
 
@@ -63,7 +63,7 @@ class Solution:
 
     @cached_property
     def exact_vertices(self) -> tuple[Point, ...]:
-        """All vertices of the face in lexicographic order, computed on first access; each is a solution.
+        """Vertices of the face in lexicographic order, computed on first access; each is a solution.
 
         Empty if the face contains a line. An unbounded face is larger than the convex hull of its vertices.
         """
@@ -82,7 +82,7 @@ class Solution:
 
     @property
     def w(self) -> FloatVector:
-        """Its slack in double precision, shape (n,)."""
+        """Slack in double precision, shape (n,)."""
         return _in_doubles(self.exact_w, "w")
 
     @property
@@ -128,8 +128,7 @@ def search(
     Parameters
     ----------
     first_only : bool
-        Stop at the first solution; it may lie anywhere in the solution set, and its dimension is the dimension of its
-        pattern.
+        Stop at the first solution, which may be any point of the solution set; `dimension` then refers to its pattern.
     max_nodes : int
         Limit of the number of complementarity pieces; one costs about a millisecond at n = 10, more with long
         mantissas.
@@ -137,7 +136,7 @@ def search(
     Raises
     ------
     UnsuitableProblem
-        Where more than 24 rows leave a choice, or n exceeds 60.
+        If more than 24 rows leave a choice, or n exceeds 60.
 
     Examples
     --------
@@ -195,8 +194,8 @@ def all_solutions(
     Returns
     -------
     list of Solution
-        In lexicographic order of z. Empty where there is none; `search` returns the proof of that. A face is listed
-        if it lies in no larger one, with z one of its vertices; ``solution.vertices`` has all vertices, and faces may
+        In lexicographic order of z. Empty if no solution exists; `search` returns the proof. A face is listed if no
+        larger face contains it, and z is one of its vertices. ``solution.vertices`` has all vertices, and faces may
         share vertices.
 
     Raises

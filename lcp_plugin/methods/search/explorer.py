@@ -1,6 +1,6 @@
-"""Branch and bound over the choices of every row, by an exact simplex method, and the extreme points of what it finds.
+"""Branch and bound over the choices of every row, by an exact simplex method, and extreme points of the solutions.
 
-Nothing in it is rounded.
+All arithmetic is exact.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Point = tuple[Fraction, ...]
 
 @dataclass(frozen=True)
 class Face:
-    """The solutions of one pattern of choices: a polyhedron, with one of its vertices.
+    """Polyhedron of the solutions of one pattern of choices, with one vertex.
 
     `tight[i]` holds all choices of row i that every point of it satisfies.
     """
@@ -147,7 +147,7 @@ class Explorer:
         closed: dict[tuple[int, str], list[Fraction]],
         implied: dict[int, str],
     ) -> tuple[int, bool]:
-        """Return the row to split (−1: none is left), and whether the point solves the problem as it is."""
+        """Return the row to split (−1 if no row remains), and whether the present point solves the problem."""
         values = self.simplex.numerators()
         best, worst = -1, 0
         for i in undecided:
@@ -176,7 +176,7 @@ class Explorer:
                 self.simplex.set_bounds(x, *self.root_bounds[x])
 
     def choose(self, i: int, choice: str) -> None:
-        """Let row i keep to one of its choices, and go one level deeper."""
+        """Fix a choice of row i, one level deeper in the tree."""
         self.path.append((i, choice))
         bottom, top = self.root_bounds[i]
         if choice == SLACKLESS:
@@ -189,7 +189,7 @@ class Explorer:
             self.simplex.set_bounds(self.n + i, None, 0)
 
     def _record(self, undecided: list[int]) -> Iterator[None]:
-        """Add the face of the present pattern, completed by what the point satisfies where rows are undecided."""
+        """Add the face of the present pattern; undecided rows take the choices that the point satisfies."""
         for i in undecided:
             self.choose(i, self._choice_at_point(i))
         simplex = self.simplex
@@ -215,7 +215,7 @@ class Explorer:
         return LOWER if values[self.n + i] > 0 else UPPER
 
     def _tight(self, i: int, choice: str, is_point: bool) -> Generator[None, None, frozenset[str]]:
-        """Return the choices of row i that hold at every point of the face, and fix what they fix."""
+        """Return the choices of row i that hold at every point of the face, and fix their variables."""
         if choice == FIXED or len(self.choices[i]) == 1:
             return frozenset(self.choices[i])
         if choice == SLACKLESS:
@@ -247,12 +247,12 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
     ----------
     problem : LCP
     pattern : sequence of str, shape (n,)
-        The choice of every row, as of a ``Solution``.
+        Choice of every row, as in the pattern of a ``Solution``.
 
     Notes
     -----
-    Bounds are made equations one after the other, in order, each where it lowers the dimension of what is left. An
-    extreme point is what is left in dimension 0: the first independent ones of the bounds that it meets lead to it.
+    The search turns bounds into equalities in order, if an equality lowers the dimension of the remaining face. A face
+    of dimension 0 is an extreme point. The first independent active bounds of every extreme point lead to this point.
     """
     explorer = Explorer(problem, Effort(), first_only=False)
     simplex = explorer.simplex
@@ -272,7 +272,7 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
 
 
 def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -> Iterator[Point]:
-    """Yield where the set that is left ends in a point, once some of the bounds from the first on are met."""
+    """Yield the points that remain when some of the bounds, from number `first` on, become equalities."""
     dimension = _finish(simplex.release_fixed())
     if dimension == 0:
         yield tuple(simplex.point())
@@ -293,7 +293,7 @@ def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -
 
 
 def _finish(steps: Iterator[None]) -> Any:
-    """Return what a generator returns at its end."""
+    """Return the return value of a generator."""
     while True:
         try:
             next(steps)

@@ -17,22 +17,22 @@ Bound = int | None  # None: no bound
 Sides = tuple[FloatVector, FloatVector]  # lower, upper
 
 DIGIT = 30  # bits
-PASS = 100  # products of digits that take as long as the look at an entry itself
-QUANTUM = 5_000_000  # products of digits between two yields: some ten milliseconds
+PASS = 100  # products of digits that take as long as the access to an entry
+QUANTUM = 5_000_000  # products of digits between two yields: tens of milliseconds
 
 
 @dataclass
 class Effort:
-    """What a search has cost so far, counted: the same on every machine.
+    """Operation counts of a search, which are equal on every machine.
 
     Attributes
     ----------
     cases : int
-        That were looked at.
+        Number of visited complementarity pieces.
     entries : int
-        Of the tableau that were computed.
+        Number of computed entries of the tableau.
     products : int
-        Of two digits of 30 bits, about, and what takes as long: the unit in which long numbers are paid for.
+        Approximate number of products of two digits of 30 bits, and equally expensive operations.
     """
 
     cases: int = 0
@@ -41,7 +41,7 @@ class Effort:
     due: int = 0
 
     def add(self, entries: int, bits: int) -> bool:
-        """Count so many new entries of so many bits; return whether it is time to yield."""
+        """Count new entries of the given number of bits; return whether it is time to yield."""
         self.entries += entries
         self.products += entries * (PASS + (bits // DIGIT) ** 2)
         if self.products < self.due:
@@ -76,8 +76,8 @@ class ExactSimplex:
     integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
     time; :meth:`infeasibility_proof` then repairs the point or proves that there is none.
 
-    Equations of free rows are solved at the beginning: no pivot looks at their w and the z that they determine again.
-    What pivots is a generator: it yields between two rows when enough was computed, and returns its answer.
+    Equations of free rows are solved at the beginning: later pivots skip their w and the z that they determine. Methods
+    that pivot are generators: they yield between two rows after enough work, and return their result.
 
     Notes
     -----
@@ -147,7 +147,7 @@ class ExactSimplex:
         return self.lower[x], self.upper[x]
 
     def set_bounds(self, x: int, lower: Bound, upper: Bound) -> None:
-        """Give a variable other bounds; `infeasibility_proof` must run before the point is looked at."""
+        """Give a variable new bounds; call `infeasibility_proof` before you use the point."""
         self.lower[x], self.upper[x] = lower, upper
         self.value[x] = _clipped(self.value[x], lower, upper)
 
@@ -334,7 +334,7 @@ class ExactSimplex:
         return True
 
     def _pivot(self, row: int, column: int, target: int) -> Iterator[None]:
-        """Exchange the row's basic variable, which comes to stand at the target, with the column's."""
+        """Exchange the row's basic variable, which moves to the target, with the column's variable."""
         pivot, old = self.rows[row][column], self.denominator
         sign = 1 if pivot > 0 else -1
         pivot_row, bits = self.rows[row], max(pivot.bit_length(), old.bit_length())
@@ -375,7 +375,7 @@ def _integer_bounds(sides: Sides) -> tuple[Fraction, list[list[Bound]]]:
 def _integer_rows(
     matrix: IntegerMatrix, offset: FloatVector, unit: Fraction
 ) -> tuple[list[list[int]], list[int]]:
-    """Return the rows of (M, q/unit) as integers without a common factor, and integers as what each was multiplied by.
+    """Return the rows of (M, q/unit) as integers without a common factor, and the integer multiplier of each row.
 
     The latter are in a unit of their own.
     """

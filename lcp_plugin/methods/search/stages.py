@@ -30,7 +30,7 @@ class FeasibilityCheck(Algorithm):
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then once more with each proof that is found."""
+        """Yield the start, then the start again with each new proof."""
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -1,1 +1,1 @@
-"""Small dense problems by numpy: sweeps, rounds of active sets, pivots."""
+"""Small dense problems by numpy: sweeps, active-set iterations, pivots."""

@@ -1,13 +1,14 @@
-"""Small dense problems, one or a stack, by numpy alone: sweeps of NPSOR, rounds of active sets, Lemke's path.
+"""Small dense problems, one or a stack, by numpy only: sweeps of NPSOR, active-set iterations, Lemke's path.
 
-Two sweeps guess the active set; a round solves w = 0 on the free rows, the others at their bounds, and changes every
-wrong row. Where the rounds end without a solution, Lemke's path follows w = M z + q + t r from large t to t = 0. Arrays
-have an axis of problems in front: M has shape (B, n, n), the vectors (B, n).
+Two sweeps guess the active set. An active-set iteration solves w = 0 on the free rows, with all other rows at their
+bounds, and changes every violated row. If the iterations end without a solution, Lemke's path follows
+w = M z + q + t r from large t to t = 0. The first axis of arrays counts problems: M has shape (B, n, n), the vectors
+(B, n).
 
 References
 ----------
-Kumar, Deepmala, Das (the sweeps); Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6 (the rounds); Lemke 1965,
-doi:10.1287/mnsc.11.7.681; Lemke, Howson 1964, doi:10.1137/0112033 (games).
+Kumar, Deepmala, Das (sweeps). Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6 (active sets). Lemke 1965,
+doi:10.1287/mnsc.11.7.681. Lemke, Howson 1964, doi:10.1137/0112033 (games).
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ LOW, FREE, HIGH = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True)
 class Rounds(Algorithm):
-    """Rounds of active sets, then Lemke's paths, on a small dense problem."""
+    """Active-set iterations, then Lemke's paths, on a small dense problem."""
 
     name: ClassVar[str] = "rounds"
     is_monotone: ClassVar[bool] = False
@@ -73,9 +74,9 @@ class Rounds(Algorithm):
 def first_answer(
     problem: LCP, z0: FloatVector, tolerance: float
 ) -> tuple[FloatVector, str, float] | None:
-    """Return the first point of :func:`answers`, how it was found and its work; None unless it is solved.
+    """Return the first point of :func:`answers`, its method and its work; None unless the point is a solution.
 
-    None also if a step is superfluous: z0 is solved already, or z° is.
+    The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     with np.errstate(all="ignore"):
         stack = one_as_stack(problem)
@@ -240,7 +241,7 @@ def guessed(stack: RowData, z: FloatVector) -> tuple[FloatVector, FloatVector]:
 def rounds(
     stack: RowData, z: FloatVector, w: FloatVector, reference: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
-    """Return the points at which rounds of active sets end, and their w."""
+    """Return the final points of active-set iterations, and their w."""
     z, side, items = z.copy(), _sides(stack, z, w), np.arange(len(z))
     fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
     for _ in range(ROUNDS):
@@ -317,7 +318,7 @@ def _solved(A: FloatVector, b: FloatVector) -> FloatVector:
 
 
 def paths(stack: RowData) -> FloatVector:
-    """Return the ends of Lemke's paths from r = 1, NaN where one is lost; no row is free."""
+    """Return the ends of Lemke's paths from r = 1, NaN for a lost path; no row is free."""
     flips = stack.lower == -np.inf
     base, sign = np.where(flips, stack.upper, stack.lower), np.where(flips, -1.0, 1.0)
     M = sign[:, :, None] * stack.M * sign[:, None, :]
@@ -331,7 +332,7 @@ def paths(stack: RowData) -> FloatVector:
 def _followed(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
     """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 where one is lost.
 
-    The path is that of a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
+    The path belongs to a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
     """
     count, n = q.shape
     unit = np.abs(M).max(2)
@@ -434,7 +435,7 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 def answers(
     stack: RowData, z0: FloatVector, reference: Any
 ) -> Iterator[tuple[str, FloatVector, float]]:
-    """Yield points of one problem that may solve it, how each was found, and the entries that it took."""
+    """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     n = z0.shape[1]
     entries = float(n**3)
     free = (stack.lower == -np.inf) & (stack.upper == np.inf)
@@ -473,7 +474,7 @@ class _Tableau:
         return column
 
     def exchange(self, factor: FloatVector, row: int, column: int) -> None:
-        """Let the basic variable of a row and the other one of a column, whose entries are `factor`, change places."""
+        """Exchange the basic variable of a row and the nonbasic variable of a column, whose entries are `factor`."""
         T, F, R, k = self.T, self.F, self.R, self.held
         R[k] = (T[row] + F[row, :k] @ R[:k]) / -factor[row]
         R[k, column], F[:, k] = 1.0 / factor[row], factor
@@ -490,8 +491,8 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
 ) -> FloatVector:
     """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if it is lost.
 
-    The path is that of a perturbed q, on which no two rows block at once; x is the solution of q itself for its last
-    basis. For a game it is Lemke and Howson's.
+    The path belongs to a perturbed q, for which no two rows block at once. x is the solution for the unperturbed q in
+    the last basis. For a game, the path is Lemke and Howson's.
     """
     n = q.size
     unit = np.abs(M).max(1)
@@ -513,7 +514,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
     basis, other = list(range(n, 2 * n)), [*range(n), 2 * n]  # x_i = i, w_i = n + i, t = 2n
     t, column, direction, t_row, u = 2 * n, n, -1.0, -1, width.tolist()
     driven = t
-    if game is not None:  # x_0 covers the other player's rows, t his own; both meet in one vertex
+    if game is not None:  # x_0 covers the other player's rows, t the remaining rows, in one vertex
         s = int(np.where(game, -np.inf, -v / T[:, 0]).argmax())
         for row, at in ((s, 0), (0, n)):
             factor = tableau.column(at)
@@ -535,7 +536,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
         if t_row >= 0 and distance[t_row] <= step * (1.0 + 1e-12):
             row = t_row
         own = value if driven == t else u[driven] if driven < n else math.inf
-        if own <= step and own < math.inf:  # it meets its own other bound
+        if own <= step and own < math.inf:  # the driven variable reaches its other bound
             v += (direction * own) * factor
             if driven == t:
                 break

@@ -1,4 +1,4 @@
-"""The compiled sweep of the modulus-based iterations; it knows arrays only."""
+"""The compiled sweep of the modulus-based iterations, on arrays only."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ LARGE_FACTOR = (
     1e8  # operations; factorizing the program with M in its rows takes 4 to 11 times as many
 )
 GAME_PIVOTS = (
-    20.0  # times n, if other methods are unlikely to succeed: paths of random games take 3 n to 13 n
+    20.0  # times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
 )
 
 

@@ -3,9 +3,9 @@
 An algorithm is a class below :class:`Algorithm` with ``name``, its options as fields, ``needs``, ``solves``, ``cost``
 and ``reference``, which ``lcp-plugin list`` and the manual's table print. Ours is a file in ``methods/`` and a line of
 `REGISTRY`; an object of any other class works as well, ``solve(problem, Mine())``, and ``examples/add_an_algorithm.py``
-writes one. Convex programs have engines, too, external solvers, in a table of their own (:mod:`lcp_plugin.engines`).
+writes one. Convex programs also have engines, external solvers, in a separate table (:mod:`lcp_plugin.engines`).
 
-An instance holds its options, and is refused where one is wrong:
+An instance holds its options, and raises InvalidOption if one is wrong:
 
 >>> from lcp_plugin import LCP, solve
 >>> from lcp_plugin.algorithms import NPSOR
@@ -147,7 +147,7 @@ def made(kind: Any, name: str, options: dict[str, Any]) -> Any:
 
 
 def refusal_of_engine(name: str) -> UnknownAlgorithm:
-    """Return the error that says which problems the engine solves, and how an LCP is stated for it."""
+    """Return the error that names the problem classes of the engine, and the remedy for an LCP."""
     return UnknownAlgorithm(
         f"{name} is an engine for {engine_class(name).solves}, not for this problem; the convex program of an LCP "
         f"whose M is positive semidefinite is problem.to_qp(): solve(problem.to_qp(), {name!r})"

@@ -1,7 +1,7 @@
 """The solver for LCPs: the plan of ``algorithm="auto"``, a list of stages, and the run that follows it.
 
 A small problem (256 unknowns if M is dense, 128 otherwise, except tridiagonal M-matrices) begins with sweeps of npsor
-that guess the active set, rounds that solve for it and Lemke's path. Larger problems:
+that guess the active set, active-set iterations and Lemke's path. Larger problems:
 
 | stage | if | until it has ended, or |
 |---|---|---|
@@ -18,14 +18,15 @@ that guess the active set, rounds that solve for it and Lemke's path. Larger pro
 
 So the projected-type iteration comes first if no faster way is seen: it converges for every H₊-matrix and costs no
 analysis of M. A stage of sweeps is over if its work so far and the sweeps that it still needs at its rate exceed 1.5
-times the work of the next stage. That of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; that of
-multigrid as 90 passes and its calls, that of the direct methods by n (:mod:`lcp_plugin.core.tuning`).
+times the work of the next stage. The work of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; the work
+of multigrid as 90 passes and its calls; the work of the direct methods by n (:mod:`lcp_plugin.core.tuning`).
 
 The first sweeps are the quickest: they smooth the error, and only then its slowest part shows. So after one sweep on a
 large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
 factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
-below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps: of a lump in the
-plane the residual falls as 1/k². Along a strong flow psor is quick, which the first sweeps of npsor do not show: if
+below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because in
+the plane a localized residual falls as 1/k². Along a strong flow psor is quick, which the first sweeps of npsor do
+not show: if
 Σ_j √(m_ij m_ji / (m_ii m_jj)) ≤ 0.8 on every row, it comes before multigrid.
 
 No clock is read: the same call gives the same bits.
@@ -237,7 +238,7 @@ def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
 
 
 def _is_game(problem: LCP) -> bool:
-    """Return whether the problem is a bimatrix game, on which sweeps, rounds and paths from r > 0 lead nowhere."""
+    """Return whether it is a bimatrix game, which sweeps and Lemke paths from r > 0 do not solve."""
     if has_positive_diagonal(problem.matrix).any():
         return False
     from .methods.lemke.games import is_game
@@ -277,7 +278,7 @@ def _triangle(problem: LCP) -> str | None:
         return None
     if (
         not problem.is_dense
-    ):  # the rows are sorted; those at both ends rule out almost every other matrix
+    ):  # the rows are sorted; the first and the last row rule out almost every other matrix
         first, last = M.indptr[[1, -2]]
         if M.indices[first - 1] > 0 and M.indices[last] < problem.n - 1:
             return None

@@ -61,7 +61,7 @@ def main(words: list[str], environment: str = "") -> int:
     Parameters
     ----------
     words : list of str
-        Of the command line.
+        Arguments of the command line.
     environment : str
         Assignments; assignments on the command line replace them.
     """

@@ -43,7 +43,7 @@ def compile_everything() -> str:
     found.jvp(dq=np.ones(9))
     no_solution = LCP(
         [[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]
-    )  # an exact search looks at all pieces
+    )  # an exact search enumerates all pieces
     solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, gallery.build("bimatrix_game").problem):
         solve(problem)

@@ -21,7 +21,7 @@ class Target(NamedTuple):
     constant, sign : float
         The objective of a file is sign · (the program's objective + constant).
     names : sequence of str or None
-        Of the variables.
+        Names of the variables.
     """
 
     problem: Any

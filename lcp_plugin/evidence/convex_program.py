@@ -41,7 +41,7 @@ class ReferenceProgram:
     Attributes
     ----------
     kind : str
-        PLAIN, GAP, or "" if there is no convex program.
+        PLAIN, GAP, or "" if no convex program exists.
     evidence : str
         The reason in one line.
     problem : LCP
@@ -127,7 +127,7 @@ def _unit(problem: LCP, weight: FloatVector) -> float:
 
 
 class Reply(NamedTuple):
-    """cvxpy's status or the message of an exception, seconds with cvxpy's part, and z; None if there is no point."""
+    """cvxpy's status or the message of an exception, seconds with cvxpy's part, and z or None."""
 
     status: str
     seconds: float

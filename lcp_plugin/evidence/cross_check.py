@@ -47,7 +47,7 @@ class CrossCheck:
     Attributes
     ----------
     verdict : {"agree", "mismatch", "not comparable"}
-        "not comparable" if there is no convex program, if one of the two solutions is not accurate, or if the same
+        "not comparable" if no convex program exists, if one of the two solutions is not accurate, or if the same
         solver computed both.
     reason : str
         One line.

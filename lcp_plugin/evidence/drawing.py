@@ -1,6 +1,6 @@
-"""Style and files of all pictures, and figures of many lines that can be read in grey.
+"""Style and files of all plots, and plots of many lines that can be read in grey.
 
-Colors of families are those of Okabe and Ito. matplotlib loads with the first figure.
+Colors of families are Okabe and Ito's colors. matplotlib loads with the first figure.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def require_matplotlib() -> Any:
 
 
 def check_format(path: Path) -> None:
-    """Raise InvalidOption if the file's ending names no picture format."""
+    """Raise InvalidOption if the file's ending names no plot format."""
     if path.suffix.lower() not in FORMATS:
         raise InvalidOption(f"a picture must end in {', '.join(FORMATS)}, got {path.name!r}")
 
@@ -101,7 +101,7 @@ def styled(more: Mapping[str, Any] | None = None) -> Any:
 
 
 class PanelLine(NamedTuple):
-    """One line of a panel: label, family, points, whether the run converged, quartiles of x."""
+    """Curve of a panel: label, family, points, whether the run converged, quartiles of x."""
 
     label: str
     family: str

@@ -33,12 +33,12 @@ def exact_answer(problem: LCP, guess: Sequence[float]) -> Answer:
     ----------
     problem : LCP
     guess : sequence of float, shape (n,)
-        A point on the right bounds; what lies strictly between its bounds is taken for free.
+        A point on the right bounds; unknowns strictly between their bounds are taken as free.
 
     Raises
     ------
     UnsuitableProblem
-        Where its free block is singular, or gives no solution.
+        If its free block is singular, or gives no solution.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def _states(problem: LCP, guess: Sequence[float]) -> States:
 
 
 def _solved(problem: LCP, states: States) -> list[Fraction] | None:
-    """Return z with its rows at their bounds and w = 0 on the free ones; None if their block is singular."""
+    """Return z at the bounds, with w = 0 on the free rows; None if their block is singular."""
     ends = {AT_LOWER: problem.lower, FREE: np.zeros(problem.n), AT_UPPER: problem.upper}
     z = [Fraction(float(ends[state][i])) for i, state in enumerate(states)]
     is_free = [state == FREE for state in states]
@@ -99,7 +99,7 @@ def relative_error(
     exact : sequence of Fraction, shape (n,)
     unit : ndarray, shape (n,)
     has_line : bool
-        All z* + t with t ≥ 0 solve the problem as well; the distance is that from the nearest.
+        All z* + t with t ≥ 0 are also solutions; the distance is to the nearest one.
 
     Examples
     --------

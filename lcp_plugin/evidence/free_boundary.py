@@ -1,8 +1,9 @@
 """The free boundary between nodes: where an answer leaves its bound, to a tenth of the mesh width.
 
-A node is at its bound or not, so the edge of a set of nodes has steps. The forces know more. Let g ≥ 0 be the gap
-between z and its bound, w the force of the bound, f the force that there would be with every node at the bound, and m
-the largest coupling of a row with a neighbor. In one dimension, of a node i that touches and a free neighbor j,
+A node is at its bound or not, so that the set of nodes resolves the free boundary only to one mesh width. The forces
+locate it within the cell. Let g ≥ 0 be the gap between z and its bound and w the force of the bound. Let f be the
+force with every node at the bound, and m the largest coupling of a row with a neighbor. In one dimension, for a node
+i in contact and a free neighbor j,
 
     w_i + m g_j = f   and the boundary lies at x_i + (1/2 − m g_j / f) h,
 
@@ -10,9 +11,9 @@ exactly where f and m are constant: the discrete z is a parabola whose vertex is
 
     φ_i = 1/2 − w_i / f_i  at the bound,     φ_j = 1/2 + m_j g_j / f_j  elsewhere
 
-is linear in both, is −1/2 deep in the contact, and 0 at that place where the boundary lies outside the last node that
-touches (inside it, within a tenth of h). If no force presses, as of a string on a flat roof, z alone is known: −1/2
-where it rests, 1/2 beside. On a grid or on triangles the boundary is the contour φ = 0.
+is linear in both, is −1/2 deep in the contact, and 0 at that place if the boundary lies outside the last node in
+contact (inside it, within a tenth of h). If no force presses, for example a string on a flat roof, only z is known:
+−1/2 in contact, 1/2 elsewhere. On a grid or on triangles the boundary is the contour φ = 0.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ class FreeBoundary:
     Attributes
     ----------
     level : array, shape (n,) or longer
-        Negative where z rests on a bound, 0 on the boundary, linear between nodes. Of a grid the centres of its cells
-        follow the unknowns, each the mean of its corners.
+        Negative if z is at a bound, 0 on the boundary, linear between nodes. On a grid, the cells' centers follow
+        the unknowns, each the mean of its corners.
     points : array, shape (n,) or (n, 2), or as many as levels
         The nodes.
     triangles : int array, shape (k, 3)
-        Of nodes in the plane; no row in one dimension.
+        Numbers of nodes in the plane; no row in one dimension.
     """
 
     level: FloatVector
@@ -55,7 +56,7 @@ class FreeBoundary:
 
     @property
     def positions(self) -> FloatVector:
-        """Points at which φ changes its sign in one dimension, rising, shape (k,)."""
+        """Points in one dimension at which φ changes sign, rising, shape (k,)."""
         if self.points.ndim != 1:
             raise InvalidOption(
                 "positions are those of one dimension; in the plane take segments or draw(axes)"
@@ -67,7 +68,7 @@ class FreeBoundary:
 
     @property
     def segments(self) -> FloatVector:
-        """The boundary in the plane, a segment a triangle that it crosses, shape (k, 2, 2): its two ends."""
+        """Endpoints of the boundary's segments in the plane, one per triangle, shape (k, 2, 2)."""
         level, points = self.level[self.triangles], self.points[self.triangles]
         inside = level < 0.0
         crossed = inside.any(axis=1) & ~inside.all(axis=1)
@@ -83,7 +84,7 @@ class FreeBoundary:
 
     @property
     def area(self) -> float:
-        """Of what rests on a bound between the nodes; in one dimension its length."""
+        """Area of the contact set, its boundary between the nodes; length in one dimension."""
         if self.points.ndim == 1:
             order = np.argsort(self.points, kind="stable")
             low, high = np.sort(np.stack([self.level[order][:-1], self.level[order][1:]]), axis=0)
@@ -143,20 +144,20 @@ def free_boundary(
     shape: Sequence[int] | None = None,
     mesh: Any = None,
 ) -> FreeBoundary:
-    """Return where an answer of an LCP leaves its bounds, between the nodes.
+    """Return the free boundary of an LCP's solution, located between the nodes.
 
     Parameters
     ----------
     answer : Result or Certificate
-        Of `solve`, of a step of `march`, or ``Certificate.of(problem, z)``.
+        Result of `solve`, of a step of `march`, or ``Certificate.of(problem, z)``.
     coordinates : array, shape (n,), or sequence of two arrays, optional
-        Of the nodes of a line; or of the rows and of the columns of a grid, whose nodes stand as in
+        Coordinates of the nodes of a line; or of the rows and of the columns of a grid, with nodes in the order of
         ``z.reshape(len(rows), len(columns))``. By default numbers from 0.
     shape : (int, int), optional
-        Of a grid without coordinates.
+        Shape of a grid without coordinates.
     mesh : (points, triangles), optional
-        Of nodes anywhere in the plane: points (n, 2), triangles (k, 3) of their numbers. x comes first in points, as in
-        the pictures; of a grid a point is (column, row).
+        Nodes anywhere in the plane: points (n, 2), triangles (k, 3) of their numbers. x comes first in points, as in
+        plots; on a grid a point is (column, row).
 
     Returns
     -------
@@ -166,7 +167,7 @@ def free_boundary(
     Raises
     ------
     InvalidOption
-        Where the nodes are not as many as unknowns.
+        If the number of nodes is not the number of unknowns.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""A measurement: one method on one problem, its error and residual along the run.
+"""Measurement of one method on one problem: error and residual along the run.
 
 A run has the clock of `solve`, which stops while an error is measured and does not count compilation. Each run
-gets a fresh LCP on the same arrays, so that no cached fact about M shortens its set-up.
+gets a new LCP of the same arrays, so that no cached fact about M shortens the set-up.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Measurement:
     method, family : str
         Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver.
     status : str
-        Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the method does not take the
-        problem; ERROR if it raised.
+        Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the problem is not in the
+        method's class; ERROR if the method raised.
     error_kind : {"true error", "rigorous bound", "residual"}
         Kind of the errors; the first two in the unit of z.
     tolerance : float
@@ -85,7 +85,7 @@ class Measurement:
         return self.status == "SOLVED"
 
     def column(self, name: str) -> FloatVector:
-        """Return one of the columns of `points` by its name, shape (k,)."""
+        """Return a column of `points` by name, shape (k,)."""
         column: FloatVector = self.points[:, POINT.index(name)]
         return column
 
@@ -196,8 +196,8 @@ def _unmeasured(z: FloatVector) -> tuple[float, float]:
 def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
     """Return the kind of error that this problem allows, a function z → (error, residual), and why there is no better.
 
-    The true error if z* is known; else a rigorous bound if M is an H₊-matrix and the bound is less than the solution;
-    else the relative residual. The bound of a point is its distance from one ẑ plus the bound of ẑ's own error; ẑ is a
+    The true error if z* is known; else a rigorous bound if M is an H₊-matrix and the bound is less than the solution.
+    Otherwise the relative residual. The bound of a point is its distance from one ẑ plus the error bound of ẑ, a
     solution by "auto".
     """
     problem, reason = fresh(scene.problem), ""

@@ -1,4 +1,4 @@
-"""Pictures of a path: the unknowns over the parameter with its breakpoints."""
+"""Plots of a path: the unknowns over the parameter with its breakpoints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def plot_path(path: Path, *, axes: Any = None, rows: Sequence[int] | None = None
     ----------
     path : Path
     axes : Axes, optional
-        To draw into; by default those of a new figure of pyplot.
+        Axes to draw into; by default the axes of a new figure of pyplot.
     rows : sequence of int, optional
         Numbers of the unknowns to draw; by default of those that change most.
 

@@ -28,7 +28,7 @@ ZERO_RATIO = (
 
 
 class Frame(NamedTuple):
-    """Shape, node positions and labels of the unknowns, and the words for them."""
+    """Shape, node positions and labels of the unknowns, and their descriptions."""
 
     grid: tuple[int, ...] | None = None
     coordinates: Sequence[Any] | None = None
@@ -39,7 +39,7 @@ class Frame(NamedTuple):
 
 
 def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
-    """Return matplotlib's axes with a picture of an answer.
+    """Return matplotlib's axes with a figure of a solution.
 
     The unknowns by index, or as a map on a grid with the free boundary; contact with friction as tangential impulses in
     their cones, ÷ μ r_N. A recorded run has a second panel with its residual.
@@ -47,7 +47,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     Parameters
     ----------
     answer : Answer
-        Of `solve`.
+        Result of `solve`.
     axes : Axes, optional
         To draw the first panel into; by default the axes of a new figure of pyplot.
     shape : sequence of int, optional
@@ -83,7 +83,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
 def draw(
     answer: Any, path: Path, scene: Scene | None = None, shape: Sequence[int] | None = None
 ) -> None:
-    """Save the picture of an answer, on the axes of its test problem or on a grid.
+    """Save the figure of a solution, on the axes of its test problem or on a grid.
 
     Parameters
     ----------

@@ -31,16 +31,16 @@ MISLEADING = 1e-3
 
 @dataclass(frozen=True)
 class Cell:
-    """One algorithm on one difficult problem.
+    """Result of one algorithm on one difficult problem.
 
     Attributes
     ----------
     algorithm : str
     stress, family : str
-        What is extreme, with its number; the family of stresses.
+        Extreme property, with its number; the family of stresses.
     status : str
-        A status of `solve`; REFUSED if the algorithm does not take this problem; ERROR if the run raised anything else,
-        a warning of overflow included.
+        A status of `solve`. REFUSED if the algorithm does not take this problem. ERROR if the run raised anything
+        else, including a warning of overflow.
     residual : float
         Relative residual of z; NaN if z does not exist.
     true_error : float
@@ -134,7 +134,7 @@ def stability_atlas(
     Returns
     -------
     Atlas
-        The same call gives the same atlas: it reads no clock.
+        Table, the same for the same call, because no clock is read.
 
     Raises
     ------

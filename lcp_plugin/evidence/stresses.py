@@ -27,14 +27,14 @@ class StressCase:
     Parameters
     ----------
     stress : str
-        What is extreme about it, with the number.
+        Extreme property, with its number.
     problem : LCP
     near : sequence of float, shape (n,), optional
         A point on the right bounds, from which the exact answer is found; None if no solution exists.
     start : ndarray, shape (n,), optional
         z0 of the runs.
     unit : ndarray, shape (n,), optional
-        In which each component of z is measured; 1 by default.
+        Unit of each component of z; 1 by default.
     has_line : bool
         All z* + t with t ≥ 0 are solutions.
     """
@@ -104,9 +104,9 @@ def half_active(
 
 
 def mostly_free(stress: str, M: Any, *, seed: int = 0, **facts: Any) -> StressCase:
-    """Return a case with this matrix and an answer of small integers whose first fifth is active, in one piece.
+    """Return a case with this matrix and a solution of small integers whose first fifth is active.
 
-    What couples far-off rows can then be felt.
+    The coupling of distant rows then matters, because the free rows are consecutive.
     """
     n = M.shape[0]
     z, w = (
@@ -129,7 +129,7 @@ def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase
         np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column)
     )
     M = problem.csr.copy()
-    # One factor after the other: their product may overflow although the entry does not.
+    # One multiplication after another: the product of the two factors may overflow although the entry does not.
     data = M.data * np.repeat(row, np.diff(M.indptr)) * column[M.indices]
     scaled = sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
     unit = 1.0 / column
@@ -295,7 +295,7 @@ def number_range() -> Iterator[StressCase]:
 
 
 def cancellation() -> Iterator[StressCase]:
-    """Yield a q that is what is left of much larger terms, and answers whose parts differ much in size."""
+    """Yield problems with a q from cancellation, or with components of very different size."""
     M = grid(SIDE)
     z, w = pattern(SIDE * SIDE)
     for power in (6, 12):
@@ -324,7 +324,7 @@ def cancellation() -> Iterator[StressCase]:
 
 
 def one_ulp() -> Iterator[StressCase]:
-    """Yield problems with every entry of M and q moved by one unit in the last place."""
+    """Yield problems with every entry of M and q changed by 1 ulp."""
     bases = [half_active("grid", grid(4, 5.0)), mostly_free("grid, delta=0", grid(SIDE))]
     bases += [mostly_free("Hilbert matrix, n=4", _hilbert(4))]
     rho = 1.0 - 2.0**-20

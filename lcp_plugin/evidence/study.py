@@ -124,8 +124,8 @@ class Study:
     def profile(self, by: str = "work") -> dict[str, FloatVector]:
         """Return Dolan and Moré's performance profile: the sorted ratios to the least "work" or "seconds" per problem.
 
-        The share of problems that a method solves within a ratio is ``(ratios <= ratio).mean()``; a method that does
-        not solve a problem has the ratio ∞ there. Problems that no method solves do not count.
+        The share of problems that a method solves within a ratio is ``(ratios <= ratio).mean()``. The ratio is ∞ if the
+        method does not solve a problem. Problems that no method solves do not count.
 
         References
         ----------
@@ -196,7 +196,7 @@ class Study:
         return csv_text([COLUMNS, *(line for row in self.rows for line in _lines(row))])
 
     def save(self, path: str | PathLike[str], view: str = "", against: str = "seconds") -> None:
-        """Write a file: .csv every point, .md the tables of a value, .png, .pdf or .svg a picture.
+        """Write a file: .csv every point, .md the tables of a value, .png, .pdf or .svg a plot.
 
         Parameters
         ----------
@@ -304,10 +304,10 @@ def study(
     Parameters
     ----------
     problems : a problem, a sequence, or a mapping of labels to its items
-        Of LCPs, test problems of the gallery or their names, and functions of a size that return an LCP, a test problem
+        LCPs, test problems of the gallery or their names, and functions of a size that return an LCP, a test problem
         or (M, q).
     methods : an algorithm, a sequence, or a mapping of labels to its items; optional
-        Of names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. By default the projected-type
+        Names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. By default the projected-type
         methods (ours and with the paper's settings), their relatives and ``"auto"``.
     sizes : sequence of int, optional
         Arguments of each function, ``size`` or ``n`` of each test problem.
@@ -328,7 +328,7 @@ def study(
     Returns
     -------
     Study
-        After Ctrl-C with the measurements that there are. A rejected problem or size, and a method that raises, are
+        Measurements, after Ctrl-C the finished ones. A rejected problem or size, and a method that raises, are
         rows with the status REFUSED or ERROR and the reason.
 
     Raises
@@ -339,8 +339,8 @@ def study(
     Notes
     -----
     The error is the true one if the test problem has z*; else a rigorous bound if M is an H₊-matrix and the bound is
-    less than the solution; else the relative residual. Iterations, work, errors and residuals are the same in every
-    run of the same call; seconds are not.
+    less than the solution. Otherwise it is the relative residual. Iterations, work, errors and residuals are equal in
+    every run of the same call; seconds are not.
 
     Examples
     --------
@@ -396,7 +396,7 @@ def error_against_time(
     Returns
     -------
     Study
-        Of one problem: ``print(found)``, ``found.plot()``, ``found.save("curves.csv")``, ``found.save("curves.pdf")``.
+        Study of one problem; ``print(found)``, ``found.plot()`` or ``found.save("curves.pdf")`` shows it.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
     Parameters
     ----------
     game
-        Which one. Pure and mixed, unique and several equilibria; "indifferent" is degenerate through and through.
+        Name of the game. Pure and mixed, unique and several equilibria; "indifferent" is degenerate everywhere.
 
     Notes
     -----
@@ -88,13 +88,13 @@ def market_equilibrium(
     running
         Share of the goods that a running activity of their own produces, in [0, 1], as far as there are activities.
     seed
-        Of the generator that draws everything.
+        Seed of the generator that draws all data.
 
     Notes
     -----
     Prices p ≥ 0 against excess supply A y + D p − b ≥ 0, levels y ≥ 0 against losses c − Aᵀp ≥ 0. The symmetric part
-    of D is diagonal and positive, so that the prices are unique; running activities have positive prices and linearly
-    independent columns, the others make strict losses, so that the levels are unique too. Some goods are free. M is
+    of D is diagonal and positive, so that the prices are unique. Running activities have positive prices and linearly
+    independent columns, all others make strict losses, so that the levels are also unique. Some goods are free. M is
     positive semidefinite with a zero diagonal block, and demand is not integrable (D is not symmetric), so no
     quadratic program has this answer.
 
@@ -162,7 +162,7 @@ def american_put(
     -----
     With x = log(S/K), time to maturity τ and 𝓐V = −½σ² V_xx − (r − ½σ²) V_x + r V the value solves
     V_τ + 𝓐V ≥ 0, V ≥ K(1 − eˣ)₊, complementary. One step: M = I + Δτ 𝓐ₕ, q = −V_old, lower = payoff, and
-    the payoff on both ends of the grid folded into q. The drift is differenced centrally where that keeps the
+    the payoff on both endpoints of the grid folded into q. The drift is differenced centrally if that keeps the
     off-diagonal entries ≤ 0, which is h |r − ½σ²| ≤ σ², and upwind otherwise: M is always a strictly dominant
     M-matrix. The contact set is one interval of low prices.
 

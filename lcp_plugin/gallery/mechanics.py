@@ -22,7 +22,7 @@ def journal_bearing(
     size
         Interior nodes along each axis; n = size².
     eccentricity
-        Of the journal, relative to the clearance; at 1 it would touch. The film's coefficient spans a ratio of
+        Eccentricity relative to the clearance; at 1 the journal would touch. The film's coefficient spans a ratio of
         ((1 + ε)/(1 − ε))³: 8e6 at 0.99.
     half_length
         Half the width of the bearing, in radii.
@@ -30,7 +30,7 @@ def journal_bearing(
     Notes
     -----
     Reynolds' equation on θ in (0, 2π) and y in (0, 2 · half_length): −∇·(h³ ∇p) ≥ −∂h/∂θ = ε sin θ, p ≥ 0,
-    complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are those of the
+    complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are the rows of the
     five-point stencil times both mesh widths.
 
     References
@@ -88,7 +88,7 @@ def elastic_plastic_torsion(
     -----
     −Δu = c where |u| < dist, −dist ≤ u ≤ dist, dist the distance to the boundary; |∇u| ≤ 1 is the yield condition.
     On the disc, without `mixed`, u = 1 − r where r ≥ r* = 2/c, and u = 1 − r* + c (r*² − r²)/4 elsewhere, so that
-    c = 2/√(1 − plastic_share). Rows are those of the five-point stencil (4, −1), that is −h²Δ.
+    c = 2/√(1 − plastic_share). Rows are the rows of the five-point stencil (4, −1), that is −h²Δ.
 
     References
     ----------

@@ -48,8 +48,8 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     -----
     ψ(r) = √(1 − r²) and −Δu ≥ 0. Off the contact set the radial solution that vanishes at r = 2 is
     u = −A log(r/2); u and u′ continuous with ψ at r* give A = r*²/√(1 − r*²) and r*² (1 − log(r*/2)) = 1.
-    The boundary values on the square are those of this u, so it solves the problem there too. From r = 0.9
-    on, outside the contact set, ψ is continued by its tangent cone, concave and below u. Rows are those of
+    This u gives the boundary values on the square, so it also solves the problem there. From r = 0.9
+    on, outside the contact set, ψ is continued by its tangent cone, concave and below u. Rows are the rows of
     the five-point stencil (4, −1), that is −h²Δ. The discretization error falls about like h², unevenly, as
     the discrete contact set grows by whole nodes.
 
@@ -75,7 +75,7 @@ def obstacle_3d(*, size: int = 30, shifted: bool = False) -> Scene:
     Notes
     -----
     As `obstacle_2d` with the radial solution u = A (1/r − 1/2): u and u′ continuous with ψ at r* give
-    A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are those of the seven-point stencil (6, −1).
+    A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are the rows of the seven-point stencil (6, −1).
     """
     return _sphere_scene(3, size, shifted)
 
@@ -129,7 +129,7 @@ def obstacle_bumps(*, size: int = 100, bumps: int = 8, load: float = -5.0, seed:
     load
         f in −Δu ≥ f; negative values press the membrane onto the bumps.
     seed
-        Of the generator that draws the bumps.
+        Seed of the generator that draws the bumps.
 
     Notes
     -----
@@ -174,7 +174,7 @@ def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) 
     contrast
         The logarithm of the stiffness is uniform over a range of this ratio.
     seed
-        Of the generator that draws the blocks.
+        Seed of the generator that draws the blocks.
 
     Notes
     -----

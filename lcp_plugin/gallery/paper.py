@@ -28,7 +28,7 @@ def paper_example_1(*, n: int = 100, delta: float = 4.0) -> Scene:
     Notes
     -----
     M = blocktridiag(−I, tridiag(−1, 4, −1), −I) + δI, q = −M z*, start (1, 0, 1, 0, …). The identity in
-    the fourth block row is printed without its minus sign. As w* = 0 and z* > 0, the solution is that of the
+    the fourth block row is printed without its minus sign. As w* = 0 and z* > 0, the solution solves the
     linear system M z = −q.
 
     References
@@ -156,11 +156,11 @@ def random_h_plus(
         Share of components with z* = 0, in [0, 1], rounded to whole components. One in ten of them is
         degenerate: w* = 0 too.
     seed
-        Of the generator that draws everything.
+        Seed of the generator that draws all data.
 
     Notes
     -----
-    M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two; thus
+    M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two. Thus
     ⟨M⟩ C⁻¹1 > 0 and M is H+, though usually neither rows nor columns of M are dominant. z* = C⁻¹ẑ, w* = R ŵ
     with small integers ẑ, ŵ, and q = w* − M z* = R (ŵ − A ẑ): integers far below 2⁵³ times powers of two, so
     that no rounding happens anywhere and z* is the exact solution for the stored data.

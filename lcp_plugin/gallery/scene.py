@@ -55,7 +55,7 @@ class Scene:
     axis_labels
         One label per axis of `grid`.
     unknown, active_means
-        Meaning of z, and of a component at a bound; for pictures.
+        Meaning of z, and of a component at a bound; for plots.
     steps : int, at least 1
         Length of the march in time; 1 for a single problem.
     advance : callable, optional
@@ -165,7 +165,7 @@ Builder = Callable[..., Scene]
 
 
 class Description(NamedTuple):
-    """The name of a test problem, its one-line description, and its parameters with their defaults."""
+    """Name of a test problem, one-line description, and parameters with their defaults."""
 
     name: str
     summary: str
@@ -190,7 +190,7 @@ def scene_builder(builder: Builder) -> Builder:
     Returns
     -------
     callable
-        The same function with checked parameters; its `Scene` carries name, description and parameters.
+        Function with checked parameters; its `Scene` carries name, description and parameters.
 
     Raises
     ------

@@ -17,7 +17,7 @@ Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coeff
 
 
 def nodes(low: float, high: float, size: int) -> FloatVector:
-    """Return `size` equidistant interior nodes and the two ends of [low, high], shape (size + 2,)."""
+    """Return `size` equidistant nodes inside [low, high] and its endpoints, shape (size + 2,)."""
     return np.linspace(low, high, size + 2)
 
 

@@ -57,8 +57,8 @@ class ScipAnswer(NamedTuple):
         Status as SCIP names it.
     x : ndarray, shape (n,), or None
         None if none was found, or an entry is infinite.
-    Objective value and its bound; ∞ and −∞ if there is none.
-        Of the objective; ∞ and −∞ where there is none.
+    value, bound : float
+        Objective value and its bound; ∞ and −∞ if there is none.
     nodes : int
     """
 

@@ -61,8 +61,8 @@ def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
     found : SquareModel
         Model in which the unknowns of cones have no bounds.
     pairs : sequence of ConePair
-    Function from the number of an unknown to its name.
-        From the number of an unknown to its name.
+    name : callable
+        Function from the number of an unknown to its name.
 
     Raises
     ------

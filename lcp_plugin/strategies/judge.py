@@ -43,11 +43,11 @@ def assert_solves(
     Parameters
     ----------
     solver : callable (M, q, lower, upper) → z
-        M of shape (n, n), an array or CSR array as `matrices` draws it; the others arrays of shape (n,), lower = 0 and
-        upper = ∞ without `bounds`. It returns z of shape (n,), which claims that the problem is solved,
-        or None, or raises, where it was not able to: translate a status into that.
+        M of shape (n, n), an array or CSR array as `matrices` draws it; vectors of shape (n,), lower = 0 and upper = ∞
+        without `bounds`. It returns z of shape (n,) if it claims that the problem is solved. Otherwise it returns None
+        or raises an error: translate a status into that.
     matrices : strategy of (n, n) matrices, optional
-        The matrices that the solver is meant for; P-matrices of size 1 to 8 by default.
+        Matrices of the solver's class; P-matrices of size 1 to 8 by default.
     bounds : bool
         Draw other bounds than 0 and ∞.
     may_give_up : bool
@@ -62,16 +62,16 @@ def assert_solves(
     max_examples : int
         Number of problems, at least 1.
     seed : int or None
-        The same number draws the same problems; None draws others each time.
+        Seed of the problems drawn; None draws new problems each time.
 
     Raises
     ------
     AssertionError
-        If the solver failed; the message names the fault: it gave up or raised; z not a vector of finite numbers,
-        outside the bounds, w of the wrong sign or not complementary, far from the exact answer; M, q or a bound
-        modified; or not the same answer to the same problem twice.
+        If the solver failed. The message names the fault. The solver gave up or raised. z is not a vector of finite
+        numbers, is outside the bounds, or far from the exact solution; w has the wrong sign or is not complementary. M,
+        q or a bound was modified. Or a second solve of the same problem gave another result.
     InvalidOption
-        Where an option is out of its range.
+        If an option is out of its range.
 
     Notes
     -----
@@ -130,7 +130,7 @@ def assert_solves(
 
 @st.composite
 def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool) -> Drawn:
-    """Return a problem, its exact solution or None, and M in the drawn form: an LCP may store it in another form."""
+    """Return a problem, its exact solution or None, and M as drawn, because an LCP may convert M."""
     M, kind = draw(matrices), draw(st.integers(0, 3))
     if kind >= 2:
         return draw(lcps(st.just(M), bounds=bounds)), None, M

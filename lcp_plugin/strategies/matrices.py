@@ -112,7 +112,7 @@ def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStra
         def strategy(size: Sizes = None, *, density: float = 1.0) -> st.SearchStrategy[Any]:
             return drawn(sizes(size, smallest), entries(density))
 
-        del strategy.__wrapped__  # help and signature speak of size and density
+        del strategy.__wrapped__  # help and signature list size and density
         return strategy
 
     return strategy_of
@@ -136,7 +136,7 @@ def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
     Raises
     ------
     InvalidOption
-        Where an option is out of its range.
+        If an option is out of its range.
 
     Notes
     -----
@@ -310,16 +310,16 @@ def not_h_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     size : int or strategy of int, optional
         Rows and columns, at least 1 (where the only one is [0]); up to 8 by default.
     density : float
-        Share of nonzeros of the parts, in [0, 1], roughly; what is planted comes on top.
+        Share of nonzeros of the parts, in [0, 1], roughly; the cycle is added.
 
     Raises
     ------
     InvalidOption
-        Where an option is out of its range; where a drawn size is too small, while drawing.
+        If an option is out of its range; while drawing, if a drawn size is too small.
 
     Notes
     -----
-    Planted is a cycle i₁ → i₂ → … → i₁ with |m_ij| ≥ |m_ii| on each of its arrows i → j, of length 1 a zero on the
+    The construction has a cycle i₁ → i₂ → … → i₁ with |m_ij| ≥ |m_ii| on each arrow i → j, of length 1 a zero on the
     diagonal. Its product of |m_ij|/|m_ii| is at least 1 in any scaling, so that ρ(D⁻¹|B|) ≥ 1.
 
     Examples

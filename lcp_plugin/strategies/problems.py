@@ -34,7 +34,7 @@ Answer = tuple[Fraction, ...]
 Rows = tuple[FloatVector, FloatVector, FloatVector, FloatVector]  # z, w, lower, upper
 DISTANCES = st.sampled_from([*range(1, LARGEST_ENTRY + 1), *(math.inf,) * LARGEST_ENTRY])
 INACTIVE, ACTIVE, DEGENERATE = range(3)
-#: Whether a row is at its lower and at its upper bound, and the sign that its slack then has.
+#: Whether a row is at its lower and at its upper bound, and the sign of the slack in this case.
 BOUNDED = {
     INACTIVE: [(False, False, 0)],
     ACTIVE: [(True, False, 1), (False, True, -1), (True, True, 1), (True, True, -1)],
@@ -61,7 +61,7 @@ def lcps(
     Raises
     ------
     InvalidOption
-        Where an option is out of its range.
+        If an option is out of its range.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def solved_lcps(
     Parameters
     ----------
     matrices : strategy of (n, n) matrices, optional
-        By default H₊ or symmetric positive definite ones, so that z is the only solution. Entries must be short
+        Matrices, by default H₊ or symmetric positive definite, so that z is the only solution. Entries must be short
         enough for M z + q to be free of rounding: within a row, integers times powers of two not far apart.
     bounds : bool
         Draw one-sided bounds below or above, boxes, fixed and free rows. Otherwise lower = 0, upper = ∞.
@@ -108,14 +108,14 @@ def solved_lcps(
     Returns
     -------
     strategy of (LCP, tuple of Fraction)
-        The answer has one exact number a row; each is a double as well: ``np.array(z, dtype=float)`` is exact.
+        The solution has one exact number per row, which is also a float64: ``np.array(z, dtype=float)`` is exact.
 
     Raises
     ------
     InvalidOption
-        Where an option is out of its range.
+        If an option is out of its range.
     InvalidProblem
-        While drawing, where q = w − M z is not free of rounding.
+        While drawing, if q = w − M z is not free of rounding.
 
     Notes
     -----
@@ -168,12 +168,12 @@ def infeasible_lcps(
     Raises
     ------
     InvalidOption
-        Where an option is out of its range; where a drawn size is 0, while drawing.
+        If an option is out of its range; while drawing, if a drawn size is 0.
 
     Notes
     -----
-    The proof comes first: y with the signs that the bounds ask for, then all rows but one, and that one so that Mᵀy
-    has the signs that keep (Mᵀy)ᵀz bounded, and q so that the sum is negative. For z ≥ 0: y ≥ 0, Mᵀy ≤ 0, qᵀy < 0.
+    The proof comes first: y with the signs that the bounds require, then all rows except the pivot's. The pivot's row
+    gives Mᵀy the signs that keep (Mᵀy)ᵀz bounded, and q makes the sum negative. For z ≥ 0: y ≥ 0, Mᵀy ≤ 0, qᵀy < 0.
 
     Examples
     --------
@@ -193,14 +193,12 @@ def infeasible_lcps(
         if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box needs no sign of w
             upper[pivot] = math.inf
         below, above = np.isinf(lower), np.isinf(upper)
-        # y ≥ 0 where w ≥ 0 is needed, ≤ 0 where w ≤ 0 is, 0 in boxes, ±1 in the pivot's row.
+        # y ≥ 0 if w ≥ 0 is needed, ≤ 0 if w ≤ 0 is needed; 0 in boxes, ±1 in the pivot's row.
         y = draw(vectors(n, st.integers(0, 3)))
         y[pivot] = 1.0
         y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
         product = np.zeros(n)
-        if (
-            not monotone
-        ):  # Mᵀy ≤ 0 where z can rise indefinitely, ≥ 0 where it can fall, 0 where it is free
+        if not monotone:  # Mᵀy ≤ 0 if z can rise indefinitely, ≥ 0 if it can fall, = 0 if z is free
             drawn = draw(vectors(n, SIGNED))
             product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
             product[below & above] = 0.0
@@ -245,7 +243,7 @@ def columns_of(rows: Sequence[Any]) -> Rows:
 
 
 def exact_offset(matrix: Any, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return q = w − M z, shape (n,), or raise InvalidProblem where a double cannot hold it."""
+    """Return q = w − M z, shape (n,); raise InvalidProblem if it is not exact in double precision."""
     M = sp.csr_array(matrix)
     products = exact_slack(LCP(M, np.zeros(z.size)), z)
     exact = [Fraction(left) - product for left, product in zip(w.tolist(), products, strict=True)]

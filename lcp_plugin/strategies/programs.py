@@ -32,9 +32,8 @@ from .problems import (
 class QPAnswer(NamedTuple):
     """A minimum of a convex quadratic program and multipliers that prove it, all exact.
 
-    P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0, each multiplier of an inequality or a bound ≥ 0 and 0
-    where that does not hold with equality. `x` is the only minimum where P is positive definite; `objective` is the
-    least value always.
+    P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0. Each multiplier of an inequality or a bound is ≥ 0, and 0
+    if this is not active. `x` is the only minimum if P is positive definite; `objective` is always the least value.
     """
 
     x: Answer
@@ -70,9 +69,9 @@ def convex_qps(
     Raises
     ------
     InvalidOption
-        Where an option is out of its range.
+        If an option is out of its range.
     InvalidProblem
-        While drawing, where P is not symmetric or c is not free of rounding.
+        While drawing, if P is not symmetric or c is not free of rounding.
 
     Examples
     --------

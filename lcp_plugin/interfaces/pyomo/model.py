@@ -69,8 +69,9 @@ class PyomoStatement:
     content : NLContent
     variables : list of VarData
         In the order of the content.
-    Component that each row states: a ConstraintData, an equality given as ComplementarityData, or a Pair. For an
-        added unknown, its name: the row is its equation.
+    rows : list
+        Component that each row states: a ConstraintData, an equality given as ComplementarityData, or a Pair. For
+        an added unknown, its name: the row is its equation.
     added : frozenset of int
         Numbers of the added unknowns.
     """

@@ -1,1 +1,1 @@
-"""How far z is from the solution: rows of inequalities, curvature, and when a run is worth a bound."""
+"""Distance of z from the solution, bounded by inequalities of rows and by curvature."""

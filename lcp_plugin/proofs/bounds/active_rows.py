@@ -31,12 +31,12 @@ class ActiveRows(NamedTuple):
     Attributes
     ----------
     free, at_lower, at_upper, degenerate : ndarray of bool, shape (n,)
-        Strictly between its bounds; at a bound with w ≠ 0, or where both are equal; at a bound with w = 0, up to
-        rounding of the data.
+        Free rows are strictly between their bounds. Rows at a bound have w ≠ 0, or equal bounds. Degenerate rows are
+        at a bound with w = 0, up to rounding of the data.
     is_upper : ndarray of bool, shape (n,)
-        Of the rows that are not free, those at their upper bound.
+        True if a row that is not free is at its upper bound.
     z : ndarray, shape (n,)
-        The solution, solved for again on its free rows.
+        The solution, solved again on the free rows.
     system : FreeSystem or None
         The solved system, its rows `free` and perhaps `degenerate`.
     """
@@ -62,7 +62,7 @@ def settled_rows(
     z, w : array, shape (n,)
         A solution within some tolerance, and its slack.
     system : FreeSystem, optional
-        Of a problem with the same M: it serves again where the free rows are the same.
+        System of a problem with the same M, which is reused if the free rows are the same.
 
     Examples
     --------
@@ -84,10 +84,10 @@ def settled_rows(
 def _settled(
     problem: LCP, z: FloatVector, system: FreeSystem | None
 ) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
-    """Return a point whose rows solve their own equations, with that system and about how far the solution may be.
+    """Return a point whose rows solve their equations, the system, and an error estimate.
 
-    None if steps do not get there. Rows that are exactly degenerate may change sides indefinitely, by the rounding of
-    other rows; the point then does not change with their side.
+    The result is None if the steps do not converge. Rows that are exactly degenerate may change sides indefinitely,
+    by the rounding of other rows; the point then does not change with their side.
     """
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0

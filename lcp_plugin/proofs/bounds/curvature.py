@@ -1,8 +1,8 @@
-"""How far a quadratic form is bent upwards at least: weights μ with P − diag(μ) positive semidefinite, proved.
+"""Curvature of a quadratic form, bounded below: μ with P − diag(μ) proved semidefinite.
 
-P falls into the blocks that its pattern connects. A block of one entry is its own weight. A larger one is definite by a
-factorization with a rounding margin, semidefinite by its row sums or by exact elimination, or semidefinite to rounding:
-then its weights are negative, by a bound of the rounding error.
+P falls into the blocks that its pattern connects. The weight of a block of one entry is this entry. A larger block is
+definite by a factorization with a rounding margin, or semidefinite by its row sums or by exact elimination. Otherwise
+it may be semidefinite to rounding: then its weights are negative, by a bound of the rounding error.
 
 On the solutions of A x = b the objective is also f(x) + ½ ρ‖A x − b‖². If P + ρ AᵀA is positive definite, ρ > 0, its
 weights may replace the weights of P, between points that satisfy the equations exactly.
@@ -26,7 +26,7 @@ from ...systems.definiteness import is_semidefinite_to_rounding, semidefinite_ma
 from ..exact.linear_systems import exact_symmetric_part, has_nonnegative_pivots
 from .solution_bounds import UNDERFLOW, smallest_eigenvalue_bound
 
-EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second, and six times that at 60
+EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second; at 60 six times as long
 OUTWARD = 1.0 + 2.0**-40  # more than the rounding of a margin of a few operations
 UNKNOWN = "P could not be shown to be positive semidefinite"
 
@@ -51,7 +51,7 @@ class Curvature:
 
     @property
     def is_semidefinite(self) -> bool:
-        """Whether the form is proved to be positive semidefinite: P, or P on the null space of A."""
+        """True if P, or P on the null space of A, is proved to be positive semidefinite."""
         return bool((self.weights >= 0.0).all())
 
     @property

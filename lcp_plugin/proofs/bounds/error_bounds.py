@@ -1,4 +1,4 @@
-"""How far z is from the solution, as a number that cannot be too small.
+"""Upper bounds of the distance of z from the solution.
 
 The stages are in `row_inequality` (v-certificate, reference point) and `solution_bounds`.
 """
@@ -28,7 +28,7 @@ LOOSE = 1e3  # times the residual: from here on a sharper bound is worth a linea
 SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = (
     0.05,
     0.5,
-)  # what is left to gain, relative to a lower bound of the error
+)  # possible improvement, relative to a lower bound of the error
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
@@ -177,7 +177,7 @@ class BestBound:
         self.near, self.near_y = at, y
 
     def go_to(self, near: RowInequality, y: FloatVector) -> None:
-        """Take a point with the bound y of its own error for the one at which most is known; keep the least bound."""
+        """Set the reference point and the bound y of its error; keep the least bound per row."""
         self.near, self.near_y = near, y
         by_way_of_it = sum_above(near.distance(self.z), y)
         if by_way_of_it.max(initial=0.0) < self.y.max(initial=0.0):
@@ -186,7 +186,7 @@ class BestBound:
 
     @property
     def is_sharp(self) -> bool:
-        """Whether the error is known to be nearly as large as its bound."""
+        """True if the error is proved to be nearly as large as its bound."""
         enough = SHARP_ENOUGH_SMALL if self.z.size <= SMALL else SHARP_ENOUGH_LARGE
         error = float((self.near.distance(self.z) - self.near_y).max(initial=0.0))
         return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error

@@ -12,11 +12,11 @@ and the mirror image holds where e_i < 0. Together |e| ≤ Φ(|e|) with an isoto
    with |e| ≤ y + σv cannot be positive. And t v is such a y once t is large enough, which is read off row by row: the
    v-certificate.
 
-A point ẑ so near the solution that its own bound is small makes |z − ẑ| + bound(ẑ) sharp. A bound by ⟨M⟩⁻¹|r| forgets
-all signs, and where ρ(D⁻¹|B|) is near 1 it exceeds |M⁻¹r| a thousand times. One step of the active-set method keeps
-them: ẑ = z + δ with δ to the bound on the rows that seem active, and M_FF δ_F = −(w + M δ)_F on the rest. Nothing has
-to be known about ẑ; a poor solve or a wrong guess only makes the bound larger. ẑ is kept as a sum of two doubles, so
-that it can be nearer to z* than any double is.
+If ẑ is so close to the solution that the error bound of ẑ is small, |z − ẑ| + bound(ẑ) is tight. A bound by ⟨M⟩⁻¹|r|
+ignores all signs, and if ρ(D⁻¹|B|) is close to 1 it exceeds |M⁻¹r| a thousand times. One step of the active-set
+method uses the signs: ẑ = z + δ with δ to the bound on the rows that seem active, and M_FF δ_F = −(w + M δ)_F on all
+other rows. ẑ may be any point: a poor solve or a wrong guess only makes the bound larger. ẑ is stored as a sum of two
+float64 numbers, so that its error can be less than the spacing of float64.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class RowInequality:
         )
 
     def inflation(self, certificate: HCertificate) -> FloatVector:
-        """Return t ≥ 0, a number a component, with Φ(t v) ≤ t v.
+        """Return t ≥ 0, one number per component, with Φ(t v) ≤ t v.
 
         The result has one entry per row, shape (n,), or (1,) if there is a single component.
         """
@@ -123,7 +123,7 @@ class RowInequality:
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
     def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
-        """Return (active, inactive) as far as |e| ≤ y proves it: z*_i equals a bound; it lies strictly between them.
+        """Return the rows proved by |e| ≤ y to be active (z*_i equals a bound), and the inactive ones.
 
         Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
         """
@@ -135,7 +135,7 @@ class RowInequality:
         return self.held(y) | at_bound, inactive
 
     def held(self, y: FloatVector) -> BoolVector:
-        """Return the rows at a bound as far as |e| ≤ y proves that w*_i ≠ 0 holds them there, or both are equal."""
+        """Return the rows at a bound: |e| ≤ y proves that w*_i ≠ 0, or both bounds are equal."""
         problem = self.problem
         coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
 
@@ -243,7 +243,7 @@ class ActiveSetSteps:
         return np.array_equal(self._sides(at)[2], self.system.free)
 
     def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
-        """Return w, the rows that it holds at their lower bounds, and those that are free."""
+        """Return w, the rows at their lower bounds by the sign of w, and the free rows."""
         w = 0.5 * (at.slack - at.negative_slack)
         step = self.scale * w  # next to a large z its digits would be lost
         on_lower = (at.above <= step) | (self.problem.lower == self.problem.upper)

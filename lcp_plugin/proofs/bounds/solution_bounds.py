@@ -4,7 +4,7 @@ By v row by row (:mod:`.row_inequality`). By λ, no larger than the eigenvalues 
 e = z − z*, any S = diag(s) > 0 and r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection
 of z − S w to the bounds. Its variational inequality at z*, and the inequality of z* at z − r, add up row by row to
 
-    (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   hence   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
+    (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   so that   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
 
 and as λ‖C⁻¹e‖₂² ≤ eᵀM e, ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ where S = C = I, and much
 less where r is smooth.
@@ -126,7 +126,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
 def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
     """Return y with |z − z*| ≤ y, shape (n,), where `eigenvalue` holds."""
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
-    # Two ends of each r_i; where z_i is at a bound with w_i of the right sign, both are equal for any rounding of w_i.
+    # Both bounds of each r_i; at a bound, with w_i of the right sign, they are equal for any rounding of w_i.
     residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
     negative = np.maximum(
         np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under
@@ -198,7 +198,7 @@ def _proven_bound(part: Any, blur: float) -> float | None:
         return None
     estimate = _inverse_iteration(factor.solve, part)
     identity = (sp.eye_array if sp.issparse(part) else np.eye)(part.shape[0])
-    for share in (0.95, 0.5, 0.1):  # the first that a factor proves
+    for share in (0.95, 0.5, 0.1):  # the first shift that a factorization proves
         shift = share * estimate
         shifted = part - shift * identity
         factor = positive_factor(shifted)

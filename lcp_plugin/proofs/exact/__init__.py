@@ -1,1 +1,1 @@
-"""What turns a float into a proof: rounding margins, rational and p-adic arithmetic."""
+"""Exact arithmetic for proofs: rounding margins, rational and p-adic arithmetic."""

@@ -79,7 +79,7 @@ def has_positive_pivots(matrix: Rows) -> bool:
 
 
 def has_nonnegative_pivots(matrix: Rows) -> bool:
-    """Return whether a symmetric matrix is positive semidefinite: a pivot of zero has nothing beside it."""
+    """Return whether a symmetric matrix is positive semidefinite; the row of a pivot 0 must be 0."""
     before = 1
     while matrix:
         pivot = matrix[0][0]
@@ -157,7 +157,7 @@ def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
 def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
     """Return the solution of A x = b in fractions, or None if A is singular (modulo three primes).
 
-    None too where the time limit of a run passes meanwhile.
+    The result is also None if the time limit of the run passes.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
 
     Notes
     -----
-    One inverse modulo a prime p, then one digit of x in base p for two products with k × k matrices; what comes out is
+    One inverse modulo a prime p, then one digit of x in base p for two products with k × k matrices. The result is
     checked by A x = b before it is returned.
 
     References
@@ -278,21 +278,21 @@ def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
 def solved_nearby(
     rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]
 ) -> Vector | None:
-    """Return an exact solution y of rows · y = right near the guess, changed only if it may and has to be.
+    """Return an exact solution y of rows · y = right near the guess; only movable entries change.
 
     Parameters
     ----------
     rows, right
         The equations; redundant ones are welcome.
     guess : list of Fraction
-        Near a solution.
+        Approximate solution.
     is_movable : sequence of bool
-        Which entries may change at all.
+        Mask of the entries that may change.
 
     Returns
     -------
     list of Fraction or None
-        None if the equations contradict one another, or are too many for exact arithmetic.
+        None if the equations are inconsistent, or too many for exact arithmetic.
 
     Notes
     -----

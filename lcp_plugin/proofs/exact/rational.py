@@ -99,7 +99,7 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
 
 
 def like(values: FloatVector, z: Any) -> Any:
-    """Return doubles as they are, or as Fractions beside a z of Fractions."""
+    """Return floats unchanged, or as Fractions if z has Fractions."""
     return (
         np.array([Fraction(value) for value in values.tolist()], dtype=object)
         if z.dtype == object
@@ -125,7 +125,7 @@ def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
     Raises
     ------
     InvalidProblem
-        Where it has another length, or a number in it is not finite.
+        If it has another length, or a number in it is not finite.
     """
     values: list[Any] = list(z)  # type: ignore[arg-type]
     if len(values) != n:
@@ -219,7 +219,7 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     Raises
     ------
     InvalidProblem
-        Where z is no vector of n finite numbers.
+        If z is not a vector of n finite numbers.
 
     Examples
     --------
@@ -259,7 +259,7 @@ def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
     Raises
     ------
     InvalidProblem
-        Where z is no vector of n finite numbers.
+        If z is not a vector of n finite numbers.
 
     Examples
     --------
@@ -283,7 +283,7 @@ def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
 def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:
     """Return the signs of w that the bounds of z permit, as bounds of w, each of shape (n,).
 
-    0 ≤ w_i where z_i has no upper bound, w_i ≤ 0 where it has no lower bound; a box permits both signs.
+    0 ≤ w_i if z_i has no upper bound, w_i ≤ 0 if z_i has no lower bound; a box permits both signs.
     """
     return (
         np.where(problem.upper == np.inf, 0.0, -np.inf),

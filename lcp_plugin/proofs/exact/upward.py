@@ -1,7 +1,7 @@
 """Sums, products and quotients rounded upwards, element by element.
 
-An exact result stays exact, so that a bound of 0 can be had. Nothing is lost to overflow: a sum or quotient of −∞
-becomes the least double, which is above whatever it stands for. NaN stays NaN.
+An exact result stays exact, so that a bound can be 0. Overflow is safe: a sum or quotient of −∞
+becomes the least float64, which is above the true value. NaN stays NaN.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ def sum_above(a: Any, b: Any) -> FloatVector:
 
 
 def product_above(a: Any, b: Any) -> FloatVector:
-    """Return a double ≥ a b, and 0 where a factor is 0."""
+    """Return a float64 ≥ a b, and 0 if a or b is 0."""
     with np.errstate(all="ignore"):
         return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
 
 
 def quotient_above(a: Any, b: Any) -> FloatVector:
-    """Return a double ≥ a/b for b > 0, and 0 where a is 0."""
+    """Return a float64 ≥ a/b for b > 0, and 0 if a is 0."""
     with np.errstate(all="ignore"):
         return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
 
 
 def _above(value: Any) -> FloatVector:
-    """Return a double above the value: the next one or the one after; the least one for −∞."""
-    # In [1, 2) units in the last place; the product underflows only if TINY is one unit.
+    """Return a float64 above the value, by one or two steps; the least finite number for −∞."""
+    # In [1, 2) ulps; the product underflows only if TINY is the ulp.
     return _choice(value < LEAST, LEAST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 

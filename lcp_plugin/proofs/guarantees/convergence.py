@@ -1,9 +1,9 @@
-"""Which theorem makes an iteration converge, and how fast: plain facts in, a statement out.
+"""Convergence of an iteration by a theorem, and its rate: plain facts in, a statement out.
 
 Every rate here is the rate of a contraction in ‖x‖_v = max |x_i|/v_i, between any two points, so that it also proves
-existence and uniqueness of the solution. One argument covers all bounds of a row: the residual
-z − mid(lower, upper, z − S w) changes, row by row, by (1 − τ)e + τ S M e with some τ in [0, 1] (τ = 1 on a free row),
-and the projection of a component onto its bounds, which hold z*, never takes it further from z*. A bound that is
+existence and uniqueness of the solution. One argument covers all bounds of a row. The residual
+z − mid(lower, upper, z − S w) changes, row by row, by (1 − τ)e + τ S M e with some τ in [0, 1] (τ = 1 on a free row).
+The projection of a component onto its bounds, which contain z*, never increases its distance from z*. A bound that is
 convex in τ holds if it holds for τ = 0 and τ = 1. So boxes, free rows and the projection within a sweep cost nothing.
 
 θ = s_i m_ii, ℓ = |L|v/(d v), u = |U|v/(d v), g = β/α; L is the part that the sweep has already updated (a backward
@@ -59,7 +59,7 @@ Sums = tuple[FloatVector, FloatVector]
 
 
 class RowCase(NamedTuple):
-    """One row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
+    """Row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
 
     free: Weights
     lower: Weights

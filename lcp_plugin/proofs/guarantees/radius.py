@@ -6,8 +6,8 @@ Each iteration of these families satisfies |z_{k+1} − z*| ≤ T |z_k − z*| i
     projected relaxation  T = (I − |βL|)⁻¹ (|1 − ω| I + |ω − β| |L| + |ω U|),  of M scaled to unit diagonal
     modulus               T = |(𝓜 + Ω)⁻¹| (|𝓜 − M| + |Ω − M|), for x
 
-ρ(T) < 1 makes it converge from every start. It is not ρ of the iteration matrix itself, which may be less; it is a
-float, not a proof. The proof is `rate`, which rests on a sharper bound than the paper's T where rows are not scaled.
+ρ(T) < 1 makes the iteration converge from every start. ρ of the iteration matrix itself may be less. ρ(T) is a
+float, not a proof. The proof is `rate`, whose bound is tighter than the paper's T if rows are not scaled.
 """
 
 from __future__ import annotations

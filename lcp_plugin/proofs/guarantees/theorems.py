@@ -76,7 +76,7 @@ class Guarantee:
     def spectral_radius(self) -> float | None:
         """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without proof, computed on first access.
 
-        ρ of the iteration matrix itself may be less. None for methods that are not splittings, for a symmetric sweep,
+        ρ of the iteration matrix itself may be less. None if the method is not a splitting, for a symmetric sweep,
         and for more than 1000 unknowns.
         """
         if self.facts is None or self.problem is None:
@@ -163,10 +163,10 @@ def theorem_4_2(
     Parameters
     ----------
     facts : IterationFacts
-        Of a projected-type iteration without row scaling.
+        Facts of a projected-type iteration without row scaling.
     problem : LCP
     bounds : (lower, upper)
-        Of ρ(|L + U|).
+        Bounds of ρ(|L + U|).
     is_h_plus : bool
         Whether M is proven to be an H₊-matrix.
     """

@@ -37,7 +37,7 @@ MOST = 1e5  # times the unit: resolution of a linear program in double precision
 CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
 ALIKE = 1.0 - 2.0**-40  # margins that differ by less are rounded differently
 NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program
-KEPT = 0.55  # of the optimum, where slack is looked for: near enough in spite of rounding
+KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
 SLACK = 0.1  # of the norm of v, for all of its entries together
 
 
@@ -67,7 +67,7 @@ class FarkasAnswer:
 
     @property
     def is_contradiction(self) -> bool:
-        """Whether the constraints seem inconsistent."""
+        """True if the constraints seem inconsistent."""
         return self.optimum <= -CONTRADICTION
 
 
@@ -75,10 +75,10 @@ class FarkasAnswer:
 class FarkasProgram:
     """min qᵀy + Σ sup over the bounds of (Mᵀy)_j x_j, y of the signs that a Farkas vector needs, Σ|y_i| weight_i ≤ 1.
 
-    This is the dual of min t over lower ≤ x ≤ upper with every w_i of its sign up to weight_i t: minus the optimum is
-    the smallest miss that the signs allow, and y proves it. y = 0 is always allowed; where the constraints can be
-    satisfied the optimum is 0, and its multipliers are such an x. Rows and columns are scaled by powers of two first,
-    and so are the parts of y: v, its nonnegative parts and the multipliers of finite bounds.
+    This is the dual of min t over lower ≤ x ≤ upper with every w_i of its sign up to weight_i t. Minus the optimum is
+    the least violation that the signs allow, and y proves it. y = 0 is always allowed. If the constraints are feasible,
+    the optimum is 0, and its multipliers are a feasible x. Rows and columns are scaled by powers of two first. Parts
+    of y are scaled also: v, its nonnegative parts and the multipliers of finite bounds.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class FarkasProgram:
     def proof(
         self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None]
     ) -> Proof | None:
-        """Return the first proof with half the margin that the optimum predicts, else the one with the largest.
+        """Return the first proof with half the predicted margin, else the proof with the largest.
 
         One within a radius only if no other has been found.
 
@@ -207,7 +207,7 @@ class FarkasProgram:
 
     @cached_property
     def _slacks(self) -> list[sp.csr_array]:
-        """Which multipliers share a slack: bounds without another opposite share one, then each has its own."""
+        """Matrices from slacks to multipliers: a shared slack of one-sided bounds, then one each."""
         form = self._form
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]
@@ -272,7 +272,7 @@ class FarkasProgram:
     def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
         """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
 
-        With signs and negligible entries put right; then rounded to few digits; then solved for.
+        First with corrected signs and without negligible entries, then rounded to few digits, then from a linear solve.
         """
         y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
         asked = self.constraints
@@ -380,11 +380,11 @@ def linear_program(
     Parameters
     ----------
     bounds : one pair, or a sequence of pairs
-        Of v.
+        Bounds of v.
     at_most : pair
         Rows and limits.
     pivots : int, optional
-        The most there may be; a time limit of the run holds too.
+        Largest number of pivots; the time limit of a run also holds.
     """
     from scipy.optimize import linprog
 

@@ -45,8 +45,8 @@ def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
     """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
-    under all of the load; P d stops x = s d at an s ≥ |cᵀd| / Σ_j |d_j left_j|. In any units: stiff parts hide no weak
-    spring of a soft one.
+    under all of the load; P d stops x = s d at an s ≥ |cᵀd| / Σ_j |d_j left_j|. This is invariant to scaling: stiff
+    parts hide no weak spring of a soft one.
 
     Parameters
     ----------

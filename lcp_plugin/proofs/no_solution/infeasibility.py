@@ -1,9 +1,9 @@
-"""How it is found out that a problem has no solution: by its linear constraints, or by trees of cases.
+"""Search for a proof that a problem has no solution, by linear constraints or trees of cases.
 
-The linear constraints: whether some z within the bounds has a w of the signs that they permit; a look at each row, then
-a linear program. A tree: every case of the complementarity conditions, each closed by a Farkas vector of its own.
+The linear constraints require a z within the bounds with a w of permitted signs. A check of each row comes first, then
+a linear program. A tree contains every case of the complementarity conditions, each closed by its Farkas vector.
 
-The look at each row finds those whose signs no point of a box has.
+The check of each row finds rows whose signs no point of a box has.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear prog
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
     """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
 
-    Without a solution of its linear constraints a problem has none; a monotone one (M positive semidefinite) that can
+    A problem with infeasible linear constraints has no solution. A monotone problem (M positive semidefinite) that can
     satisfy them has one. The search prefers a proof with nearly the largest margin.
 
     Parameters
@@ -114,7 +114,7 @@ def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
 def contradictory_row(problem: LCP) -> Infeasibility | None:
     """Return the proof of the row that z within the bounds miss by most, or None if no single row is enough.
 
-    Cost: one look at each entry of the rows without a positive diagonal; in the others, their own unknown lets w grow.
+    Cost: one pass over the rows without a positive diagonal entry; in all other rows z_i can increase w_i.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
 
 @dataclass(slots=True)
 class Case:
-    """One case of the tree: split by the choices of a row, or closed by a Farkas vector y."""
+    """Case of the tree: split by the choices of a row, or closed by a Farkas vector y."""
 
     row: int = -1
     branches: dict[str, Case] = field(default_factory=dict)
@@ -144,19 +144,19 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class NoSolution(NoSolutionProof):
-    """No z solves the problem: every leaf of a complete tree is exactly infeasible, with `margin`.
+    """Proof that no z solves the problem: every leaf of a complete tree is exactly infeasible.
 
     Attributes
     ----------
     tree : Case
-        Each split names a row and covers all its choices; each leaf holds a Farkas vector of its linear constraints.
+        Each split has a row and covers all choices of this row; each leaf has a Farkas vector of its constraints.
     nodes : int
-        How many cases the search looked at.
+        Number of nodes that the search visited.
 
     References
     ----------
     Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.3
-    (complementary cones: one a choice of every row).
+    (complementary cones: one per choice of every row).
     """
 
     problem: LCP = field(repr=False)

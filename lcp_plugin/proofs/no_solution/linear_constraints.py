@@ -32,14 +32,14 @@ from ..exact.rational import (
 
 BoolVector = NDArray[np.bool_]
 
-DECISIVE = 1e-3  # a margin that no tolerance in use reaches: where one row has a larger one, no other is looked for
+DECISIVE = 1e-3  # no tolerance in use is as large: the search ends if one row has this margin
 WIDE = 1e8  # times the size of the data: a proof within a smaller radius does not count
 MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 
 @dataclass(frozen=True, eq=False)
 class LinearConstraints:
-    """The x within their bounds for which w = M x + q has the signs that its rows ask for.
+    """The x within their bounds for which w = M x + q has the signs required by its rows.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class LinearConstraints:
         Whether w_i ≥ 0 and w_i ≤ 0 is required; both make an equality, neither leaves the row out.
     lower, upper : arrays, shape (n,)
     weights : array, shape (m,)
-        Positive: the unit in which w_i misses its sign.
+        Positive: unit of the violation of each row's sign.
     bound_weights : pair of arrays, shape (n,)
-        The units in which x may miss its lower and its upper bounds too; 0 where bounds are kept.
+        Units of the violation of the lower and of the upper bounds of x; 0 if bounds must hold.
     reference : float
         Reference of the largest violation.
     """
@@ -77,7 +77,7 @@ class LinearConstraints:
 
     @property
     def missing(self) -> FloatVector:
-        """By how much all x within the bounds miss w_i ≥ 0 and w_i ≤ 0 at least, to rounding; shape (2, m).
+        """Least violations of w_i ≥ 0 and w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
 
         Positive if no such x gives the row its required sign.
         """
@@ -113,7 +113,7 @@ def activity(
 def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
     """Return the matrix without entries at rounding level relative to the largest of their row and column.
 
-    What is left of a sum of decimals that should cancel has no size that a scale might be built from.
+    The result of a cancelling sum of decimals must not influence the scaling.
     """
     size = abs(matrix)
     if 0 in matrix.shape or not matrix.nnz:
@@ -157,13 +157,13 @@ class Contradiction:
     ----------
     sides : Sides
     y : mapping of int to Fraction
-        By row; none is 0.
+        Entries by row, none of them 0.
     rows : IntegerMatrix, optional
         M, where it is known in integers.
     left : dict of int to Fraction
         Entries of Mᵀy that are not 0 on open sides.
     plain : Fraction
-        c except for what is left.
+        c without the contribution of `left`.
     """
 
     sides: Sides
@@ -211,12 +211,12 @@ class Contradiction:
 
     @property
     def has_signs(self) -> bool:
-        """Whether each y_i has the sign required by its row."""
+        """True if each y_i has the sign required by its row."""
         return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
 
     @property
     def holds(self) -> bool:
-        """Whether it is a proof for all x."""
+        """True if it is a proof for all x."""
         return self.has_signs and not self.left and self.plain > 0
 
     def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
@@ -255,7 +255,7 @@ class Contradiction:
         )
 
     def miss(self, weights: FloatVector) -> float:
-        """Return by how much, in such units, every x misses some row, rounded down; 0 where a unit has overflowed."""
+        """Return the least violation, by any x, in these units, rounded down; 0 after overflow."""
         used = [float(weights[i]) for i in self.y]
         if not all(map(math.isfinite, used)):
             return 0.0

@@ -94,8 +94,8 @@ class NoSolutionProof:
     """A proof that no z solves a problem, with a lower bound of the residual of every z within the bounds.
 
     The status is INFEASIBLE or NO_SOLUTION only if the margin exceeds the tolerance of the run: then no z could be
-    SOLVED. A smaller margin is true for the stored double-precision data, but has no practical meaning; neither has a
-    margin below the rounding of the largest number in q.
+    SOLVED. A smaller margin is true for the stored double-precision data, but has no practical meaning. The same holds
+    for a margin below the rounding of the largest number in q.
 
     Notes
     -----
@@ -119,12 +119,12 @@ class NoSolutionProof:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether the stored double-precision data have no solution, by any margin; the result of `verify`."""
+        """True if the stored data have no solution, by any margin; the result of `verify`."""
         return self.verify()
 
     @cached_property
     def margin(self) -> float:
-        """A verified lower bound of the relative residual of every z within the bounds; 0 where there is none."""
+        """Verified lower bound of the relative residual of every z within the bounds, or 0."""
         return rounded_down(self._least[0])
 
     @cached_property
@@ -134,14 +134,14 @@ class NoSolutionProof:
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the margin is within the rounding of the largest number in q."""
+        """True if the margin is within the rounding of the largest number in q."""
         return rounded_down(self._least[1]) <= rounding_of_data(self.problem)
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
         """Return whether no z within the bounds could be called SOLVED with these settings of a run."""
         if self.is_rounding or not self.margin > tolerance:
             return False
-        # Rows may use up one tolerance in one component, and the other in another.
+        # A point may use up both tolerances, in different components.
         return not absolute_tolerance or (
             tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
         )
@@ -231,7 +231,7 @@ class Choices(NamedTuple):
 class Infeasibility(NoSolutionProof):
     """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
 
-    Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
+    Permitted is w_i ≥ 0 if upper_i = ∞, w_i ≤ 0 if lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
     component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r as in
@@ -242,7 +242,7 @@ class Infeasibility(NoSolutionProof):
     exact_y : tuple of Fraction
         The vector, its largest entry 1.
     y : ndarray, shape (n,)
-        The same, rounded.
+        Rounded `exact_y`.
 
     References
     ----------

@@ -1,7 +1,7 @@
 """Is ⟨M⟩ a nonsingular M-matrix? Found by any means, accepted only after a rigorous check.
 
-Yes is proven by v > 0 with ⟨M⟩v > 0. No is proven by y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, since ⟨M⟩⁻¹ ≥ 0 would make such a y
-nonpositive. One solve gives either: with (I − D⁻¹|B|)x = 1, x > 0 is such a v, else y = max(−x, 0) is strict on its
+Yes is proven by v > 0 with ⟨M⟩v > 0. No is proven by y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, since ⟨M⟩⁻¹ ≥ 0 would make this y
+nonpositive. One solve gives either: with (I − D⁻¹|B|)x = 1, x > 0 is a valid v, else y = max(−x, 0) is strict on its
 support. Both are checked on M itself with the bounds of :mod:`lcp_plugin.core.rounding`; the verdict is undecided if
 rounding makes both fail.
 
@@ -47,7 +47,7 @@ class HCertificate:
 
 @dataclass(frozen=True, eq=False)
 class HVerdict:
-    """What is known about ⟨M⟩: `is_h` True, False or None, and its proof."""
+    """Verdict on ⟨M⟩: `is_h` True, False or None, and its proof."""
 
     is_h: bool | None
     evidence: str

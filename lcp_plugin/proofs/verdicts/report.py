@@ -1,4 +1,4 @@
-"""What is known about a matrix: verdicts on demand, each with its evidence.
+"""Facts about a matrix: verdicts on demand, each with its evidence.
 
 A summary lists the classes of M and a wrong sign: a matrix whose diagonal is negative throughout is
 often meant to be its negative.
@@ -249,13 +249,13 @@ def _report(matrix: Matrix) -> MatrixReport:
 
 @fact
 def is_negative(matrix: Matrix) -> bool:
-    """Whether every diagonal entry is negative, as of each negative definite matrix."""
+    """Return whether every diagonal entry is negative, for example if −M is positive definite."""
     return matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
 
 
 @fact
 def is_negated_m_matrix(matrix: Matrix) -> bool:
-    """Whether −M is proved to be a nonsingular M-matrix."""
+    """Return whether −M is proved to be a nonsingular M-matrix."""
     has_signs = is_negative(matrix) and int((matrix.csr.data < 0.0).sum()) == matrix.n
     return has_signs and h_verdict(matrix).is_h is True
 

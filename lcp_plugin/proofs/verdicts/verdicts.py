@@ -275,5 +275,5 @@ def symmetric_part_of(matrix: Matrix) -> Any:
 
 @fact
 def can_factorise(matrix: Matrix) -> bool:
-    """Whether a factorization of the symmetric part has its end in sight."""
+    """Return whether a factorization of the symmetric part is predicted to fit."""
     return factor_fits(sparse_symmetric_part(matrix))

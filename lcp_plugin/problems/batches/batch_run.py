@@ -1,4 +1,4 @@
-"""The run of a batch: stacks for small problems, :func:`lcp_plugin.solve` for each other problem."""
+"""The run of a batch: stacks for small problems, :func:`lcp_plugin.solve` for others."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_ITERATIONS = 200  # of a stack
 
 
 class Asked(NamedTuple):
-    """The arguments of solve_batch except the problems; `options` has the values that are not defaults."""
+    """Arguments of solve_batch except the problems; `options` has only non-default values."""
 
     algorithm: Any
     options: dict[str, Any]
@@ -147,7 +147,7 @@ class BatchRun:
         return solve(self.problems[k], **given, **named, **options)
 
     def result_of(self, k: int) -> Any:
-        """Return the result of problem k, which has no error; for a problem that never ran, at its start."""
+        """Return the result of problem k, which has no error; its start if it never ran."""
         if k in self.results:
             return self.results[k]
         if self.status[k] is not Status.SOLVED:
@@ -264,5 +264,5 @@ class BatchAnswers(AnswerSequence[Any]):
 
     @property
     def motion(self) -> Any:
-        """Impulses and velocities contact by contact, a ContactMotion with a batch axis in front."""
+        """Impulses and velocities per contact, a ContactMotion with a batch axis in front."""
         return self.problems.motion(self.z, self.w)

@@ -1,4 +1,4 @@
-"""The run of a batch of quadratic programs: one engine call per small program, one array criterion."""
+"""Batch of quadratic programs: one engine call per small program, one array criterion."""
 
 from __future__ import annotations
 

@@ -237,7 +237,7 @@ class Stacked:
         return (products(self.M, z) if self.base is None else (self.M @ z.T).T) + self.rows["q"]
 
     def outer(self, left: Any, right: Any) -> Any:
-        """Return products of shape (B, n, n), or their sum if all problems share M, on a sparse M's pattern."""
+        """Return products of shape (B, n, n), or their sum on the pattern of a shared M."""
         if self.base is None:
             return left[:, :, np.newaxis] * right[:, np.newaxis, :]
         if not sp.issparse(self.M):

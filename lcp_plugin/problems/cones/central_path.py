@@ -72,7 +72,7 @@ class CentralPath:
             factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
             def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
-                """Return changes of x and y with H dx + dy = c that remove a share of the residual."""
+                """Return dx, dy with H dx + dy = c that remove a share of the residual."""
                 dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
                 return dx, c - apply(H, dx)
 

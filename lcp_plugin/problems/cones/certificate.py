@@ -1,4 +1,4 @@
-"""Stopping criterion over cones: the criterion of an LCP, block by block, for one problem or a stack.
+"""Stopping criterion over cones: the criterion of an LCP, block by block, for a stack.
 
 The point is snapped first: a block whose projection is the apex, or a bound, is moved onto it, and w is computed
 again. The residual of a block is ‖R_k‖₂ of the natural map R_k(z) = z_k − P_K(z_k − ŵ_k/d_k). SOLVED requires

@@ -1,4 +1,4 @@
-"""Derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
+"""Derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0.
 
 The derivative is computed as in :mod:`lcp_plugin.systems.linearized` with the generalised derivatives of Newton's
 steps, and R_μ dμ. If several impulses give the same motion, dz is the change of least norm, and dw is the same for
@@ -35,7 +35,7 @@ PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at
 
 
 class ConeGradient(NamedTuple):
-    """Gradients of a function of z by q and bounds, (n,), by M on its pattern, and by friction, (k,)."""
+    """Gradients of a function by q and bounds, (n,), M on its pattern, and friction, (k,)."""
 
     q: FloatVector
     M: sp.csr_array
@@ -125,7 +125,7 @@ class StackDerivative(LinearizedSystem):
 
     @cached_property
     def _sizes(self) -> Array:
-        """Size of z and w/d of each block, shape (B, k), at least the rounding error of its terms."""
+        """Size of z and w/d of each block, (B, k), at least its rounding error."""
         stack = self.stack
         sizes = length(np.abs(self.z) + np.abs(self.w) / stack.d[..., None])
         terms = length(stack.pattern.times(self.z, absolute=True) + np.abs(stack.q)) / stack.d
@@ -133,7 +133,7 @@ class StackDerivative(LinearizedSystem):
         return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
 
     def branch_towards(self, dz: Array, dw: Array) -> StackDerivative:
-        """Return the derivative of the piece into which degenerate blocks move in this direction."""
+        """Return the derivative of the piece into which dz and dw move degenerate blocks."""
         wide = self.stack.pattern.wide
         dz, dw = wide(dz), wide(dw)
         size = length(np.abs(dz) + np.abs(dw) / self.stack.d[..., None])
@@ -224,12 +224,12 @@ class ConeDerivative:
 
     @property
     def is_unique(self) -> bool | None:
-        """False if blocks are degenerate or the solution is not unique, else None: uniqueness is not proved."""
+        """False if blocks are degenerate or z is not unique, else None (not proved)."""
         return False if self.degenerate.size or self.is_singular else None
 
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
-        """Blocks on the boundary of two modes, up to rounding error; the derivative is not unique there."""
+        """Blocks on the boundary of two modes, where the derivative is not unique."""
         return np.flatnonzero(self._of.is_degenerate[0])
 
     def jvp(
@@ -241,7 +241,7 @@ class ConeDerivative:
         dlower: Any = None,
         dupper: Any = None,
     ) -> FloatVector:
-        """Return the change dz, shape (n,), for changes of the data; one-sided if blocks are degenerate.
+        """Return the change dz, shape (n,), for changes of the data; one-sided at a kink.
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class ConeDerivative:
         return change if dM is None else change + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
-        """Return the gradients of a function with the gradients g by z and gw (default 0) by w, (n,) each."""
+        """Return the gradients of a function L, with g = ∂L/∂z and gw = ∂L/∂w (default 0), (n,)."""
         n, M = self.problem.n, self.problem.rows.csr
         by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
         parts = self._of.gradients(checked_vector(g, "g", n)[None], by_w[None])

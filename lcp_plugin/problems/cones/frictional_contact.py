@@ -326,7 +326,7 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
 
 
 def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int:
-    """Return the number of rows per contact; raise InvalidProblem if the shapes are inconsistent."""
+    """Return the rows per contact; raise InvalidProblem if the shapes are inconsistent."""
     count = math.prod(friction)
     if given is None and friction and count and rows % count == 0:
         given = rows // count

@@ -72,7 +72,7 @@ class NoImpulse:
 
     @property
     def margin(self) -> float:
-        """Lower bound of the relative residual of every point, in the measure of the stopping criterion."""
+        """Lower bound of the relative residual of every point, as the criterion measures it."""
         problem, stack = self.problem, ConeStack.of(self.problem)
         wide = stack.pattern.wide
         total = sum(

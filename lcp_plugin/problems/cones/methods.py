@@ -162,7 +162,7 @@ class ConeNewton(ConeAlgorithm):
 
 @dataclass(frozen=True, kw_only=True)
 class ConeInteriorPoint(ConeAlgorithm):
-    """Primal–dual interior point on De Saxcé's cones with Nesterov–Todd scaling, followed by Newton."""
+    """Primal–dual interior point on De Saxcé's cones, Nesterov–Todd scaling, then Newton."""
 
     name = "interior_point"
     needs = "contacts with friction, and a factor that fits"
@@ -195,7 +195,7 @@ class FixedPoint(ConeAlgorithm):
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point per program until five gain nothing, then Newton's points."""
+        """Yield the start, a point per program until five gain nothing, and Newton's points."""
         engine, pattern = ConvexProgram(problem), stack.pattern
         best, least, since = z, float(stack.measure(z)[2][0]), 0
         yield z, least, 1.0

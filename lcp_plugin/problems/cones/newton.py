@@ -39,7 +39,7 @@ def newton_steps(
     patience: int = PATIENCE,
     proximal: float = PROXIMAL,
 ) -> Iterator[tuple[Any, Any, Any, float]]:
-    """Yield the open problems, their points and residuals, and the work: for the start, then per step.
+    """Yield the open problems, points, residuals and work, for the start and each step.
 
     Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """

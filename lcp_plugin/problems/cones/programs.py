@@ -36,7 +36,7 @@ class ConvexProgram:
         return not (self.problem.has_friction or self.rest.count_nonzero())
 
     def minimize(self, z: FloatVector) -> FloatVector | None:
-        """Return the minimiser with all terms that depend on z fixed, or None if Clarabel finds none."""
+        """Return the minimiser with terms that depend on z fixed; None if not found."""
         problem = self.problem
         q = problem.q + self.rest @ z
         if problem.has_friction:

@@ -90,7 +90,7 @@ def solve_cones(
     threads: int | None = None,
     verbose: bool = False,
 ) -> ConeResult:
-    """Solve a :class:`ConeProblem` or :class:`FrictionalContact`; the result is measured on its data.
+    """Solve a :class:`ConeProblem` or :class:`FrictionalContact`, and certify the result.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class Log:
         )
 
     def show(self, residual: float | None, z: Callable[[], FloatVector]) -> None:
-        """Record, print and call back, with the clock stopped; raise Ended if the callback returns true."""
+        """Record, print and call back with the clock stopped; a true return value raises Ended."""
         with self.clock.pause():
             name = self.stages[-1].name
             sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
@@ -255,7 +255,7 @@ class Log:
 
 
 class ConeRun:
-    """The run on one problem or component: methods yield points, the best one is stored and measured.
+    """Run on a problem or component: methods yield points, the best is stored and measured.
 
     Parameters
     ----------
@@ -387,7 +387,7 @@ class ConeRun:
         self.take("newton", FOLLOWS, points)
 
     def _follow(self, share: float | None) -> None:
-        """Follow the central path from a cold start, or from near the best point, at a share of the speed."""
+        """Follow the central path from a cold start, or from near the best point."""
         z = self.stack.origin if share is None else self.stack.snap(self.best)
         self.take("interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal))
 
@@ -411,7 +411,7 @@ class ConeRun:
             self.judge(self.best)
 
     def offer(self, z: Any, residual: float) -> None:
-        """Store the point if it is the best so far; below EXACT, differences are rounding errors."""
+        """Store the point if it is the best; below EXACT, differences are rounding errors."""
         if (residual < self.residual and self.residual > EXACT) or self.residual == np.inf:
             self.best, self.residual = z, residual
             self.measures = None
@@ -587,7 +587,7 @@ class ConeResult(Result):
 
     @cached_property
     def motion(self) -> ContactMotion:
-        """Impulses and velocities contact by contact, and masks of contacts that press and stick."""
+        """Impulses and velocities per contact, and masks of contacts that press and stick."""
         problem = self.problem
         if not isinstance(problem, FrictionalContact):
             raise InvalidOption(
@@ -606,7 +606,7 @@ class ConeResult(Result):
         )
 
     def explain(self) -> str:
-        """Return the status, its reliability and advice, a line each; then the reason and the stages."""
+        """Return status, reliability and advice, a line each; then reason and stages."""
         lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))

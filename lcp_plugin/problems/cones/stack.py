@@ -266,7 +266,7 @@ class ConeStack:
 
     @classmethod
     def of(cls, problem: Any) -> ConeStack:
-        """Return the stack of one problem; data that depend only on its matrix are cached with it."""
+        """Return the stack of one problem; the data of its matrix are cached."""
         pattern, arms = _pattern_of(problem)
         arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
         with np.errstate(all="ignore"):
@@ -337,7 +337,7 @@ class ConeStack:
         return found
 
     def snap(self, z: Array) -> Array:
-        """Return the nearest point of the cones, or the origin in components that the origin solves."""
+        """Return the nearest point of the cones; the origin in components that it solves."""
         z, answered = self.project(z), self.is_answered
         return np.where(answered[..., None], self.origin, z) if answered.any() else z
 
@@ -367,7 +367,7 @@ class ConeStack:
         return eye - P, by_w
 
     def measure(self, z: Array) -> tuple[Array, Any, Array, Array]:
-        """Return w, the values of `residual`, the largest ‖R_k‖ / reference, and the norm of all."""
+        """Return w, the values of `residual`, the largest ‖R_k‖ / reference, and their norm."""
         w = self.slack(z)
         found = self.residual(z, w)
         sizes = length(found[0]) * self.weight

@@ -22,7 +22,7 @@ ENTRIES = 2_000_000  # of M that the loop reads between two checks of the clock
 
 @helper
 def _solve_contact(A, b, f, x):  # type: ignore[no-untyped-def]
-    """Solve a contact in space with velocities A x + b, write its impulse to x; return whether it was found.
+    """Solve a contact with velocities A x + b in space for x, in place; return whether it succeeds.
 
     The contact opens, sticks with x = −A⁻¹b, or slides. Along the angle θ of the impulse, x_N is −b_N / (A_NN + f
     A_NT d(θ)). Newton's method finds the θ at which the velocity across d vanishes.
@@ -106,7 +106,7 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
 def sweep(  # type: ignore[no-untyped-def]
     starts, friction, mu, lower, upper, indptr, indices, data, q, own, step, z, sweeps, stop
 ):
-    """Sweep over z, shape (B, n), until the changes of each problem are `stop` times its largest unknown."""
+    """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i."""
     m = max(own.shape[2], 3)
     b, x, w = np.zeros(m), np.zeros(m), np.zeros(m)
     for world in range(z.shape[0]):
@@ -136,7 +136,7 @@ def sweep(  # type: ignore[no-untyped-def]
 
 
 def sweeps(stack: ConeStack, z: Any, count: int, stop: float, each: int = 0) -> Iterator[Any]:
-    """Yield z, shape (B, k, m), after every `each` of `count` sweeps, or between checks of the clock."""
+    """Yield z, (B, k, m), after every `each` of `count` sweeps, or after ENTRIES are read."""
     pattern, M, shape = stack.pattern, stack.pattern.M, (stack.B, stack.pattern.n)
     if pattern.is_sparse:
         indptr, indices, data = M.indptr, M.indices, M.data[None]

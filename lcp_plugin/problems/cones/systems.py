@@ -1,4 +1,4 @@
-"""Factorizations of the systems of Newton's steps, in the unknowns or in the velocities of bodies."""
+"""Factorizations for Newton's steps, in the unknowns or in the velocities of bodies."""
 
 from __future__ import annotations
 

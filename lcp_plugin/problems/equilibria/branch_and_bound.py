@@ -1,4 +1,4 @@
-"""minimize_over_solutions(): minimize an objective over all solutions, by SCIP and by branch and bound.
+"""minimize_over_solutions(): the best solution by SCIP and by branch and bound.
 
 The search begins with a few built-in nodes, because they close many small problems with a proof, whereas SCIP may
 search long, or fail. If SCIP is installed, it searches next. The branches of its point define a complementarity
@@ -230,7 +230,7 @@ class BranchAndBound:
             self.local.from_point(root.point)
 
     def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
-        """Run a global solver and store its result; return the status of a limit it reached, or None."""
+        """Run a global solver and store its result; return the status of a limit, or None."""
         before = self.nodes
 
         def report_progress(value: float, bound: float, nodes: int) -> bool:
@@ -336,7 +336,7 @@ class BranchAndBound:
         return int(wrong[np.argmax(violations[wrong])])
 
     def _settle(self, piece: Node) -> None:
-        """Close a piece neither solved to its bound nor infeasible: it is unbounded below or undecided."""
+        """Close a piece that is not solved to its bound: it is unbounded below or undecided."""
         program = self.relaxations.program(piece.cases)
         proof = None if program is None else program.facts.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):

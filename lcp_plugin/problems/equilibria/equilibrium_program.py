@@ -181,7 +181,7 @@ class EquilibriumProgram:
 
     @cached_property
     def all_cases(self) -> Cases:
-        """The branches of each pair, shape (k,); an equality a z + b w = 0 makes z = 0 a part of w = 0."""
+        """The branches of each pair, shape (k,); if a z + b w = 0, z = 0 is a part of w = 0."""
         A = sp.csr_array(self.program.A)
         start = A.indptr[:-1][(np.diff(A.indptr) == 2) & (self.program.b == 0.0)]
         start = start[A.data[start] * A.data[start + 1] != 0.0]

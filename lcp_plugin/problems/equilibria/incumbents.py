@@ -64,7 +64,7 @@ class LocalSearch:
         return self._known[key]
 
     def descend(self, cases: Cases, near: FloatVector) -> Node:
-        """Return the last piece of a descent that starts at these branches and lowers the value at each step.
+        """Return the last piece of a descent from these branches that lowers the value per step.
 
         Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
         piece. It first changes all pairs with a descent direction by the multipliers, and then one pair after the
@@ -76,13 +76,13 @@ class LocalSearch:
         return piece
 
     def from_point(self, x: FloatVector, cases: Cases | None = None) -> Node | None:
-        """Return the last piece of a descent from the branches nearest to a point; None if infeasible."""
+        """Return the last piece of a descent from the branches nearest to x, or None."""
         nearest = self.problem.nearest(x, self.problem.all_cases if cases is None else cases)
         piece = self.descend(nearest, x)
         return piece if piece.value < math.inf else None
 
     def confirm(self, x: FloatVector, value: float) -> None:
-        """Descend from the branches at and near another solver's point, until the value is reached."""
+        """Descend from the branches at and near an external point, until the value is reached."""
         self.from_point(x)
         near = self.problem.distances(x) <= NEAR * (1.0 + float(np.abs(x).max(initial=0.0)))
         chosen = self.problem.nearest(x, self.problem.all_cases)
@@ -115,7 +115,7 @@ class LocalSearch:
         return None
 
     def _find_promising(self, piece: Node) -> list[tuple[int, int]]:
-        """Return (pair, branch) for degenerate pairs whose other branch lowers the objective, steepest first.
+        """Return (pair, branch) of degenerate pairs that lower the objective, steepest first.
 
         The multipliers of the piece determine the slopes. If the list is empty, the solution is strongly
         stationary. Without multipliers, all other branches are returned.

@@ -92,14 +92,14 @@ class Relaxations:
         return implied_box(self.problem.program)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
-        """Return the program of the open branches; None if some lower bound exceeds its upper bound."""
+        """Return the program of the open branches; None if some lower > upper."""
         lower, upper = self.problem.bounds(cases)
         if (lower > upper).any():
             return None
         return self.problem.program.with_vectors(lower=lower, upper=upper)
 
     def node(self, cases: Cases, parent: Node | None = None) -> Node:
-        """Return the solved node of the open branches, with its bound or a proof of infeasibility."""
+        """Return the solved node of the branches, with its bound or a proof of infeasibility."""
         node = self.solved_node(cases)
         node.parent = parent
         if (
@@ -122,7 +122,7 @@ class Relaxations:
         return node
 
     def solved_node(self, cases: Cases) -> Node:
-        """Return the node of the open branches, solved or proved infeasible, but without a bound."""
+        """Return the node of the branches, solved or proved infeasible, but without a bound."""
         self.solved += 1
         node, program = Node(cases), self.program(cases)
         if program is None:
@@ -147,7 +147,7 @@ class Relaxations:
         return node
 
     def _round_small(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
-        """Return x with components at rounding level of ‖x‖∞ set to 0 if this reduces row violations."""
+        """Return x with components below 1e-9 ‖x‖∞ set to 0 if this reduces violations."""
         is_tiny = np.abs(x) <= TINY * np.abs(x).max(initial=0.0)
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
         if np.array_equal(other, x):
@@ -220,7 +220,7 @@ class Relaxations:
         )
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
-        """Return the solution within a large box; it is at the edge of the box if the program is unbounded."""
+        """Return the solution within a large box, at its edge if the program is unbounded."""
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes
         far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))

@@ -156,7 +156,7 @@ class EquilibriumResult(Answer):
         )
 
     def _falls(self, relaxations: Relaxations) -> bool:
-        """Return whether the proof of unboundedness is valid and belongs to a piece of this problem."""
+        """Return whether the proof of unboundedness is valid for a piece of this problem."""
         if self.descent is None:
             return False
         cases, proof = self.descent
@@ -169,7 +169,7 @@ class EquilibriumResult(Answer):
         )
 
     def _tree_covers(self) -> bool:
-        """Return whether the root has all branches, and the children of each node cover its branches."""
+        """Return whether the root has all branches, and children cover their node's branches."""
         children: dict[int, list[Node]] = {}
         for node in self.tree:
             children.setdefault(id(node.parent), []).append(node)

@@ -71,7 +71,7 @@ class AnswerSequence(Sequence[T]):
         return f"{self.item} {shown}: {self._describe(shown, lambda one: str(getattr(one, 'advice', one)))}"
 
     def explain(self) -> str:
-        """Return the number of items per status, and a summary of the first unsolved (or last) item."""
+        """Return the number of items per status, and a summary of the first unsolved item."""
         shown = self._format_item()
         lines = [f"{len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s"]
         if shown >= 0:

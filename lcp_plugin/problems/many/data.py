@@ -31,7 +31,7 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
 
 
 def length_of_all(counts: dict[str, int]) -> int:
-    """Return the number of problems from the lengths of the arrays with a batch axis; 1 without any.
+    """Return the number of problems, the common length of the batch axes; 1 without any.
 
     Raises
     ------

@@ -104,7 +104,7 @@ class March(AnswerSequence[Result]):
 def take_steps_together(
     marches: list[March], algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
 ) -> None:
-    """Take the steps of marches on narrow bands within a time limit, until one of them is not solved."""
+    """Take the steps of marches on narrow bands, until a time limit or an unsolved step."""
     problem, clock = marches[0].problem, Clock()
     if not isinstance(problem, LCP) or not problem.n:
         return
@@ -187,7 +187,7 @@ def take_steps(
 
 
 def beginning_of_next(found: Result, step: int) -> str | None:
-    """Return the algorithm that finished this step, which starts the next step; None: auto selects it.
+    """Return the algorithm that finished this step and starts the next, or None for auto.
 
     The first step does not count, because it may start far from its solution.
     """

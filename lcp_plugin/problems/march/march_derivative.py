@@ -1,4 +1,4 @@
-"""Derivative of a time-stepping run: the chain of the derivatives of its steps, forwards or backwards.
+"""Derivative of a time-stepping run: the chain of its steps, forwards or backwards.
 
 With q_k = f_k + C z_{k−1} each step passes on dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all
 z has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which the derivative of the step computes ∂L/∂q_k. The gradients by M, C
@@ -40,7 +40,7 @@ NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it 
 
 
 class Band(NamedTuple):
-    """The matrix of a march on a narrow band, its bands, and the propagator; possibly transposed."""
+    """Matrix of a march on a narrow band, its bands, and propagator; possibly transposed."""
 
     M: sp.csr_array
     size: sp.csr_array
@@ -115,7 +115,7 @@ class Steps:
         return len(self.z)
 
     def _settle(self, band: Band) -> None:
-        """Solve each step on its free rows until the active set is stable, and classify the rows."""
+        """Solve each step on its free rows until the active set is stable; classify rows."""
         problem, z, sides = self.march.problem, self.z, self.sides
         lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
         change, are_settled = np.zeros(z.shape), np.zeros(len(z), np.bool_)
@@ -199,7 +199,7 @@ class Steps:
         return dz
 
     def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
-        """Return the gradients by q, and add the gradients by both bounds to `of_bounds`, shape (2, n).
+        """Return the gradients by q, and add the gradients by the bounds to `of_bounds`.
 
         `after` is the gradient by q of the next step (0 if there is none), and is overwritten by the gradient of
         the first of these steps.
@@ -298,7 +298,7 @@ class MarchDerivative:
 
     @cached_property
     def is_unique(self) -> bool | None:
-        """True if the derivative of each step exists, at the q given by the previous step: see ``Derivative``.
+        """True if the derivative of each step exists, at its q: see ``Derivative``.
 
         True if this is proved for all steps, False if rows of a step are degenerate, otherwise None.
         """
@@ -317,7 +317,7 @@ class MarchDerivative:
         dupper: Any = None,
         only_last: bool = False,
     ) -> FloatVector:
-        """Return the changes dz of the solutions for changes of the data; one-sided if rows are degenerate.
+        """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
 
         Parameters
         ----------
@@ -370,7 +370,7 @@ class MarchDerivative:
         return before if only_last else dz
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
-        """Return the gradients of a function L of the solutions by M, forcing, propagator, z0 and bounds.
+        """Return the gradients of a function L by M, forcing, propagator, z0 and bounds.
 
         If rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
 
@@ -461,7 +461,7 @@ def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVec
 
 
 def _require_all_steps(march: March) -> None:
-    """Raise UnsuitableProblem for a march that ended before its last step, or at an unsolved step."""
+    """Raise UnsuitableProblem for a march that was not solved to its last step."""
     if march.all_solved and len(march) == len(march.forcing):
         return
     last = len(march) - 1

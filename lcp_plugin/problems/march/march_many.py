@@ -1,4 +1,4 @@
-"""march(): time stepping for one or many problems, for example strikes of an option or loads of a rod."""
+"""march(): time stepping for one or many problems, such as strikes of an option."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def march(
 
 
 def _groups(marches: list[March]) -> Iterator[list[March]]:
-    """Yield groups of marches that step together: neighbors with bounds on the same side, or single."""
+    """Yield groups of neighbors with bounds on the same side, and single marches."""
 
     def side(one: March) -> int:
         return bounded_side(one.problem) if isinstance(one.problem, LCP) else 0

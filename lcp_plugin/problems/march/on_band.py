@@ -99,7 +99,7 @@ class Marches:
     def _are_solved(
         self, Q: FloatVector, Z: FloatVector, of_nearest: FloatVector
     ) -> NDArray[np.bool_]:
-        """Return a mask of the steps that meet the stopping criterion, shape (k, m), rounding included."""
+        """Return a mask, shape (k, m), of steps that meet the criterion, rounding included."""
         T = self._product(np.abs(Z), is_magnitude=True)
         T += np.abs(Q)
         W = self._product(Z)

@@ -133,7 +133,7 @@ class Reference:
         return np.where(np.isinf(largest), np.inf, smallest), largest
 
     def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
-        """Return the bound of ‖r_P(x°)‖∞ for affine F with the value and the derivative of this F at x."""
+        """Return the bound of ‖r_P(x°)‖∞ for affine F with the same value and slope at x."""
         with np.errstate(all="ignore"):
             distance = np.abs(x - self.x)
             reached = distance + abs(problem.M) @ distance / problem.residual_scale
@@ -227,7 +227,7 @@ class NonlinearCertificate(Certificate):
 
     @cached_property
     def relative_residual(self) -> float:
-        """The largest of all ‖r_P(x)‖∞ / reference, rounded upwards, and all residuals relative to terms."""
+        """The largest ‖r_P(x)‖∞ / reference, rounded upwards, or residual relative to terms."""
         return max(largest_ratio(*self.residuals_of_components), self.term_residual)
 
     @cached_property

@@ -97,7 +97,7 @@ class NonlinearProblem:
         self._differences: Differences | None = None
 
     def with_size(self, n: int) -> NonlinearProblem:
-        """Return the problem with n unknowns: this problem, or a copy with vectors for scalar bounds.
+        """Return the problem with n unknowns, or a copy with vectors for scalar bounds.
 
         Raises
         ------
@@ -222,7 +222,7 @@ class NonlinearProblem:
 
 
 def _finite(derivative: Any, name: str, n: int) -> Any:
-    """Return the checked derivative; raise UndefinedDerivativeError if only its numbers are invalid."""
+    """Return the checked derivative; UndefinedDerivativeError if only numbers are invalid."""
     try:
         return rectangular_matrix(derivative, name, n, n)
     except InvalidProblem as error:

@@ -73,7 +73,7 @@ class Differences:
         lower: FloatVector,
         upper: FloatVector,
     ) -> sp.csr_array:
-        """Return the derivative at x, given value = F(x); steps stay within the bounds if these are apart.
+        """Return the derivative at x, given value = F(x), by steps within the bounds.
 
         If F is not defined on one side of x, the step goes to the other side. Entries that neither side gives are
         NaN.

@@ -190,7 +190,7 @@ class _NewtonRun:
     # --- what is measured ----------------------------------------------------------------------------------
 
     def _merit(self, point: Linearization) -> float:
-        """Return the scaled ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
+        """Return ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
         return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
@@ -214,7 +214,7 @@ class _NewtonRun:
         return largest_ratio(self._residuals(point), references)
 
     def _progress(self, point: Linearization) -> float:
-        """Return the measure that must fall; residuals relative to terms are included at small residuals."""
+        """Return the measure that must fall; small residuals also count relative to terms."""
         size = self._relative(point)
         if size > max(self.options.tolerance, SMALLEST_TOLERANCE):
             return size
@@ -261,7 +261,7 @@ class _NewtonRun:
 
 
 def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
-    """Return 1/(reference of the component) for each row, shape (n,), or [1.0] for one component."""
+    """Return 1/reference of each row's component, shape (n,), or [1.0] for one component."""
     several = connected_components(start.lcp.matrix)
     if several is None:
         return np.ones(1)
@@ -273,7 +273,7 @@ def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
 
 
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
-    """Yield the stages of a linearization: without proofs, with pivots last, and no method twice."""
+    """Yield the stages of a linearization: no proofs, pivots last, and no method twice."""
     tried: list[Algorithm] = []
     for stage in stages_of(problem, method, goal, prove_infeasibility=False):
         if stage.algorithm in tried:

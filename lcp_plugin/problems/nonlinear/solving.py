@@ -148,7 +148,7 @@ def solve_nonlinear(
 
 
 def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, str]:
-    """Return the start of a run and a note: x0, or the point nearest to 0 or 1 at which F is defined.
+    """Return the start and a note: x0, or the point nearest to 0 or 1 where F is defined.
 
     If F is defined at none of these points, x0 is returned and raises an error later.
     """
@@ -222,7 +222,7 @@ TANGENTS = (
 
 @np.errstate(all="ignore")
 def jacobian_warning(point: Linearization) -> str:
-    """Return a warning that names the row in which differences and jacobian differ most; "" if none does.
+    """Return a warning with the row in which differences and jacobian differ most, or "".
 
     Parameters
     ----------

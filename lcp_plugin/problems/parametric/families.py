@@ -1,4 +1,4 @@
-"""Parametric problems of `trace`, per problem class: data, complementarity problem, inverse mapping."""
+"""Parametric problems of `trace`: data, complementarity problem, inverse mapping."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ class Family:
 
     @property
     def is_monotone(self) -> bool:
-        """True if the solutions at each θ are known to be a convex set, as for every convex problem."""
+        """True if the solutions at each θ are known to be convex, as for convex problems."""
         return True
 
     def pair(self, name: str) -> FloatVector:
@@ -215,7 +215,7 @@ class Family:
         return moved
 
     def find_crossing(self) -> tuple[float, str]:
-        """Return the first share of the way at which bounds cross (−1: at the start), and a message."""
+        """Return the share of the way at which bounds cross (−1: at start), and a message."""
         low, high = (
             np.array([[1.0, theta] for theta in self.ends]) @ self.pair(name) for name in BOUNDS
         )
@@ -261,7 +261,7 @@ class Family:
         raise NotImplementedError
 
     def x_of(self, z: FloatVector) -> FloatVector:
-        """Return the unknowns of the problem class from the followed unknowns, along the last axis."""
+        """Return the unknowns of the problem class from z, along the last axis."""
         return z
 
     def objective(self, point: PathPoint) -> float | None:
@@ -480,7 +480,7 @@ class LeastSquaresFamily(Family):
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
 
     def case_of(self, steps: Any) -> Any:
-        """Return −1 at the lower bound, 0 between, 1 at the upper bound, 2 at 0 because of the penalty."""
+        """Return −1 at the lower bound, 0 between, 1 at the upper bound, 2 at a kink at 0."""
         of_kinks = np.array([-1, 0, 2, 0, 1])
         return np.where(self._has_kink, of_kinks[steps], np.asarray(steps) - 1)
 

@@ -48,7 +48,7 @@ class Segment:
 
 
 class Motion(NamedTuple):
-    """Values at t and rates of rows on given steps, shape (2, n) each, and their errors, shape (n,).
+    """Values and rates of rows on given steps, shape (2, n), and their errors, shape (n,).
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Motion(NamedTuple):
         return off
 
     def first_end(self, sign: float = 1.0) -> tuple[float, Change | None]:
-        """Return the distance to the first end of a step, forwards or backwards, and the changing row."""
+        """Return the distance to the first end of a step, and the row that changes."""
         reached, found = np.inf, []
         for gap, way in ((self.low, -1), (self.high, 1)):
             rate = sign * gap[1]
@@ -120,7 +120,7 @@ class Follower:
         self.motion = self._begin(z)
 
     def _begin(self, z: FloatVector) -> Motion | None:
-        """Return the motion of consistent steps at t; rows off their steps change to the next, repeatedly."""
+        """Return the motion of consistent steps at t; rows off their steps change steps."""
         for _ in range(CORRECTIONS):
             motion = self._settle(z)
             if motion is None or not (motion.outside > MISSED).any():
@@ -196,7 +196,7 @@ class Follower:
         return np.array([self._columns[int(j)] for j in rows]).reshape(rows.size, self.n)
 
     def _settle(self, near: FloatVector) -> Motion | None:
-        """Return the motion of the present steps, through a point near `near`, or None if infeasible."""
+        """Return the motion of the steps through a point near `near`; None if infeasible."""
         q, corners, levels = self.problem.at(self.t)
         every, sizes, k = np.arange(self.n), self.problem.columns.sizes, self.steps // 2
         is_free = self.steps % 2 == 1

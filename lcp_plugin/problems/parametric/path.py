@@ -100,7 +100,7 @@ class Path:
         return found
 
     def _inside(self, piece: Piece, end: float, middle: float) -> Status:
-        """Return the status just inside an end, at the first of two points that is SOLVED, if any."""
+        """Return the status just inside an end, at the first SOLVED point of two, if any."""
         status = Status.SOLVED
         for share in INSIDE:
             status = self.at(end + share * (middle - end), piece).status
@@ -110,7 +110,7 @@ class Path:
 
     @property
     def points(self) -> list[PathPoint]:
-        """The solutions at the breakpoints; two solutions at a breakpoint where segments do not join."""
+        """The solutions at the breakpoints, two per breakpoint where segments do not join."""
         found = []
         for k, piece in enumerate(self.pieces):
             if not k or not _join(self.pieces[k - 1], piece):
@@ -153,7 +153,7 @@ class Path:
     # --- values -------------------------------------------------------------------------------------------
 
     def at(self, theta: float, piece: Piece | None = None) -> PathPoint:
-        """Return the solution at θ: x, multipliers, objective, status; at a jump, the later solution.
+        """Return x, multipliers, objective and status at θ; at a jump, the later solution.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Path:
         return Slope(piece.x1, rates if rates.size else None)
 
     def piece_at(self, theta: float, *, is_behind: bool = False) -> Piece:
-        """Return the segment that contains θ; at a breakpoint the later segment, or the earlier segment."""
+        """Return the segment that contains θ; at a breakpoint the later (or earlier) segment."""
         if not is_number(theta):
             raise InvalidOption(f"θ must be a number, got {theta!r}")
         along = self._toward * float(theta)
@@ -273,7 +273,7 @@ class Path:
 
 
 def _join(one: Piece, other: Piece) -> bool:
-    """Return whether a segment begins at the end of the segment before, in θ and in the unknowns."""
+    """Return whether a segment begins at the end of the previous one, in θ and z."""
     if one.end != other.begin:
         return False
     here = one.z_at(one.end)

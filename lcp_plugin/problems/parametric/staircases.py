@@ -1,4 +1,4 @@
-"""Parametric complementarity problem: each row is a monotone graph with data affine in one parameter.
+"""Parametric complementarity problem: monotone graphs with data affine in a parameter.
 
 Let w = M z + q. The pair (z_i, w_i) of row i lies on a staircase that falls to the right: at z = p₀ any w ≥ v₁, w =
 v₁ for p₀ ≤ z ≤ p₁, at p₁ any w from v₁ down to v₂, w = v₂ for p₁ ≤ z ≤ p₂, at p₂ any w ≤ v₂. Bounds are a staircase
@@ -97,7 +97,7 @@ class GramColumns(Columns):
         self.sizes = np.maximum(sizes, np.finfo(np.float64).tiny)
 
     def units(self) -> FloatVector:
-        """Return powers of two d for which the diagonal of D M D is about 1; all 1 if it is balanced."""
+        """Return powers of two d that make the diagonal of D M D about 1; 1 if balanced."""
         size = np.hypot(self._lengths, np.sqrt(self._ridge))
         size = np.where(size > 0.0, size, 1.0)
         return _powers(1.0 / size) if _differ(size) else np.ones(self.n)
@@ -205,7 +205,7 @@ class Staircases:
         return q, corners, levels
 
     def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
-        """Return the step closest to (z, w) for each row at t, shape (n,); a corner is on the even step."""
+        """Return the step of each row closest to (z, w) at t; corners are on even steps."""
         (_, corners, levels), size = self.at(t), self.columns.sizes
         corners, levels, scaled = corners[0], levels[0] / size, w / size
         best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)

@@ -22,7 +22,7 @@ SAME = 1e-4  # largest change of a solution over the shortest of these distances
 def trace(
     problem: Any, along: Any, start: float, stop: float, *, tolerance: float | None = None
 ) -> Path:
-    """Return the exact piecewise affine solution for all values of a parameter θ between start and stop.
+    """Return the exact piecewise affine solution for all values of θ between start and stop.
 
     Data(θ) = data + θ · direction. The solution is piecewise affine in θ; one linear system leads from each
     breakpoint to the next.
@@ -109,7 +109,7 @@ def trace_stated(
 
 
 class _Trace:
-    """A path during the trace: t = |θ − start| goes from 0 to `end`, at stop or where bounds cross."""
+    """A path during the trace: t = |θ − start| goes from 0 to `end`, at stop or at crossing bounds."""
 
     def __init__(self, family: Family, start: float, stop: float) -> None:
         self.family, self.path = family, Path(family, start, stop)
@@ -199,7 +199,7 @@ class _Trace:
             self.reached = t
 
     def _add(self, piece: Piece) -> None:
-        """Add a segment; record a jump or a segment of solutions if the solution is discontinuous there."""
+        """Add a segment; record a jump or a line of solutions if the path is discontinuous."""
         path = self.path
         if path.pieces and _is_apart(path.pieces[-1].z_at(piece.begin), piece.z0):
             # All solutions of a monotone problem are one convex set.

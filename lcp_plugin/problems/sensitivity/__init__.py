@@ -184,7 +184,7 @@ class Derivative(LinearizedSystem):
 
     @property
     def free(self) -> BoolVector:
-        """Rows that `vjp` treats as free, shape (n,); degenerate rows only if they make the block regular."""
+        """Rows that `vjp` treats as free, (n,); degenerate rows only to make a block regular."""
         return self._system.free
 
     @property
@@ -221,7 +221,7 @@ class Derivative(LinearizedSystem):
 
     @property
     def determined(self) -> BoolVector:
-        """Mask of the z_i that all solutions with this `free` share, shape (n,); all True if M_FF is regular.
+        """Mask of z_i shared by all solutions with this `free`, (n,); all if M_FF is regular.
 
         If rows are degenerate, solutions with other free rows may differ.
         """
@@ -325,7 +325,7 @@ class Derivative(LinearizedSystem):
         return h if dM is None else h + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
-        """Return the change of the active bound of each row, or of the nearer bound of a free row."""
+        """Return the change of the active or, for free rows, the nearer bound."""
         is_lower = ~self._rows.is_upper
         return np.where(
             is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper")

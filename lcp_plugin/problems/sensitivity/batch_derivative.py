@@ -1,4 +1,4 @@
-"""Derivatives of a batch: one stacked system for small problems, single systems for other problems."""
+"""Derivatives of a batch: stacked systems for small problems, single systems for others."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ class ManyDerivatives:
         of_part: Callable[[Any], Sequence[Any]],
         of_one: Callable[[int], Sequence[Any]],
     ) -> list[int]:
-        """Write the rows of all items with a derivative; return the items that were treated one by one.
+        """Write the rows of items with a derivative; return the items treated one by one.
 
         These are the items outside of all stacks, and items with NaN in the first row of their stack. Errors are
         stored in `errors`.
@@ -228,7 +228,7 @@ class ManyDerivatives:
 
     @cached_property
     def z(self) -> Any:
-        """The solutions at which the derivatives are evaluated, shape (B, n); NaN if there is none."""
+        """Solutions at which the derivatives are evaluated, shape (B, n); NaN if missing."""
         z = np.full(self.batch.z.shape, np.nan)
         self._fill([z], lambda part: [part.points], lambda k: [self[k].z])
         return read_only(z)
@@ -280,7 +280,7 @@ class ManyDerivatives:
                     table[k][:] = 0.0
 
     def _given(self, values: Any, name: str, is_there: Any) -> Any:
-        """Return an array like `is_there`, 0 for absent entries; one row may stand for all problems."""
+        """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
         shape, own = is_there.shape, is_there.shape[1:]
         letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
         one = f"({letters})" if len(own) > 1 else f"({letters},)"

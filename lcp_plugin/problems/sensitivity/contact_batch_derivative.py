@@ -1,4 +1,4 @@
-"""Derivatives of a batch of contact problems: stacked systems, or single problems in doubtful cases."""
+"""Derivatives of a batch of contact problems: stacked systems, single in doubtful cases."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class _Together(StackDerivative):
         return self.is_degenerate
 
     def changes(self, change: Any, slopes: Any) -> list[Any]:
-        """Return [dz], a row per instance, by changes of W z + b and of friction; NaN if one-sided."""
+        """Return [dz], a row per instance, for changes of W z + b and friction; NaN at a kink."""
         more = self.by_friction * np.repeat(slopes, self.stack.pattern.sizes, axis=1)
         dz = self.tangent(change, None, more)
         dz[self.is_degenerate.any(axis=1)] = np.nan
@@ -126,7 +126,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
     @cached_property
     def is_singular(self) -> Any:
-        """Instances in which several impulses make one motion, bool, shape (B,); dz is then of least norm."""
+        """Instances in which several impulses make one motion, bool, (B,); dz is the least."""
         is_singular = np.zeros(len(self), np.bool_)
         for part in self._parts:
             is_singular[part.items] = part.is_plain & part.system.is_singular
@@ -152,7 +152,7 @@ class ContactBatchDerivative(ManyDerivatives):
         )
 
     def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
-        """Return the changes dz for changes of the data, shape (B, n); one-sided at degenerate contacts.
+        """Return the changes dz for changes of the data, shape (B, n); one-sided at a kink.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Changes of the free rows: regular solution, least change if singular, one-sided change at a kink."""
+"""Changes of the free rows: regular, least change if singular, one-sided at a kink."""
 
 from __future__ import annotations
 

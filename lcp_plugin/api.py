@@ -125,6 +125,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         Before the first iteration.
     UnsupportedModel
         If a QuadraticProgram is not convex.
+    InvalidProblem
+        If the functions of a NonlinearProblem return no usable values.
 
     Notes
     -----

@@ -356,14 +356,17 @@ def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, F
     return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
 
 
-def check_order(lower: FloatVector, upper: FloatVector) -> None:
-    """Raise InvalidProblem unless lower ≤ upper on every row, with a real number between them."""
+def check_order(lower: FloatVector, upper: FloatVector, what: str = "") -> None:
+    """Raise InvalidProblem unless lower ≤ upper on every row, with a real number between them.
+
+    `what` is appended to both names in the message, as "_rows".
+    """
     is_right = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
     if not is_right.all():
         i = int(np.argmin(is_right))
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and admit a number, "
-            f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}; "
+            f"but lower{what}[{i}] = {lower[i]} and upper{what}[{i}] = {upper[i]}; "
             + (
                 "swap them"
                 if upper[i] < lower[i]

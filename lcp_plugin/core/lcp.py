@@ -141,6 +141,11 @@ class LCP:
         Parameters
         ----------
         z : array, shape (n,)
+
+        Raises
+        ------
+        InvalidProblem
+            If z is not a real vector of length n.
         """
         matrix = self.matrix
         is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.n,)
@@ -196,10 +201,11 @@ class LCP:
         return RowsOnRanks.from_rows(comm, rows, q, **given)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
+        """Write the problem to ``path``: one ``.npz`` or ``.nl`` file, or a folder of Matrix Market files.
 
-        A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; any other
-        path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
+        A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; one ending in
+        ``.nl`` becomes a file for AMPL's solvers. A path without a suffix becomes a folder with M.mtx, q.mtx,
+        lower.mtx, upper.mtx. The file appears whole or not at all.
 
         Parameters
         ----------
@@ -258,6 +264,11 @@ class LCP:
         A, B : array, shape (m, k)
             Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
             ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
+
+        Raises
+        ------
+        InvalidProblem
+            If B is missing, or A and B are not real matrices of one shape.
         """
         from ..problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 

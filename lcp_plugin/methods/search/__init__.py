@@ -202,6 +202,8 @@ def all_solutions(
     ------
     UnsuitableProblem
         If the problem is too large, or needs more than `max_nodes` pieces.
+    InvalidProblem, InvalidOption
+        If `problem` is not an LCP; if `limit` or `max_nodes` is not an integer ≥ 1.
 
     Notes
     -----

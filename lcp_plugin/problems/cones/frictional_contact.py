@@ -50,7 +50,7 @@ class FrictionalContact(Blocks):
         used unchanged. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; if one of the arrays is sparse,
         W is sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
     b : array, shape (d k,) or (k, d), or (v,) with a mass matrix
-        Velocities without the impulses, in m/s; with a mass matrix the velocities of the bodies.
+        Velocities at the end of the step without contact impulses, in m/s; with a mass matrix those of the bodies.
     friction : number or array, shape (k,)
         Coefficients μ ≥ 0.
     gaps, time_step : optional

@@ -123,7 +123,7 @@ class EquilibriumProgram:
                 )
             if given.size and not (given.min() >= 0 and given.max() < n):
                 raise InvalidProblem(
-                    f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}"
+                    f"{name} must number variables from 0 to {n - 1}, got {given[(given < 0) | (given >= n)][0]}"
                 )
             object.__setattr__(self, name, given.astype(np.int64))
         for name in ("lower", "upper"):

@@ -8,6 +8,7 @@ from operator import index
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from ...core.errors import LCPError, NotConverged
+from ...core.representation import format_count
 from ...core.settings import Status
 
 T = TypeVar("T")
@@ -73,7 +74,7 @@ class AnswerSequence(Sequence[T]):
     def explain(self) -> str:
         """Return the number of items per status, and a summary of the first unsolved item."""
         shown = self._format_item()
-        lines = [f"{len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s"]
+        lines = [f"{format_count(len(self), self.item)}: {self.counts()}; {self.seconds:.3g} s"]
         if shown >= 0:
             lines.append(f"{self.item} {shown}: {self._describe(shown, str)}")
         return "\n".join(lines)
@@ -104,7 +105,7 @@ class AnswerSequence(Sequence[T]):
         return self
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self)} {self.item}s: {self.counts()}; {self.seconds:.3g} s)"
+        return f"{type(self).__name__}({format_count(len(self), self.item)}: {self.counts()}; {self.seconds:.3g} s)"
 
     def __str__(self) -> str:
         return self.explain()

@@ -51,6 +51,8 @@ def trace(
     ------
     InvalidOption
         If other data should move, or θ is not finite.
+    InvalidProblem
+        If a direction has the wrong shape.
     UnsupportedModel
         If a program is not convex, or the parameter of a cvxpy problem appears in its matrices.
 

@@ -61,7 +61,7 @@ def convergence_guarantee(
     Raises
     ------
     UnknownAlgorithm, InvalidOption
-        If the name or an option does not exist.
+        If the name or an option does not exist, or `problem` is not an LCP.
 
     Notes
     -----

@@ -356,7 +356,7 @@ def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, F
     return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
 
 
-def check_order(lower: FloatVector, upper: FloatVector, what: str = "") -> None:
+def check_order(lower: FloatVector, upper: FloatVector, *, what: str = "") -> None:
     """Raise InvalidProblem unless lower ≤ upper on every row, with a real number between them.
 
     `what` is appended to both names in the message, as "_rows".

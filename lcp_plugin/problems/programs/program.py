@@ -162,7 +162,7 @@ class QuadraticProgram:
             checked_limit(limit, name, m)
             for limit, name in ((lower_rows, "lower_rows"), (upper_rows, "upper_rows"))
         )
-        check_order(low, high, "_rows")
+        check_order(low, high, what="_rows")
         is_equality = low == high
         above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
         equal, sides = np.flatnonzero(is_equality), above.size + below.size

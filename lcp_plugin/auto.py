@@ -238,7 +238,7 @@ def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
 
 
 def _is_game(problem: LCP) -> bool:
-    """Return whether it is a bimatrix game, which sweeps and Lemke paths from r > 0 do not solve."""
+    """Return whether it is a bimatrix game, which neither sweeps nor paths from r > 0 solve."""
     if has_positive_diagonal(problem.matrix).any():
         return False
     from .methods.lemke.games import is_game

@@ -46,8 +46,8 @@ class Measurement:
     method, family : str
         Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver.
     status : str
-        Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the problem is not in the
-        method's class; ERROR if the method raised.
+        Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the method rejects the
+        problem; ERROR if it raised another error.
     error_kind : {"true error", "rigorous bound", "residual"}
         Kind of the errors; the first two in the unit of z.
     tolerance : float

@@ -50,8 +50,8 @@ def methods_of(given: Any) -> list[Method]:
     Parameters
     ----------
     given : None, an algorithm, a sequence of them, or a mapping of labels to them
-        An algorithm is a name, an Algorithm object, or a pair of a name and a dictionary of options. By default the
-        paper's methods with its settings and with ours, next to their relatives.
+        An algorithm is a name, an Algorithm object, or a pair of a name and a dictionary of options. If it is None,
+        the paper's methods with its settings and with ours, next to their relatives.
 
     Raises
     ------

@@ -170,7 +170,7 @@ class _Model:
 
     @property
     def root_is_unbounded(self) -> bool:
-        """True if the first relaxation may be unbounded; its bound is ∞ if a point was found first."""
+        """True if the first relaxation may be unbounded; its bound is ∞ after a first point."""
         lower, upper = self.problem.bounds(self.problem.all_cases)
         has_bounds = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
         is_infinite = abs(self.model.getDualboundRoot()) >= LARGEST

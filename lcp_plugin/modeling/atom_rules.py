@@ -168,7 +168,7 @@ def _negated(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _broadcast(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    """Return the argument: a number times a sparse matrix is first promoted to a full matrix."""
+    """Return the argument unexpanded: a multiple of a sparse matrix shall not become full."""
     rows: Rows = arguments[0]
     return rows
 

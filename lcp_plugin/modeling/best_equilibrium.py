@@ -108,7 +108,7 @@ def _chosen(variable: Any, chosen: Any) -> Indices:
 
 
 def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
-    """Return the expression with x + 2 s instead of |x|; 0 ≤ s ⟂ x + s ≥ 0 is added to the pairs."""
+    """Return the expression with x + 2 s for |x|; 0 ≤ s ⟂ x + s ≥ 0 is added to the pairs."""
     arguments = [_without_abs(one, kinks) for one in expression.args]
     if isinstance(expression, cp.abs) and not expression.is_constant():
         x, s = arguments[0], cp.Variable(expression.shape)

@@ -250,7 +250,7 @@ class Model:
         shift: Any = 0.0,
         expression: Any = None,
     ) -> None:
-        """Report w for the pair and the constraint of its variable, and z for the constraint of w."""
+        """Report w for the pair and the variable's constraint, the variable for w's constraint."""
         shape = pair.first.expression.shape
         for constraint, value in (
             (pair, (True, sign)),

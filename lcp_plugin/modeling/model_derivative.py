@@ -74,7 +74,7 @@ class ParametricRows:
         return moved
 
     def gradient(self, gradient: FloatVector) -> Changes:
-        """Return the gradients by parameters, by their ids, from the gradient by the expressions."""
+        """Return the gradients by parameters, by id, from the gradient by the expressions."""
         found = self._finite(self._program.gradient(self._at, gradient))
         return {
             key: found[self._spans[key]].reshape(p.shape, order="F")
@@ -228,7 +228,7 @@ class ModelDerivative:
 
     @cached_property
     def _parametric(self) -> ParametricRows:
-        """Expressions that depend on parameters, at the parameters and variables of the solution."""
+        """Expressions that depend on parameters, at the values of the solution."""
         model = self._model
         stated = [part for _, _, *parts in model.bounds for part in parts]
         shifts = [report.expression for report in model.reports]

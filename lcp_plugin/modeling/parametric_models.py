@@ -169,7 +169,7 @@ def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
 def _line(
     first: Any, last: Any, middle: Any, values: tuple[float, float, float]
 ) -> tuple[Any, dict[str, FloatVector]]:
-    """Return the problem at θ = 0 and the directions of its vectors; raise if these are not affine."""
+    """Return the problem at θ = 0 and its vectors' directions; raise if they are not affine."""
     kind = type(first)
     for name in MATRICES[kind]:
         one = getattr(first, name)

@@ -117,7 +117,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
 
 def _farkas(proof: QPInfeasibility) -> QPSolution:
-    """Return the multipliers that prove infeasibility, the largest ±1, in the form of a solution."""
+    """Return the multipliers that prove infeasibility, the largest ±1, as a solution."""
     largest = max(map(abs, proof.multipliers))
     multipliers = np.array([float(y / largest) for y in proof.multipliers])
     return QPSolution.of_rows(proof.program, np.zeros(proof.program.n), multipliers)

@@ -108,12 +108,12 @@ class Halo(Ranks):
     # --- values ------------------------------------------------------------------------------------------
 
     def fetch(self, x: FloatVector) -> None:
-        """Overwrite the ghost values, which follow the local values in x, shape (own + foreign,)."""
+        """Overwrite the ghost values, which follow the local ones in x, shape (own + foreign,)."""
         if not self.is_empty:
             self._values(x)
 
     def whole(self, own: FloatVector) -> FloatVector:
-        """Return a copy of the local values followed by the ghost values, shape (own + foreign,)."""
+        """Return a copy of the local values and the ghost values, shape (own + foreign,)."""
         x = np.zeros(self.own + self.foreign)
         x[: self.own] = own
         self.fetch(x)
@@ -157,7 +157,7 @@ class Halo(Ranks):
         return local
 
     def with_foreign_rows(self, rows: Arrays) -> Arrays:
-        """Return the local rows, then the ghosts' rows as stored by their ranks, in global columns."""
+        """Return the local rows, then the ghosts' rows in their ranks' order, in global columns."""
         indptr, columns, data = rows
         if self.is_empty:
             return rows

@@ -329,7 +329,7 @@ class TruncationOnRanks:
 
     @np.errstate(divide="ignore")
     def update(self) -> None:
-        """Carry changes of `is_free` (marked in `free_changed`) from the finest to coarser grids."""
+        """Carry changes of `is_free`, marked in `free_changed`, from the finest to all grids."""
         self._factor = None
         top = self.grids[0]
         np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)

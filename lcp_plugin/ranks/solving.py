@@ -211,7 +211,7 @@ class _Run:
         return found
 
     def _reported(self, name: str, found: CertificateOnRanks, z: FloatVector) -> bool:
-        """Call the callback and print a line on rank 0; return whether any callback requests a stop."""
+        """Call the callback, print a line on rank 0; return whether a callback requests a stop."""
         ranks = self.problem.halo
         sample = Sample(
             self.iterations,

@@ -130,7 +130,7 @@ def assert_solves(
 
 @st.composite
 def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool) -> Drawn:
-    """Return a problem, its exact solution or None, and M as drawn, because an LCP may convert M."""
+    """Return a problem, its exact solution or None, and M as drawn (an LCP may convert M)."""
     M, kind = draw(matrices), draw(st.integers(0, 3))
     if kind >= 2:
         return draw(lcps(st.just(M), bounds=bounds)), None, M

@@ -243,7 +243,7 @@ def columns_of(rows: Sequence[Any]) -> Rows:
 
 
 def exact_offset(matrix: Any, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return q = w − M z, shape (n,); raise InvalidProblem if it is not exact in double precision."""
+    """Return q = w − M z, shape (n,); raise InvalidProblem if it is not exact in float64."""
     M = sp.csr_array(matrix)
     products = exact_slack(LCP(M, np.zeros(z.size)), z)
     exact = [Fraction(left) - product for left, product in zip(w.tolist(), products, strict=True)]

@@ -209,7 +209,7 @@ class ComplementarityModel(NLModel):
         return other if other.is_solved or other.result.has_no_solution else None
 
     def _remark(self, x: FloatVector) -> str:
-        """Return the name of a variable at a bound that its complementarity does not state; else ""."""
+        """Return the name of a variable at a bound that its pair does not state; else ""."""
         content, at = self.content, x[self.content.partners[self.pairs]]
         both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
         for word, own, stated in zip(("lower", "upper"), *both, strict=True):
@@ -223,7 +223,7 @@ class ComplementarityModel(NLModel):
         return ""
 
     def _misreading(self, rows: FloatVector, result: Result) -> str:
-        """Return the name of a row of the file whose value differs from the computed one; else ""."""
+        """Return the name of a row of the file that differs from its computed value; else ""."""
         content, order = self.content, self.order
         is_row = order < rows.size
         limits, stated = (
@@ -299,7 +299,7 @@ class ProgramModel(NLModel):
     offset: FloatVector
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
-        """Return the answer; it is infeasible or unbounded only with a proof, ``answer.result.proof``."""
+        """Return the answer, infeasible or unbounded only with a proof, ``answer.result.proof``."""
         found = solve_program(self.problem, algorithm, **options)
         status = found.status
         x = self.variables(found.solution.x)
@@ -320,7 +320,7 @@ class ProgramModel(NLModel):
     def _misreading(
         self, values: FloatVector, objective: float, found: QuadraticProgramResult
     ) -> str:
-        """Return the name of a row, or the objective, that differs between file and program; else ""."""
+        """Return the name of a row or objective that differs between file and program; else ""."""
         x, offset = found.solution.x, self.offset
         rows = self.matrix @ x + offset
         for k in mismatches(values, rows, abs(self.matrix) @ np.abs(x) + np.abs(offset))[:1]:
@@ -357,7 +357,7 @@ class EquilibriumModel(NLModel):
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
-        """Return the answer, optimal only with a closed gap; the message names the source of the bound.
+        """Return the answer, optimal only with a closed gap; the message names the bound's source.
 
         Parameters
         ----------

@@ -71,7 +71,7 @@ def sizes_of(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
 def pair_bounds(
     content: NLContent, rows: Indices, *, as_stated: bool
 ) -> tuple[FloatVector, FloatVector]:
-    """Return the bounds that complementarity rows state, or all bounds of their variables; else ∓∞."""
+    """Return the bounds that complementarity rows state, or all of their variables; else ∓∞."""
     columns, bits = content.partners[rows], content.partner_bounds[rows]
     lower, upper = content.lower[columns], content.upper[columns]
     if not as_stated:

@@ -114,7 +114,7 @@ class NLContent:
     partner_bounds : ndarray of int, shape (m,)
         Finite bounds of the partner: 1 the lower, 2 the upper, 3 both, 0 none.
     linear : CSR array, shape (m, n)
-        The linear terms of the rows; a variable that also occurs in the tree is stored as 0 here.
+        The linear terms of the rows; a variable that occurs only in the tree has an explicit 0.
     trees : Trees
         The nonlinear terms of the rows, m trees.
     is_maximized : ndarray of bool, shape (o,)

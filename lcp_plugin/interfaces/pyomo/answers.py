@@ -86,7 +86,7 @@ class PyomoAnswer:
                 suffix.update(values)
 
     def keep(self, path: Path, labels: bool) -> None:
-        """Write the ``.nl`` file of the solved model, with files of names if these are requested."""
+        """Write the ``.nl`` file of the solved model, and files of names if requested."""
         content = self.statement.in_a_file
         write_nl(content if labels else replace(content, names=None, row_names=None), path)
 
@@ -132,7 +132,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
 
 
 def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
-    """Return the variables that the model mentions and its file omits: all their coefficients are 0."""
+    """Return the variables of the model that its file omits: all their coefficients are 0."""
     found = ComponentMap()
     for stated_one in model.component_data_objects(
         (Objective, Constraint), active=True, descend_into=True

@@ -123,7 +123,7 @@ class RowInequality:
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
     def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
-        """Return the rows proved by |e| ≤ y to be active (z*_i equals a bound), and the inactive ones.
+        """Return the rows proved by |e| ≤ y to be active (z*_i at a bound), and to be inactive.
 
         Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
         """

@@ -79,7 +79,7 @@ def has_positive_pivots(matrix: Rows) -> bool:
 
 
 def has_nonnegative_pivots(matrix: Rows) -> bool:
-    """Return whether a symmetric matrix is positive semidefinite; the row of a pivot 0 must be 0."""
+    """Return whether a symmetric matrix is positive semidefinite; rows of zero pivots are zero."""
     before = 1
     while matrix:
         pivot = matrix[0][0]

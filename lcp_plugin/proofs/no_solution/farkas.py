@@ -207,7 +207,7 @@ class FarkasProgram:
 
     @cached_property
     def _slacks(self) -> list[sp.csr_array]:
-        """Matrices from slacks to multipliers: a shared slack of one-sided bounds, then one each."""
+        """Matrices from slacks to multipliers: one slack for all one-sided bounds, then separate."""
         form = self._form
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]

@@ -77,7 +77,7 @@ class LinearConstraints:
 
     @property
     def missing(self) -> FloatVector:
-        """Least violations of w_i ≥ 0 and w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
+        """Least violations of w_i ≥ 0, w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
 
         Positive if no such x gives the row its required sign.
         """

@@ -22,7 +22,7 @@ SWEEPS = ("forward", "backward", "symmetric")
 
 @dataclass(slots=True)
 class Step:
-    """One iterate of an algorithm.
+    """Iterate of an algorithm.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class Algorithm(ABC):
         ----------
         problem : LCP
         report : MatrixReport
-            Of its matrix.
+            Report on the matrix of the problem.
 
         Raises
         ------

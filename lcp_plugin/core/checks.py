@@ -78,14 +78,14 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
     _check_finite(matrix, "M")
     n = matrix.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(matrix) > DENSE_ABOVE_DENSITY * n * n:
-        return None, read_only(np.array(matrix, order="C"))  # the caller may change her own
+        return None, read_only(np.array(matrix, order="C"))  # the caller may change the original
     return freeze_csr(sp.csr_array(matrix)), None
 
 
 def rectangular_matrix(
     values: Any, name: str, rows: int | None, columns: int | None, *, is_copied: bool = True
 ) -> Any:
-    """Return the values as a read-only ndarray, or as canonical CSR where they are sparse; a copy if asked for.
+    """Return the values as a read-only ndarray, or as canonical CSR if they are sparse; a copy if `is_copied`.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
-    with np.errstate(over="ignore"):  # what overflows becomes infinite, and is rejected as such
+    with np.errstate(over="ignore"):  # an overflow becomes infinite, which is rejected
         return array.astype(np.float64)
 
 
@@ -234,12 +234,12 @@ def real_vector(
     ----------
     values : array, shape (length,), or a number for a length of 1 where that may be
     name, need : str
-        For the messages: what it is called, and what is needed, where that is more than a vector of that length.
+        Texts for messages: the name, and the requirement if it exceeds a vector of that length.
 
     Raises
     ------
     InvalidProblem
-        Where it is no array of real numbers, or has another shape.
+        If it is not an array of real numbers, or has another shape.
     """
     if (
         type(values) is np.ndarray
@@ -269,7 +269,7 @@ def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
 
 
 def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
-    """Return a read-only copy of a finite real vector of length n, that of M, or raise naming the entry."""
+    """Return a read-only copy of a finite real vector of the length n of M; raise an error that names the entry."""
     need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
     return checked_vector(values, name, n, may_be_number=may_be_number, need=need)
 
@@ -304,12 +304,12 @@ def checked_vector(
 
 
 def checked_answer(answer: Any, n: int) -> FloatVector:
-    """Return z, shape (n,), of a result, or of the array that was given in its place.
+    """Return z, shape (n,), of a result, or of an array instead of a result.
 
     Raises
     ------
     InvalidProblem
-        Where it is no finite vector of that length.
+        If it is not a finite vector of that length.
     """
     return checked_vector(getattr(answer, "z", answer), "z", n)
 
@@ -387,7 +387,7 @@ def is_number(value: Any) -> bool:
 
 
 def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
-    """Return the start within the bounds, shape (n,); InvalidOption where z0 is no finite real vector of length n."""
+    """Return the start within the bounds, shape (n,); InvalidOption if z0 is not a finite real vector of length n."""
     if z0 is None:
         nearest: FloatVector = problem.nearest_to_zero
         return nearest

@@ -14,7 +14,7 @@ class LCPError(Exception):
 
 
 class InvalidProblem(LCPError, ValueError):
-    """The data do not define a problem, as where shapes differ or a lower bound exceeds the upper one."""
+    """The data do not define a problem, for example if shapes differ or a lower bound exceeds the upper bound."""
 
 
 class InvalidOption(LCPError, TypeError):

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 class LCP:
     """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.
 
-    For every row i: w_i ≥ 0 where z_i = lower_i, w_i = 0 where lower_i < z_i < upper_i, and w_i ≤ 0
-    where z_i = upper_i. With the default bounds this is the classical problem z ≥ 0, w ≥ 0, zᵀw = 0;
-    a row with bounds (−∞, ∞) is an equation.
+    For every row i: w_i ≥ 0 if z_i = lower_i, w_i = 0 if lower_i < z_i < upper_i, and w_i ≤ 0
+    if z_i = upper_i. With the default bounds this is the classical problem z ≥ 0, w ≥ 0, zᵀw = 0;
+    a row with bounds (−∞, ∞) is an equality.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class LCP:
         self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
         self.origin: Any = (
-            None  # the problem from which this one was converted; it recovers the original solution
+            None  # the problem before a conversion; it recovers the original solution
         )
 
     @cached_property

@@ -51,13 +51,13 @@ def compensated_product(
     Returns
     -------
     value, radius : arrays, shape (m,)
-        `value` is M x + q rounded once or nearly so; `radius` is 0 where value is exact, ∞ where the row overflows
-        or is not finite.
+        `value` is M x + q rounded once or nearly so; `radius` is 0 if the value is exact, ∞ if the row overflows or is
+        not finite.
 
     Raises
     ------
     InvalidProblem
-        Where the shapes do not fit.
+        If the shapes do not fit.
 
     Examples
     --------
@@ -77,8 +77,8 @@ def compensated_pair(
 ) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
-    `high` is the rounded value and `low` what rounding took from it; the radius is of order u² |M||x| at most.
-    Parameters and errors as for :func:`compensated_product`; another kernel sums other rows than those of M.
+    `high` is the rounded value and `low` its rounding error; the radius is of order u² |M||x| at most. Parameters and
+    errors as for :func:`compensated_product`. Pass another `kernel` to sum other rows than the rows of M.
 
     Examples
     --------

@@ -61,11 +61,11 @@ class Settings:
     Parameters
     ----------
     tolerance : float
-        In [0, 1): it is relative.
+        Relative tolerance, in [0, 1).
     max_iterations : int or None
         None means 100 000.
     max_seconds : float or None
-        In seconds; None means no limit.
+        Wall-clock seconds; None means unlimited.
     absolute_tolerance : float
         ‖r(z)‖∞, in the unit of z, that is accepted without a reference; ≥ 0 and finite.
     record, error_bound : bool

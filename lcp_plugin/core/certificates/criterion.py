@@ -10,17 +10,17 @@ rounding errors included, and if every row i satisfies the componentwise test
 
 - T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds.
 - ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the rows of P that are off their bounds or violated,
-  z° the point of the bounds nearest to 0. So an idle row with a large q_i excuses no other row.
-- a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is what row i and its neighbors ask for; w_j(z°) at its rounding level
-  counts as 0, and a_i = 0 is left out. Terms that cancel make T_i large, but not a_i.
-- The second test excuses a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
+  z° the point of the bounds nearest to 0. So an inactive row with a large q_i does not relax the test of other rows.
+- a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its neighbors. If w_j(z°) is at its rounding
+  level, it counts as 0, and a_i = 0 is omitted. Terms that cancel make T_i large, but not a_i.
+- The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
   the largest T_k of rows that are off their bounds or violated. Such rows are at rounding level, as in the far field of
-  a grid. No small row (T_i ≤ 2⁻⁴² u_i) is excused if a chain of small rows leads to a small row with q_k ≠ 0: this row
-  sets the unit of the chain. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other.
-  Underflow excuses v_i as well.
+  a grid. A small row (T_i ≤ 2⁻⁴² u_i) is not tolerated if a chain of small rows leads to a small row with q_k ≠ 0: this
+  row sets the unit of the chain. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the
+  other. A v_i that underflow explains is also tolerated.
 
-If the active set is known, after a linear solve, the exponent 1 takes the place of 3/4. A run first moves each z_i
-to a bound that is nearer than w_i asks for (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
+If the active set is known, after a linear solve, the exponent 1 replaces 3/4. A run first moves each z_i to a bound
+whose distance is at most the step −w_i/d_i (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
 
 Units of rows change neither test; units of unknowns change the first one. A residual is not an error: see
 ``help("lcp_plugin.proofs")``.
@@ -43,7 +43,7 @@ from .row_residuals import find_rounding_rows, rounding_floor
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
-ASKED_POWER = 0.25  # of the tolerance, next to what a row asks for
+ASKED_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
 
 
@@ -66,7 +66,7 @@ class RowsAtPoint(NamedTuple):
 
 
 class RowData:
-    """Data of one problem, or of a stack of dense ones, by which the criterion measures points.
+    """Data of one problem, or of a stack of dense problems, by which the criterion measures points.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class RowData:
         at : RowsAtPoint
             The rows at z.
         power : float
-            Of the tolerance next to T_i.
+            Exponent of the tolerance next to T_i.
         """
         wrong = self.violations(z, at.w)
         is_open = ~(wrong <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
@@ -218,14 +218,14 @@ class RowData:
         return times(self.absolute, grid) + (self._counts + 2) * TINY if grid.any() else 0.0
 
     def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
-        """Return z with each z_i at a bound that is nearer than w_i asks for."""
+        """Return z with z_i projected onto a bound whose distance is at most the step −w_i/d_i."""
         step = w / self.scale
         moved = np.where(-step >= self.upper - z, self.upper, z)
         return np.where(step >= z - self.lower, self.lower, moved)
 
 
 def times(M: Any, x: FloatVector) -> FloatVector:
-    """Return M x, of one problem or of each of a stack, which may have one M."""
+    """Return M x for one problem, or for each problem of a stack, which may share one M."""
     if x.ndim == 1:
         product: FloatVector = M @ x
     elif len(M) == 1 < len(x):
@@ -346,7 +346,7 @@ def rows_solved_at_start(problem: LCP) -> Any:
 def rows_near_start(problem: LCP) -> Any:
     """Return the rows of components that z° solves up to rounding, bool, shape (n,).
 
-    In each of these rows r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
+    In each of these rows r_i(z°) = 0, or w_i is at rounding level: a narrow box makes r_i small for any w_i.
     """
     z, data = problem.nearest_to_zero, row_data(problem)
     if not z.any():  # r(0) is not rounded
@@ -362,7 +362,7 @@ def rows_near_start(problem: LCP) -> Any:
 
 
 def snap_to_bounds(problem: LCP, z: FloatVector) -> FloatVector:
-    """Return z with each z_i at a bound that is nearer than w_i asks for, and z° in components that it solves."""
+    """Return z with z_i at a bound that is closer than the step −w_i/d_i, and z° in components that z° solves."""
     with np.errstate(all="ignore"):
         moved = row_data(problem).snap_to_bounds(z, problem.slack(z))
     is_solved = rows_solved_at_start(problem)

@@ -67,7 +67,7 @@ class Certificate:
     euclidean_residual : float
         ‖z − mid(lower, upper, z − w)‖₂; the paper's Res.
     bound_violation : float
-        How far z lies outside [lower, upper], in the unit of z.
+        Largest distance of z from [lower, upper], in the unit of z.
     complementarity : float
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
     worst_index : int
@@ -174,7 +174,7 @@ class Certificate:
         answered : array of bool, shape (n,), optional
             Rows that do not count.
         power : float
-            Of the tolerance, next to the terms of a row.
+            Exponent of the tolerance, next to the terms of a row.
         """
         goal, least = settings.goal, settings.least_reference
         of_rows = self.term_residuals ** (POWER / power)
@@ -192,7 +192,7 @@ class Certificate:
 
     @cached_property
     def _may_be_sharpened(self) -> bool:
-        """Whether the rounding bound of one plain pass leaves the residual open: compensated sums are sharper."""
+        """True if the rounding bound of a plain pass is too wide for a decision, so that compensated sums help."""
         low, high = self._scaled_ends
         return not self.is_linearised and bool((low < 0.99 * high).any())
 

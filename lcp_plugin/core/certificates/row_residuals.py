@@ -19,11 +19,11 @@ def scaled_residual(
 ) -> FloatVector:
     """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite.
 
-    It is computed as mid(z − upper, z − lower, w/d), the same number, but a small step is not lost beside a large z. A
-    w that overflowed on the way could have either sign, and says nothing.
+    The formula mid(z − upper, z − lower, w/d) gives the same number without the loss of a small step relative to a
+    large z. If w overflows, its sign is unknown, and the residual is ∞.
     """
     residual, scale = np.empty(z.size), problem.residual_scale if scale is None else scale
-    for rows in row_blocks(z.size):  # what stands between w and the residual stays in the cache
+    for rows in row_blocks(z.size):  # intermediate arrays stay in the cache
         step = w[rows] / scale[rows]
         block = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
         np.maximum(step, block, out=block)
@@ -119,7 +119,7 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
         return largest
     near = np.flatnonzero(
         quotients >= largest * (1.0 - 4.0 * EPSILON)
-    )  # what rounding may have put in another order
+    )  # quotients whose order is uncertain by rounding
     return max(ratio_upwards(float(numerators[k]), float(denominators[k])) for k in near)
 
 

@@ -1,7 +1,7 @@
-"""How kernels are compiled: by numba at their first call, and kept in numba's own cache.
+"""Compilation of kernels: by numba at the first call, with numba's own cache.
 
-Python calls a `kernel`. Kernels call helpers: a `helper` stays a function of its own, an `inline` one becomes a part
-of its callers. All of them divide as numpy does, and hold no lock of the interpreter. numba's names come from here.
+Python calls a `kernel`. Kernels call helpers: a `helper` remains a function, an `inline` function becomes a part of its
+callers. All functions divide as numpy does, and release the lock of the interpreter. Import numba's names from here.
 
 numba compiles a kernel again if the kernel's own file has changed. After a change of a helper or of a constant in
 another file, delete the cache: the files ``*.nb?`` in ``__pycache__``, or the folder ``NUMBA_CACHE_DIR``.
@@ -45,7 +45,7 @@ IN_ANY_ORDER = {
 
 
 class _Seconds(event.Listener):
-    """Adds up what a thread spends on compilation, on loading kept code and on waiting for another thread to do so."""
+    """Sum of the seconds of a thread for compilation, for loading cached code, and for waiting on another thread."""
 
     def on_start(self, event: Any) -> None:
         compilation().begin()
@@ -59,7 +59,7 @@ event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-cal
 
 def kernel(function: Any) -> Any:
     """Compile a function that Python calls, and keep the code in numba's cache if that is possible."""
-    with suppress(RuntimeError):  # there is no place for a cache
+    with suppress(RuntimeError):  # no directory for a cache
         compiled = njit(cache=True, **OPTIONS)(function)
         cache = compiled._cache
         cache.save_overload = partial(_save, cache.save_overload)

@@ -47,7 +47,7 @@ def _fused_type(context):  # type: ignore[no-untyped-def]
 
 @lower_builtin(multiply_add, float64, float64, float64)  # type: ignore[no-untyped-call]
 def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-    """One instruction, or a function of the C library."""
+    """Emit one instruction, or a call of the C library."""
     return builder.fma(*arguments)
 
 
@@ -99,7 +99,7 @@ def summing_rows(comparison: bool) -> Any:
 
     @kernel
     def row_sums(indptr, indices, data, x, q, high, low, radius):  # type: ignore[no-untyped-def]
-        """Sum the rounded terms, beside them their rounding errors, beside them what that second sum loses."""
+        """Sum the rounded terms, their rounding errors, and the loss of the second sum."""
         one = to_unsigned(1)
         for i in range(to_unsigned(high.size)):
             first, end = to_unsigned(indptr[i]), to_unsigned(indptr[i + one])

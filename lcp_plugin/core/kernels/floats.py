@@ -8,5 +8,7 @@ TINY = 2.0**-1074  # the smallest positive double; a product that underflows is 
 NORMAL = 2.0**-1022  # the smallest normal double: below it the next one is TINY away
 LARGEST = 1.7976931348623157e308  # the largest double
 DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
-NEGLIGIBLE = 2.0**-42  # beside what acts at an answer: terms of a row that do not count
-NEGLIGIBLE_DIAGONAL = 2.0**-20  # beside the largest entry of its row: no measure of that row then
+NEGLIGIBLE = 2.0**-42  # relative to the active terms at a solution: smaller terms are ignored
+NEGLIGIBLE_DIAGONAL = (
+    2.0**-20
+)  # of the largest entry of its row: a smaller one is not the row's scale

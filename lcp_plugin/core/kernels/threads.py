@@ -40,7 +40,7 @@ def threads_for(count: int) -> Iterator[None]:
 
 
 def threads_now() -> int:
-    """Return how many threads may share work here: 1 by default, and inside a piece of shared work."""
+    """Return the number of threads that may share work here: 1 by default, and inside a chunk of shared work."""
     return _threads.get()
 
 
@@ -59,8 +59,8 @@ def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
     Parameters
     ----------
     work : callable
-        It may be called in other threads, in a copy of this one's context. It must not wait for a lock that this one
-        may hold, as the facts of a matrix do.
+        Other threads may call it, in a copy of this thread's context. It must not wait for a lock that this thread may
+        hold, as the facts of a matrix do.
     count : int
     smallest : int
         No piece is shorter, unless count is; there are as many as threads, or fewer.
@@ -68,7 +68,7 @@ def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:
     Raises
     ------
     Exception
-        Of a piece that failed, when all that were begun have ended; after Ctrl-C, too.
+        The exception of a failed chunk, when all started chunks have ended; also after Ctrl-C.
 
     Examples
     --------

@@ -33,7 +33,7 @@ class IterationFacts:
     omega : array, shape (n,), or None
         The diagonal of Ω of the modulus family.
     splitting : sparse array, shape (n, n), or None
-        𝓜 of a projected splitting; `is_part_of_matrix` where its entries are those of M or 0, the diagonal complete.
+        𝓜 of a projected splitting; `is_part_of_matrix` if each entry is 0 or the entry of M, with the full diagonal.
     """
 
     family: str

@@ -65,7 +65,7 @@ class Matrix:
     Parameters
     ----------
     M : array or sparse array, shape (n, n)
-        As for :class:`lcp_plugin.LCP`.
+        Matrix as for :class:`lcp_plugin.LCP`.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Matrix:
     Raises
     ------
     InvalidProblem
-        Where M is no such matrix.
+        If M is not such a matrix.
 
     Examples
     --------
@@ -94,7 +94,7 @@ class Matrix:
 
     @property
     def array(self) -> Any:
-        """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
+        """The stored matrix: a CSR array, or an ndarray if it is dense and small, shape (n, n)."""
         return self._csr if self._dense is None else self._dense
 
     @property
@@ -133,7 +133,7 @@ class Matrix:
     @property
     @fact
     def largest(self) -> float:
-        """max_ij |m_ij|, 0 where there is none."""
+        """max_ij |m_ij|; 0 without entries."""
         return largest_entry(self.array)
 
     @property
@@ -163,7 +163,7 @@ class Matrix:
 
 @fact
 def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
-    """Return a dense matrix as CSR; where it has no zeros, its entries are used as they are."""
+    """Return a dense matrix as CSR; its entries are used without a copy if none is zero."""
     dense, n = matrix.array, matrix.n
     if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
         return freeze_csr(sp.csr_array(dense))
@@ -187,7 +187,7 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
 
 
 def largest_entry(M: Any) -> float:
-    """Return the largest |entry| of an ndarray or CSR array, 0 where there is none."""
+    """Return the largest |entry| of an ndarray or CSR array; 0 without entries."""
     entries = M.data if sp.issparse(M) else M
     return max(float(entries.max()), -float(entries.min())) if entries.size else 0.0
 

@@ -15,7 +15,7 @@ from .structure import row_numbers
 
 BLOCK = 16_384
 
-# Of the automatic row scaling of NP.
+# Automatic row scaling of NP.
 COUPLED = 0.9  # g θ ℓ stays this far below 1
 ROUNDED = 1e-13  # rows whose entries were rounded miss d_i = Σ|m_ij| by this share
 
@@ -29,7 +29,7 @@ def inverse_residual_scale(matrix: Matrix) -> FloatVector:
 
 @fact
 def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
-    """Return where the diagonal is positive and not too small to invert, shape (n,)."""
+    """Return the mask of diagonal entries that are positive and not too small to invert, shape (n,)."""
     with np.errstate(over="ignore", divide="ignore"):
         return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
 
@@ -47,7 +47,7 @@ def triangle_sums(
 ) -> tuple[FloatVector, FloatVector]:
     """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,).
 
-    With a CSR array `part`, shape (n, n), of its triangles instead of those of M.
+    If a CSR array `part`, shape (n, n), is given, its triangles replace the triangles of M.
     """
     M = matrix.csr if part is None else part
     rows = row_numbers(M)
@@ -86,7 +86,7 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVecto
     -----
     NP with S = θ_i/d_i, α > 0 and the coupling g = β/α in [0, 2] converges where, for some v > 0 with ⟨M⟩v > 0,
 
-        θ_i ≤ 2   and   g θ_i ℓ_i < 1,      ℓ_i = (|L|v)_i/(d_i v_i) with L what the sweep has already updated
+        θ_i ≤ 2   and   g θ_i ℓ_i < 1,      ℓ_i = (|L|v)_i/(d_i v_i) with L the part of M that the sweep has updated
 
     (θ_i ≤ 1 needs g ≤ 1 and nothing else). If all rows are dominant, d_i ≥ Σ|m_ij|, v may be taken as near to 1 as
     one likes: with ⟨M⟩y > 0 also ⟨M⟩(1 + εy) > 0. There one pass over M decides, and θ balances the two parts of the

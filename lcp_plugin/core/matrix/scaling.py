@@ -25,7 +25,7 @@ class Exponents(NamedTuple):
 
 
 def are_well_scaled(matrices: Any) -> BoolVector:
-    """Return which dense matrices, shape (k, n, n), need no scaling as a whole: shape (k,)."""
+    """Return the mask of dense matrices, shape (k, n, n), that need no scaling: shape (k,)."""
     sizes, pivots = np.abs(matrices), np.abs(np.diagonal(matrices, axis1=1, axis2=2))
     most = sizes.max(axis=(1, 2), initial=0.0) * 2.0**-SPREAD
     are: BoolVector = most <= pivots.min(axis=1, initial=np.inf)

@@ -42,7 +42,7 @@ class Components:
     labels : array of int, shape (n,)
         Numbers of components, from 0 on.
     count : int
-        How many components there are.
+        Number of components.
     """
 
     labels: IntVector

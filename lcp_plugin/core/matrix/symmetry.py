@@ -17,7 +17,7 @@ from .matrix import Matrix, fact
 ROUNDED = 1e-13  # asymmetry relative to the size of the rows that rounding explains
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one
+@np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is large
 def is_symmetric_to_rounding(M: Any, size: FloatVector | None = None) -> bool:
     """Return whether |m_ij − m_ji| ≤ 1e-13 √(size_i size_j) everywhere.
 
@@ -43,7 +43,7 @@ def is_symmetric_to_rounding(M: Any, size: FloatVector | None = None) -> bool:
 def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
 
-    Measured so, a block in a small unit is not judged by one in a large unit.
+    With this measure, a block in a small unit is not compared with a block in a large unit.
     """
     if sp.issparse(M) and is_its_mirror(M):
         return 0.0, None
@@ -57,7 +57,7 @@ def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[
 
 
 def is_its_mirror(M: Any) -> bool:
-    """Return whether a CSR array and its transpose are the same arrays, which is quicker seen than their difference."""
+    """Return whether a CSR array and its transpose have equal arrays, a faster test than their difference."""
     if M.format != "csr" or M.shape[0] != M.shape[1]:
         return False
     mirror = M.tocsc()
@@ -69,7 +69,7 @@ def is_its_mirror(M: Any) -> bool:
 def is_nearly_symmetric(matrix: Matrix) -> bool:
     """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns.
 
-    A wrong answer would cost speed, not correctness: every z is judged by its residual.
+    An incorrect result would cost speed, not correctness: every z is tested by its residual.
     """
     M = matrix.array
     return is_symmetric_to_rounding(M, matrix.residual_scale if sp.issparse(M) else None)
@@ -79,9 +79,9 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
 def mean_coupling(matrix: Matrix) -> float:
     """Return max_i Σ_{j≠i} √(|m_ij m_ji| / (m_ii m_jj)); ∞ without a positive diagonal.
 
-    No scaling of rows or columns changes it. Of a tridiagonal M, and of any whose |m_ij / m_ji| are those of a scaling
-    D, it is the largest row sum of D⁻¹J D for some D, J = |I − diag(M)⁻¹M|: no less than the spectral radius of J,
-    however strong a flow makes m_ij beside m_ji.
+    No scaling of rows or columns changes it. If |m_ij / m_ji| are the ratios of a scaling D, as for a tridiagonal M, it
+    is the largest row sum of D⁻¹J D for some D, J = |I − diag(M)⁻¹M|. This is at least the spectral radius of J,
+    however large a flow makes m_ij relative to m_ji.
 
     Examples
     --------

@@ -80,15 +80,15 @@ class Judge:
     problem : LCP
         The user's.
     asked : LCP or NonlinearProblem
-        The problem to be solved; of a nonlinear problem, `problem` is the linearization at the start.
+        The problem to be solved; for a nonlinear problem, `problem` is the linearization at the start.
     reference : float
         Divides the residuals of the algorithms; if it is 0, z° solves the problem.
     answered : array of bool, shape (n,), or None
         Rows of components that z° solves.
     proof : object or None
-        Of the proofs that the problem has no solution, the one with the largest margin.
+        Proof with the largest margin that the problem has no solution.
     words : mapping from Status to str
-        Meaning of a status, if another than its own is right; the run adds what to do.
+        Meaning of a status if it differs from the default text; the run adds the advice.
     """
 
     words: Mapping[Status, str] = MappingProxyType({})
@@ -112,7 +112,7 @@ class Judge:
         self._certificate: Any = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
-        """Return the certificate of z, its entries near bounds moved onto them; the latest one is kept."""
+        """Return the certificate of z after entries near bounds are projected; the latest certificate is cached."""
         if self._certificate is None or not np.array_equal(self._certificate[0], z):
             self._certificate = (
                 z.copy(),
@@ -130,7 +130,7 @@ class Judge:
         return np.where(self.answered, self.problem.nearest_to_zero, start)
 
     def residual_of(self, step: Step) -> float | None:
-        """Return the relative residual of a step if the algorithm knows it."""
+        """Return the relative residual of a step if the algorithm reports it."""
         if step.residual is None or not self._is_uniform:
             return None
         return ratio(step.residual, self.reference)
@@ -161,9 +161,9 @@ class Judge:
     def meets_tolerance(
         self, z: FloatVector, residual: float, iteration: int, power: float = POWER
     ) -> bool:
-        """Return whether z, of that certified residual, passes; not every step is asked about.
+        """Return whether z with this certified residual passes; not every step is tested.
 
-        `power` is that of the tolerance next to the terms of a row.
+        `power` is the exponent of the tolerance next to the terms of a row.
         """
         is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
         if not residual <= self.goal or is_asked_in_vain:
@@ -198,11 +198,11 @@ class Judge:
             certificate.natural_residual > in_its_unit
             and certificate.term_residual > self.settings.goal
         ):
-            return False  # small next to a coefficient that need not act
+            return False  # small relative to a coefficient that may be inactive
         return measured_residual(problem, certificate.z) <= rounding_of_data(problem)
 
     def accept_proof(self, proof: Any) -> bool:
-        """Return whether the proof excludes that any z is SOLVED; keep this one, or that of the largest margin."""
+        """Return whether the proof excludes that any z is SOLVED; store the proof if decisive or of largest margin."""
         if not proof.verify():
             return False
         excludes = proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance)
@@ -216,7 +216,7 @@ class Judge:
         if not (certificate.is_linearised or self.is_solved_by(certificate)):
             plain = Certificate.of(
                 self.problem, z
-            )  # the best iterate; SOLVED is said of the moved one
+            )  # the best iterate; SOLVED refers to the projected point
             certificate = certificate if self.is_solved_by(plain) else plain
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
         if last is None or is_cut_short or not np.isfinite(z).all():
@@ -240,7 +240,7 @@ class Judge:
         return certificate.meets(self.settings)
 
     def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
-        """Return the status: what the certificate or a proof shows, or else why the run ended.
+        """Return the status from the certificate or a proof, or else from the reason for the end of the run.
 
         If one step of several algorithms diverged, the best z need not have: that is STALLED.
         """

@@ -38,7 +38,7 @@ def bound_or_reason(problem: LCP, z: FloatVector) -> BoundOrReason:
 
 
 class StageRecord(NamedTuple):
-    """One algorithm of a run: name, reason of its choice, iterations, work in passes over M, remark for advice."""
+    """Algorithm of a run: name, reason of its choice, iterations, work in passes over M, remark for advice."""
 
     name: str
     because: str
@@ -61,7 +61,7 @@ def stage_lines(stages: Sequence[StageRecord]) -> list[str]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One measurement during a run.
+    """Measurement during a run.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ SHARE_OF_POLISH, CALLS = 0.1, 20.0  # of the work of a solved run; passes for th
 
 
 class Run:
-    """One run: its stages, its best point, its status.
+    """Run: stages, best point, status.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Run:
         self._next_sample = 0
 
     def follow_all(self, plan: Iterable[Stage], start: FloatVector) -> End:
-        """Follow the stages until one of them ends the run, within the time that is left; return why it ended."""
+        """Follow the stages until a stage ends the run, within the remaining time; return the reason for the end."""
         left = self.settings.max_seconds - self.clock.read()
         start, end = self.judge.snap_start(start), End.NOTHING_LEFT
         try:
@@ -180,7 +180,7 @@ class Run:
             self._offer(self.unmeasured, self.judge.measure(self.unmeasured))
 
     def _end_of(self, stage: Stage, step: Step, residual: float | None) -> End | None:
-        """Return why the run ends with this step, or None."""
+        """Return the reason that the run ends with this step, or None."""
         algorithm, settings, judge = stage.algorithm, self.settings, self.judge
         if residual is not None:
             power = 1.0 if algorithm.ends_with_a_case else POWER
@@ -209,7 +209,7 @@ class Run:
         return None
 
     def _report(self, stage: Stage, step: Step, residual: float | None, *, is_last: bool) -> bool:
-        """Record, print and call back, the clock stopped; return whether the callback wants to stop."""
+        """Record, print and call back, with the clock paused; return whether the callback returned True."""
         settings, log, callback = self.settings, self.log, self.callback
         if not (settings.record or log is not None or callback is not None):
             return False
@@ -303,7 +303,7 @@ class Run:
         return result
 
     def _advice(self, status: Status) -> dict[Status, str]:
-        """Return what to do next, by the status."""
+        """Return the advice for each status."""
         words = dict(self.judge.words)
         if isinstance(self.judge.asked, LCP) and status is not Status.SOLVED:
             words = advice_of_run(self.problem, self.chosen, words)

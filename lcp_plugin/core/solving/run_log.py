@@ -27,7 +27,7 @@ class RunLog:
     problem : LCP or NonlinearProblem
         The caller's.
     header : callable, optional
-        Tells the classes of an LCP's M, and a remark on it.
+        Returns the classes of an LCP's M, and a remark.
     """
 
     def __init__(self, problem: Any, header: Header | None = None) -> None:
@@ -65,6 +65,6 @@ class RunLog:
 
 
 def say(line: str) -> None:
-    """Print a line, whatever the terminal can show of it."""
+    """Print a line; characters that the terminal cannot show are replaced."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     print(line.encode(encoding, "replace").decode(encoding), flush=True)

@@ -1,4 +1,4 @@
-"""A stage of a run: one method, its steps so far, and whether its residual still falls."""
+"""Stage of a run: one method, its steps so far, and a test of progress."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WINDOW, LARGEST_WINDOW = 200, 2000  # iterations
 
 @dataclass(eq=False)
 class Stage:
-    """One method of a run.
+    """Method of a run, with its budget and progress.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Stage:
     because : str
         The reason for it, for readers.
     is_over : callable or None
-        Budget, checked after each step: if it returns True, the next method takes over. None: no budget.
+        Budget, checked after each step: if it returns True, the next method takes over. None means no budget.
     iterations, work : int, float
         Work in passes over M.
     z : ndarray, shape (n,), or None
@@ -93,12 +93,12 @@ class Stage:
     # --- residuals --------------------------------------------------------------------------------------
 
     def is_due(self, increment: float | None, goal: float) -> bool:
-        """Return whether the residual is to be measured: at geometric intervals, and if it may be small enough.
+        """Return whether the run must measure the residual: at geometric intervals, and if it may be small enough.
 
         Parameters
         ----------
         increment : float or None
-            Of the step, relative to the reference; it estimates the residual.
+            Increment of the step, relative to the reference; it estimates the residual.
         goal : float
         """
         if increment is None or self.iterations >= self._next_check:

@@ -49,7 +49,7 @@ class _Relaxation(Splitting):
         )
 
     def weights(self) -> tuple[float, float] | tuple[None, None]:
-        """Return (ω, β), or None for each where they are to be found during the run."""
+        """Return (ω, β); each is None if the run must determine it."""
         return self.splitting()
 
 
@@ -257,7 +257,7 @@ class AdaptiveRelaxation:
 
     @property
     def is_settling(self) -> bool:
-        """Whether a trial is running: a rising residual is then not a sign of divergence."""
+        """True if a trial is running: a rising residual is then not a sign of divergence."""
         return self._checkpoint is not None
 
     def next_relaxation(self, size: float, z: FloatVector) -> float:

@@ -140,7 +140,7 @@ class ProjectedType(ScaledByRows, Splitting):
         yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), z0)
 
     def facts(self, problem: LCP) -> IterationFacts:
-        """Return α, β, S and the sweep; raise where a pivot is not positive."""
+        """Return α, β, S and the sweep; raise UnsuitableMatrix if a pivot is not positive."""
         alpha, beta = self.splitting()
         step = self._step(problem)
         self._inverse_pivot(problem, step * problem.diagonal, alpha)

@@ -1,30 +1,29 @@
-r"""What SOLVED means for min ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x|, lower ≤ x ≤ upper; what is proved of x.
+r"""Certificate of min ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x|, lower ≤ x ≤ upper: SOLVED, bounds of the gap.
 
 Write W = diag(weights), r = A x − b, f for the cost. For any y ∈ ℝᵐ and s = AᵀWy + ridge·x, convexity gives, summed
 without cancellation, for every feasible z
 
     f(x) − f(z) ≤ gap(x, y) = ½ Σ_i weights_i (r_i − y_i)² + Σ_j s_j⁺(x_j − lower_j) + s_j⁻(upper_j − x_j),
 
-and, with μ ≥ ridge such that f(z) − ½μ‖z‖² is convex, no more than s_j²/(2μ) for any column j while y = r. A column
-without a bound on one side needs an s_j of one sign, which rounding and the tolerance deny to y = r: y = r + δp with
-AᵀWp of that sign has it. Where there is none (a free column, A not proved to have full rank) f(x) − f(z) ≤ f(x) is all
-there is to say: that is the `gap` of a result, rounding included.
+and, with μ ≥ ridge such that f(z) − ½μ‖z‖² is convex, at most s_j²/(2μ) for any column j if y = r. A column without a
+bound on one side requires an s_j of one sign. Because of rounding and the tolerance, y = r does not have this sign, but
+y = r + δp does if AᵀWp has it. Without such a p (a free column, A not proved to have full rank), the only bound is
+f(x) − f(z) ≤ f(x), which is then the `gap` of a result, rounding included.
 
-A penalty l1_j |x_j| is l1_j x_j where x_j ≥ 0 and −l1_j x_j elsewhere: in the sum x_j and z_j are split at 0, with
-s_j + l1_j on the one side and s_j − l1_j on the other; s_j²/(2μ) becomes that of the least slope at x_j. A column
-without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan 2010).
+A penalty l1_j |x_j| is l1_j x_j if x_j ≥ 0 and −l1_j x_j otherwise: in the sum, x_j and z_j are split at 0, with
+s_j + l1_j on the positive side and s_j − l1_j on the negative side; s_j²/(2μ) uses the least slope at x_j. A column
+without bounds requires |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan 2010).
 
 **SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
-‖x‖² + Σ l1 |x|, without rows of A that have no entries, where rounding of the data is excused**: in row i of r_i − y_i
-up to ρ_i = γ (|A||x| + |b|)_i, and in column j of s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4). So x
-is optimal to the tolerance for entries of A and b that differ from those given by no more than that relative rounding,
-as answers of lstsq and nnls are. A residual that is rounding in each row (y = 0) is a cost of 0.
-**A point that costs more than one that is known is not SOLVED**: than the point of the box nearest to 0, rounding of
-its residual included; and, if a small A leaves more to rounding than the tolerance does, than the solution of lstsq
-moved to the bounds.
+‖x‖² + Σ l1 |x|, without rows of A that have no entries, and rounding of the data is tolerated**: in row i, r_i − y_i up
+to ρ_i = γ (|A||x| + |b|)_i, and in column j, s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4). So x is
+optimal to the tolerance for entries of A and b that differ from the data by at most this relative rounding, as for
+solutions of lstsq and nnls. A residual at rounding level in each row (y = 0) is a cost of 0.
+**A point that costs more than a known point is not SOLVED.** The known points are the point of the box nearest to 0,
+rounding of its residual included, and the projected solution of lstsq, if A is small and rounding exceeds tolerance.
 All comparisons are made in the unit of a row, of a column, or of the cost: units of rows (with weights ÷ their squares)
-and columns change rounding only. Columns that depend on others up to rounding are not told apart from dependent ones.
-For a LinearOperator, whose entries are unknown, SOLVED means a small gradient, and all numbers are estimates.
+and columns change rounding only. Columns that are dependent up to rounding count as dependent. For a LinearOperator,
+whose entries are unknown, SOLVED means a small gradient, and all numbers are estimates.
 """
 
 from __future__ import annotations
@@ -57,14 +56,14 @@ from .enclosures import (
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 ACCURACY = 1e-8  # to which a dual point is made orthogonal to the free columns
 NEARLY = 1e-9  # of a cost that rounding may be
-ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
-IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
+ENOUGH = 0.8  # of the target 1 of (AᵀWp)_j, in units of column j
+IN_DOUBT = 1e-6  # of the largest multiplier: columns with smaller multipliers may be free
 PUSHES = 4  # times that δ may be doubled
 
 
 @dataclass(eq=False)
 class Optimality:
-    """How optimal an x is.
+    """Upper bound of the suboptimality of a point x, with its dual point.
 
     Attributes
     ----------
@@ -73,8 +72,8 @@ class Optimality:
     residual : (ndarray, ndarray), shape (m,) each
         A x − b, and bounds of its rounding errors.
     value : float
-        What SOLVED compares with the tolerance: the least gap found, rounding excused, relative to its cost, at most 1;
-        for a LinearOperator `steepness`. 1 if a point of lower cost is known.
+        Measure that must be at most the tolerance for SOLVED: the least gap found, apart from rounding, relative to its
+        cost, at most 1; for a LinearOperator `steepness`. 1 if a point of lower cost is known.
     dual : ndarray, shape (m,)
         The y of the value.
     """
@@ -87,7 +86,7 @@ class Optimality:
 
     @classmethod
     def of(cls, enclosures: Enclosures, x: FloatVector, *, tolerance: float = np.inf) -> Optimality:
-        """Return the optimality of x on the user's own data; dual points are tried until one meets the tolerance."""
+        """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         residual = enclosures.residual(x)
         judged = cls(enclosures, x, residual, 1.0, residual[0])
         if enclosures.problem.has_entries:
@@ -132,7 +131,7 @@ class Optimality:
 
     @property
     def is_at_rounding_level(self) -> bool:
-        """Whether no component of it is larger than its rounding error may be."""
+        """True if every component is at most its rounding error bound."""
         return self._largest[1]
 
     @property
@@ -157,7 +156,7 @@ class Optimality:
 
 
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVector]:
-    """Return the gap relative to its cost, rounding excused, at most 1, and its y."""
+    """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
     enclosures, x, residual = judged.enclosures, judged.x, judged.residual
     problem, duals = enclosures.problem, _dual_points(judged)
     least, best = np.inf, residual[0]
@@ -214,7 +213,7 @@ def _with_shrunk(
 def _shrunk(
     enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball
 ) -> tuple[FloatVector, Ball] | None:
-    """Return θ y, θ ≤ 1, with |s_j| ≤ l1_j where there is a penalty and no bound, and its s; None where y has that."""
+    """Return θ y, θ ≤ 1, with |s_j| ≤ l1_j in penalized columns without a bound, and its s; None if y satisfies it."""
     problem = enclosures.problem
     of_y, margin = slope[0] - problem.ridge * x, 2.0 * slope[1]
     shares = [
@@ -282,7 +281,7 @@ def _gap(
 ) -> tuple[float, float]:
     """Return gap(x, y) for s in `slope`, and the cost of y.
 
-    Radii of residual and slope are added if `rounding` is 1, excused if it is −1.
+    Radii of residual and slope are added if `rounding` is 1, subtracted if it is −1.
     """
     l1, (s, radius), distance = problem.l1, slope, np.abs(x)
     off = np.maximum(np.abs(residual[0] - y) + rounding * residual[1], 0.0)
@@ -322,7 +321,7 @@ def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVect
 def _repair(
     enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball, *, rounding: float = 1.0
 ) -> Iterator[tuple[FloatVector, Ball]]:
-    """Yield y + δp with a least δ that gives all columns the sign that they need, and its s, if one is found.
+    """Yield y + δp with the least δ that gives all columns the required sign, and its s, if δ is found.
 
     p is to push the columns whose sign is in doubt, or else all of them.
     """
@@ -349,7 +348,7 @@ def _repair(
 
 
 def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[FloatVector]:
-    """Yield what p may be: A times the first that is wanted, which serves where entries are ≥ 0; then the shortest."""
+    """Yield candidates for p: A times the first wanted signs, which suits entries ≥ 0; then the shortest p."""
     yield problem.product(wanted[0] / problem.column_scales)
     for signs in wanted:
         yield _push(
@@ -362,7 +361,7 @@ def _push(
 ) -> FloatVector:
     """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, for the chosen j.
 
-    Its signs are looked at where it is used.
+    The caller checks the signs.
     """
     scaled, columns, root = problem.scaled, np.flatnonzero(chosen), problem.root_weights
     if not wanted[columns].any():

@@ -179,7 +179,7 @@ class BoundedLeastSquares:
 
     @property
     def is_plain_nnls(self) -> bool:
-        """Whether the problem is nonnegative least squares with a small dense A, without weights or penalties."""
+        """True if the problem is nonnegative least squares with a small dense A, without weights or penalties."""
         return (
             self.is_dense
             and self.shape[1] > 0
@@ -193,12 +193,12 @@ class BoundedLeastSquares:
 
     @property
     def is_small(self) -> bool:
-        """Whether A has entries, and so few places for them that dense copies cost little."""
+        """True if A has explicit entries, and m · n is so small that dense copies are cheap."""
         return self.has_entries and self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES
 
     @cached_property
     def has_terms(self) -> BoolVector:
-        """Which rows of A may have entries, shape (m,)."""
+        """Mask of the rows of A that may have entries, shape (m,)."""
         if not self.has_entries:
             return np.ones(self.shape[0], np.bool_)
         return np.asarray(np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1))
@@ -295,7 +295,7 @@ class ScaledLeastSquares:
     ----------
     lower, upper, ridge, l1, linear : ndarray, shape (n,)
     has_kink : ndarray of bool, shape (n,)
-        Which columns have a penalty and may take both signs.
+        Mask of the columns with a penalty that may take both signs.
     whole : ScaledLeastSquares
         The problem of which this is an orthant, or itself.
     b : ndarray, shape (m,)

@@ -49,7 +49,7 @@ class Enclosures:
 
     @cached_property
     def unbounded_solution(self) -> FloatVector:
-        """The shortest solution without bounds and l1, moved to the bounds; A must have entries."""
+        """Shortest solution without bounds and l1, projected onto the bounds; A must have entries."""
         scaled = self.problem.scaled
         x = shortest_solution(*scaled.rows(is_dense=True))
         return scaled.to_caller(clip(x, scaled.lower, scaled.upper))
@@ -164,7 +164,7 @@ def shortest_solution(A: FloatVector, b: FloatVector) -> FloatVector:
 def typical_rounding(
     problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector
 ) -> FloatVector:
-    """Return about what rounding does to a gradient of which no magnitudes are known."""
+    """Return an estimate of the rounding error of a gradient if the magnitudes of its terms are unknown."""
     root, scales = problem.root_weights, problem.column_scales
     size = (
         np.linalg.norm(root * residual)

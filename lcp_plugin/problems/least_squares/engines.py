@@ -4,9 +4,9 @@ A column with a penalty that may take both signs is split, x = x⁺ − x⁻, an
 
     min ½‖E z − b‖² + slopesᵀz  subject to  lower ≤ z ≤ upper.
 
-PIQP takes it as it stands with r = E z − b if A is sparse; by the normal equations if A is dense and not wide; by the
-dual min ½‖y‖² + bᵀy with −Eᵀy ≤ slopes (for z ≥ 0; z is its multiplier) if A is dense and wide. The condition of the
-first and of the last is that of A.
+PIQP takes the program with r = E z − b if A is sparse. If A is dense and not wide, PIQP takes the normal equations. If
+A is dense and wide, PIQP takes the dual min ½‖y‖² + bᵀy with −Eᵀy ≤ slopes (for z ≥ 0; z is its multiplier). The
+condition number of the first and the last form is the condition number of A.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ NOISE = 2.0**-44
 SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
 FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
-SECONDS_PER_ENTRY = 1e-6  # of a factor of a sparse A that hardly fills in
-LARGEST_FILL = 1e8  # entries of a factor
-MOST_HIDDEN = 1e-4  # of the square of the smallest b: rounding of nnls as given
+SECONDS_PER_ENTRY = 1e-6  # of the factorization of a sparse A with little fill
+LARGEST_FILL = 1e8  # entries of a factorization
+MOST_HIDDEN = 1e-4  # of the square of the smallest b: rounding of nnls without scaling
 LARGEST = 2.0**200  # cost, or square of x, of the same
-LARGEST_SLOPE = 1e6  # beside b and columns of size 1: x is 0
+LARGEST_SLOPE = 1e6  # relative to b and columns of size 1: x is 0
 
 
 def is_within_reach(problem: ScaledLeastSquares) -> bool:
@@ -98,8 +98,8 @@ def nnls_as_given(
 ) -> tuple[FloatVector, FloatVector, FloatVector, float] | None:
     """Return x by nnls, A x − b, y and the optimality of a plain small problem if it is SOLVED; None otherwise.
 
-    The test is that of the certificate for y = A x − b, or for its part orthogonal to the free columns. It takes a
-    fourth of the seconds of the general way.
+    The test is the certificate for y = A x − b, or for its part orthogonal to the free columns. It takes a fourth of
+    the seconds of the general test.
     """
     from scipy.optimize import nnls
 
@@ -132,7 +132,7 @@ def nnls_as_given(
 def _nnls_optimality(
     A: FloatVector, sizes: FloatVector, x: FloatVector, y: FloatVector, gap: float
 ) -> float:
-    """Return the gap at x ≥ 0 relative to the cost of y, rounding excused; ∞ if a multiplier has the wrong sign."""
+    """Return the gap at x ≥ 0 relative to the cost of y, apart from rounding; ∞ if a multiplier has the wrong sign."""
     slope, cost = A.T @ y, 0.5 * float(y.dot(y))
     rounding = (2 * y.size + 8) * UNIT * (sizes.T @ np.abs(y))
     if not ((slope + rounding >= 0.0).all() and 1.0 / LARGEST < cost < LARGEST):
@@ -164,7 +164,7 @@ class Split(NamedTuple):
 
     @classmethod
     def of(cls, problem: ScaledLeastSquares, A: Any) -> Split:
-        """Return that of A with the rows of its ridge; x is nearest to 0 in a column without entries."""
+        """Return the split of A with the rows of its ridge; x is nearest to 0 in a column without entries."""
         kink, is_sparse = np.flatnonzero(problem.has_kink), sp.issparse(A)
         E = (sp.hstack if is_sparse else np.hstack)([A, -A[:, kink]])
         is_filled = np.bincount(A.indices, minlength=problem.n) > 0 if is_sparse else A.any(axis=0)
@@ -240,7 +240,7 @@ def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
 
 
 def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:
-    """Return x with entries at a bound, or at 0, that are nearer to it than rounding of the largest one."""
+    """Return x with entries set to a bound, or to 0, if they differ from it by rounding of the largest entry."""
     noise = NOISE * np.abs(x).max(initial=0.0)
     for bound in (problem.lower, problem.upper, 0.0):
         x = np.where(np.abs(x - bound) <= noise, bound, x)
@@ -250,8 +250,9 @@ def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:
 def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
     """Return the minimum on the face of the point, or on one nearby of lower cost.
 
-    A step leads towards the minimum on a face, by an orthogonal factor, up to the bounds; columns that are pulled away
-    from their bound, or from 0, are released first: all, or the one with the strongest pull if cost rises otherwise.
+    A step leads towards the minimum on a face, by an orthogonal factorization, up to the bounds. Columns that the
+    gradient pulls away from their bound, or from 0, are released first: all, or only the column with the strongest pull
+    if the cost rises otherwise.
     """
     order = np.argsort(-np.abs(A).max(axis=1, initial=0.0), kind="stable")
     A, b, before = A[order], b[order], b""
@@ -276,7 +277,7 @@ def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePo
 
 
 def _step_to_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector) -> FacePoint:
-    """Return the point after a step of the free columns; columns that depend on those before them stay as they are.
+    """Return the point after a step of the free columns; columns that depend on earlier columns are unchanged.
 
     The rows of A are sorted by size: Householder's factor with column pivots is stable row by row then (Cox and Higham
     1998, doi:10.1023/A:1022361023563).

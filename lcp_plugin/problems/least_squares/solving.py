@@ -22,12 +22,12 @@ from .enclosures import Enclosures
 from .engines import engine_points, is_within_reach, nnls_as_given
 from .steps import FacePoint, projected_steps, through_orthants
 
-NARROWER = 0.05  # the steepness at which a point is certified next ÷ that of the last one
+NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last such steepness
 PATIENCE = (
     0.05  # projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
 )
 SPARSE_PATIENCE = 300  # the same on a large sparse A
-WINDOW = 200  # steps, or half of those before: a run whose steepness falls by less than 1 % in one is over
+WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness falls by less than 1 % in a window
 PROGRESS = 0.99
 
 
@@ -64,9 +64,9 @@ def bounded_least_squares(
     ridge : float
         ≥ 0.
     l1 : number or array, shape (n,)
-        ≥ 0. A lasso without bounds needs ``lower=-np.inf``. An x_j that the penalty holds is exactly 0.
+        ≥ 0. A lasso without bounds needs ``lower=-np.inf``. An x_j that the penalty sets to 0 is exactly 0.
     tolerance : float
-        SOLVED means that cost exceeds the minimum by at most tolerance · cost, rounding of the data excused: see
+        SOLVED means that cost exceeds the minimum by at most tolerance · cost, apart from rounding of the data: see
         `optimality` of :class:`LeastSquaresResult`, also for a LinearOperator.
     max_iterations : int, default 100 000
     max_seconds : float, optional
@@ -75,7 +75,7 @@ def bounded_least_squares(
     Returns
     -------
     LeastSquaresResult
-        The best point, whatever the status, also after Ctrl-C.
+        The best point, for every status, also after Ctrl-C.
 
     Raises
     ------
@@ -85,10 +85,10 @@ def bounded_least_squares(
     Notes
     -----
     At most 10⁶ entries: scipy's lstsq without bounds, nnls with one bound per column, else PIQP on the dual (wide A) or
-    on the normal equations; an orthogonal factorization of the free columns follows. More entries, and a
-    LinearOperator: projected gradient and conjugate gradient steps, with one product with A and one with Aᵀ each; when
-    they have cost about as much as PIQP, the same or, if A is sparse, PIQP on min ½‖r‖² with A x − r = b, polished. The
-    steps go on for a LinearOperator, and if a factorization is predicted to take too long.
+    on the normal equations. An orthogonal factorization of the free columns follows. More entries, and a
+    LinearOperator: projected gradient and conjugate gradient steps, with one product with A and one with Aᵀ each. When
+    the steps have cost about as much as PIQP, PIQP follows as above or, if A is sparse, on min ½‖r‖² with A x − r = b,
+    polished. The steps continue for a LinearOperator, and if a factorization is predicted to take too long.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def solve_least_squares(
 
 
 class LeastSquaresRun:
-    """One run: steps are counted, and points that look good enough are certified."""
+    """Run that counts steps and certifies promising points."""
 
     def __init__(
         self,
@@ -214,7 +214,7 @@ class LeastSquaresRun:
         yield self.nearest
 
     def _is_certified(self, x: FloatVector) -> bool:
-        """Certify a scaled x, and keep it if it is the best; return whether it is SOLVED."""
+        """Certify a scaled x, and store the best x; return whether this x is SOLVED."""
         _require_time()
         tolerance = self.settings.tolerance
         judged = self._test_point(x, tolerance)
@@ -290,17 +290,17 @@ class LeastSquaresResult(Answer):
     Attributes
     ----------
     x : ndarray, shape (n,)
-        Within the bounds, exactly at a bound where `active_mask` says so.
+        Within the bounds, exactly at a bound if `active_mask` is nonzero.
     cost : float
         ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x|.
     fun : ndarray, shape (m,)
         The residual A x − b, without weights.
     optimality : float
-        Upper bound of (cost − minimum)/cost, rounding excused: for entries of A and b that differ from the given ones
-        by no more than rounding. 1 if nothing is proved, or if a point of lower cost is known. The formula:
+        Upper bound of (cost − minimum)/cost for entries of A and b that differ from the data at rounding level. It is 1
+        if nothing is proved, or if a point of lower cost is known. The formula:
         help("lcp_plugin.problems.least_squares.certificate"). For a LinearOperator, an estimate of
-        ‖x − mid(lower, upper, x − g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), in units in which the
-        columns of A have about unit length.
+        ‖x − mid(lower, upper, x − g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights). The estimate is
+        computed with columns of A scaled to about unit length.
     active_mask : ndarray of int, shape (n,)
         −1 at the lower bound, 1 at the upper one, 0 between them.
     status : Status
@@ -312,7 +312,7 @@ class LeastSquaresResult(Answer):
     seconds : float
         Wall-clock seconds of the run.
     tolerance : float
-        As given.
+        Tolerance of the run.
     is_proved : bool
         Whether `optimality` and `gap` are upper bounds. For a LinearOperator, whose entries are unknown, they are
         estimates.
@@ -338,10 +338,10 @@ class LeastSquaresResult(Answer):
 
     @cached_property
     def gap(self) -> float:
-        """Upper bound of cost − minimum for the data as they are, rounding included; computed at the first access.
+        """Upper bound of cost − minimum for the stored data, rounding included; computed at the first access.
 
-        At worst it equals the cost: that happens if some column is unbounded, has no multiplier of the right sign, and
-        A could not be proved to have full rank; see help("lcp_plugin.problems.least_squares.certificate").
+        At worst it equals the cost. This happens if some column is unbounded without a multiplier of the correct sign,
+        and A is not proved to have full rank; see help("lcp_plugin.problems.least_squares.certificate").
         """
         with np.errstate(all="ignore"):
             return duality_gap(self.problem, self.x, self._dual)
@@ -358,7 +358,7 @@ class LeastSquaresResult(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means, and behind ``next:`` what to do."""
+        """Meaning of the status, and after ``next:`` the next step for the user."""
         if not np.isfinite(self.fun).all():
             return "A x is not finite; next: let the operator's products be finite doubles"
         remark = "" if self.is_proved else OF_OPERATORS.get(self.status, "")
@@ -369,7 +369,7 @@ class LeastSquaresResult(Answer):
         return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
 
     def describe_accuracy(self) -> str:
-        """Return the optimality beside what was asked for."""
+        """Return the optimality and the tolerance, as text."""
         above = f", at most {self.gap:.1e} above the least" if self.is_solved else ""
         return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"
 

@@ -1,7 +1,7 @@
 """Points of a least squares problem within bounds, and steps from point to point that need products with A alone.
 
 Projected gradients take the step lengths of Barzilai and Borwein until the face settles, conjugate gradients solve on
-it: a product with A and one with Aᵀ an iteration; AᵀA is never formed. Measured beside it on random
+it: a product with A and one with Aᵀ per iteration; AᵀA is never formed. Measured in comparison on random
 sparse, dense, ill-conditioned, blurring, difference and wide matrices: accelerated gradients with restarts need
 1.3 – 8 times as many products, MPRGP .7 – 3 times, the projected steps alone 1 – 15 times.
 
@@ -29,7 +29,7 @@ ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises
 LEFT_BEHIND = 0.1  # of the pull out of an orthant: a smaller residual in it is not worth a step
-SETTLED = 2  # steps in a row that leave the face as it is
+SETTLED = 2  # steps in a row without a change of the face
 
 
 class FacePoint:
@@ -48,7 +48,7 @@ class FacePoint:
     slope : ndarray, shape (n,)
         Aᵀ(A x − b) + ridge x.
     gradient : ndarray, shape (n,)
-        That and what the penalty l1 adds in the problem's orthant.
+        `slope` plus the gradient of the penalty l1 in the problem's orthant.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class FacePoint:
 
     @cached_property
     def cost(self) -> float:
-        """What is minimised."""
+        """Cost function at x."""
         quadratic = self.residual @ self.residual + (self.problem.ridge * self.x) @ self.x
         return float(0.5 * quadratic + self.problem.l1 @ np.abs(self.x))
 
     @cached_property
     def is_free(self) -> BoolVector:
-        """Which columns are strictly between their bounds."""
+        """Mask of the columns strictly between their bounds."""
         return (self.x > self.problem.lower) & (self.x < self.problem.upper)
 
     @cached_property
@@ -88,12 +88,12 @@ class FacePoint:
 
     @cached_property
     def natural_residual(self) -> FloatVector:
-        """What is left of x less mid(lower, upper, x − gradient): 0 exactly at the minimum."""
+        """Difference x − mid(lower, upper, x − gradient): 0 exactly at the minimum."""
         return clip(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
 
     @cached_property
     def pull_across(self) -> float:
-        """How hard a column at 0 is pulled to the side of it that is not in the problem's orthant, 0 where none is."""
+        """Largest pull on a column at 0 to the side outside the problem's orthant; 0 without such a pull."""
         problem = self.problem
         at_kink = problem.has_kink & (self.x == 0.0)
         across = np.where(problem.upper == 0.0, -self.slope, self.slope) - problem.l1
@@ -117,12 +117,12 @@ class FacePoint:
         return float(product @ product + (self.problem.ridge * direction) @ direction)
 
     def move(self, direction: FloatVector, product: FloatVector, length: float) -> FacePoint:
-        """Return the point at x + length · direction, which is within the bounds but for rounding."""
+        """Return the point at x + length · direction, which is within the bounds except for rounding."""
         x = clip(self.x + length * direction, self.problem.lower, self.problem.upper)
         return FacePoint(self.problem, x, self.residual + length * product)
 
     def farthest(self, direction: FloatVector) -> float:
-        """Return how far one may go along the direction before a bound stops it."""
+        """Return the largest step length along the direction within the bounds."""
         slack = (
             np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x)
             / direction
@@ -148,7 +148,7 @@ Steps = Generator[FacePoint, None, FacePoint]
 
 
 def through_orthants(take: Take) -> Take:
-    """Return the steps that take those in an orthant, then in that where columns at 0 are pulled to, until none is.
+    """Return steps in an orthant, then in the orthant to which columns at 0 are pulled, until no column is pulled.
 
     In an orthant Σ l1 |x| is linear. Cost falls from one to the next: none comes back once it is solved.
     """
@@ -183,7 +183,7 @@ def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
 
 
 def _cauchy_length(point: FacePoint) -> float:
-    """Return the length that minimises along the projected gradient, 0 where there is none."""
+    """Return the length that minimizes along the projected gradient; 0 if the curvature is not positive."""
     direction = point.free_gradient + point.pull
     curvature = point.curvature(direction, point.problem.product(direction))
     return float(direction @ direction) / curvature if curvature > 0.0 else 0.0

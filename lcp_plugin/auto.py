@@ -294,7 +294,7 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
     Raises
     ------
     UnknownAlgorithm, InvalidOption
-        Where the name or an option does not exist.
+        If the name or an option does not exist.
     """
     if isinstance(algorithm, Algorithm):
         if options:

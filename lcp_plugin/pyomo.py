@@ -194,7 +194,7 @@ class LCPPlugin:
         Raises
         ------
         UnsupportedModel, InvalidOption
-            Where the model or an option is not taken.
+            If the model or an option is not supported.
         """
         _refuse(
             {

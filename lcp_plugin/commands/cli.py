@@ -226,7 +226,7 @@ def list_names() -> None:
 
 @command("warm-up", "0 done", "warm-up")
 def warm_up() -> None:
-    """Compile every kernel now, so that no later run has to; print where the compiled code lies."""
+    """Compile every kernel now, so that no later run has to; print the location of the compiled code."""
     from .compiling import compile_everything
 
     typer.echo(compile_everything())

@@ -123,7 +123,7 @@ def relative_error(
 
 
 def nearest_double(value: Fraction) -> float:
-    """Return the double nearest to a fraction, ±∞ where it is beyond the range."""
+    """Return the float64 nearest to a fraction, ±∞ if it is beyond the range."""
     try:
         return float(value)
     except OverflowError:

@@ -1,4 +1,4 @@
-"""The free boundary between nodes: where an answer leaves its bound, to a tenth of the mesh width.
+"""The free boundary of a solution between the nodes, to a tenth of the mesh width.
 
 A node is at its bound or not, so that the set of nodes resolves the free boundary only to one mesh width. The forces
 locate it within the cell. Let g ≥ 0 be the gap between z and its bound and w the force of the bound. Let f be the
@@ -7,7 +7,7 @@ i in contact and a free neighbor j,
 
     w_i + m g_j = f   and the boundary lies at x_i + (1/2 − m g_j / f) h,
 
-exactly where f and m are constant: the discrete z is a parabola whose vertex is there. The level
+exactly if f and m are constant: the discrete z is a parabola whose vertex is there. The level
 
     φ_i = 1/2 − w_i / f_i  at the bound,     φ_j = 1/2 + m_j g_j / f_j  elsewhere
 

@@ -18,7 +18,7 @@ from .stencil import dirichlet_terms, nodes, stencil_matrix
 
 _CYCLE = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
 
-# Payoffs of the row and of the column player; the equilibrium where there is only one.
+# Payoffs of the row and of the column player; the equilibrium if there is only one.
 _GAMES: dict[str, tuple[Any, Any, tuple[list[float], list[float]] | None]] = {
     "battle_of_the_sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]], None),
     "prisoners_dilemma": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]], ([0, 1], [0, 1])),
@@ -42,7 +42,7 @@ def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
 
     Notes
     -----
-    ``scene.problem.origin.recover(result)`` gives the mixed strategies. `exact` is declared where the equilibrium is
+    ``scene.problem.origin.recover(result)`` gives the mixed strategies. `exact` is declared if the equilibrium is
     unique. In Shapley's game the players' best answers chase each other round a cycle.
 
     References

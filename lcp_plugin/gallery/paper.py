@@ -89,9 +89,9 @@ def half_active(
     n
         Number of unknowns, a perfect square m².
     delta
-        Shift of the diagonal, at least 0; q is exact in floating point where it is an integer.
+        Shift of the diagonal, at least 0; q is exact in floating point if it is an integer.
     block
-        Side of the checkerboard's blocks in nodes. The share is exactly one half where 2·block divides m.
+        Side of the checkerboard's blocks in nodes. The share is exactly one half if 2·block divides m.
     degenerate
         Whether the first corner of each active block has z* = w* = 0; otherwise z* + w* > 0 throughout.
 

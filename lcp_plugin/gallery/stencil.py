@@ -46,7 +46,7 @@ def stencil_matrix(
     Returns
     -------
     csr_array, shape (n, n)
-        Canonical, with 32-bit indices where they suffice.
+        Canonical, with 32-bit indices if they suffice.
 
     Examples
     --------

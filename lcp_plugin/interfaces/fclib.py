@@ -1,8 +1,8 @@
 """Contacts with friction from the files of fclib, the field's own collection: HDF5, read by h5py.
 
 The local problems are u = W r + q. Global problems M v = H r + f, u = Hᵀv + w are reduced: W = Hᵀ M⁻¹ H and
-q = Hᵀ M⁻¹ f + w. A matrix is m, n, nz and the arrays p, i, x: entries with their rows p and columns i where nz ≥ 0,
-compressed columns where it is −1, compressed rows where it is −2. Guesses and solutions are not read.
+q = Hᵀ M⁻¹ f + w. A matrix is m, n, nz and the arrays p, i, x: entries with their rows p and columns i if nz ≥ 0,
+compressed columns if it is −1, compressed rows if it is −2. Guesses and solutions are not read.
 """
 
 from __future__ import annotations

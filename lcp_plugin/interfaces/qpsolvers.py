@@ -140,7 +140,7 @@ def _program(problem: Problem) -> QuadraticProgram:
 
 
 def _start(initvals: Any, program: QuadraticProgram) -> Any:
-    """Return the x to start from where bounds are all there is: without multipliers it costs more steps than none."""
+    """Return the start if the program has only bounds: with rows, a start would cost steps."""
     try:
         start = None if initvals is None else checked_vector(initvals, "initvals", program.n)
     except InvalidProblem as error:

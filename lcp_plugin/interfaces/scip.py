@@ -187,7 +187,7 @@ class _Model:
                 "numerics/feastol": feasible,
                 "timing/clocktype": 2,
                 "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
-                "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
+                "heuristics/multistart/freq": -1,  # takes 10 s if bounds are missing
             }
         )
         self._watch_nodes()
@@ -371,7 +371,7 @@ class _Model:
 
 
 def _power_below(program: QuadraticProgram) -> float:
-    """Return the power of two below the largest entry of c and P, 1 where there is none."""
+    """Return the power of two below the largest entry of c and P, or 1 if all are 0."""
     largest = max(
         float(np.abs(one).max(initial=0.0)) for one in (program.c, sp.csr_array(program.P).data)
     )

@@ -133,7 +133,7 @@ def shaped(node: Any, value: Any) -> Any:
 
 
 def constant_numeric(node: Any, values: list[Any]) -> Any:
-    """Return the atom's value where all arguments are constants, sparse as long as there is a sparse way."""
+    """Return the atom's value if all arguments are constants, sparse as long as cvxpy allows."""
     if isinstance(node, BROADCAST):
         return np.broadcast_to(dense(values[0]), node.shape)
     if not any(map(sp.issparse, values)):
@@ -160,7 +160,7 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
 
 
 def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
-    """Return the atom's value where variables enter: as large as its result, which is dense anyway."""
+    """Return the atom's value if variables enter: as large as its result, which is dense anyway."""
     result: NDArray[Any] = dense(shaped(node, constant_numeric(node, values)))
     return result
 

@@ -113,7 +113,7 @@ def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
 
 
 def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    """Apply the derivatives that cvxpy gives, which are constant where the atom is affine."""
+    """Apply the derivatives that cvxpy gives, which are constant if the atom is affine."""
     offsets = [one.array(one.offset) if isinstance(one, Rows) else one for one in arguments]
     # Anywhere inside their domains; a power is not differentiated at zero.
     values = [

@@ -1,4 +1,4 @@
-"""The quadratic program that cvxpy compiles of a problem, and where the variables of the problem are in it."""
+"""The quadratic program that cvxpy compiles of a problem, and the problem's variables in it."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ def complements(first: Any, second: Any) -> Complements:
 
 
 def _require_cones(sides: list[Side]) -> None:
-    """Raise where one side is a cone, and the other is none and no expression."""
+    """Raise if one side is a cone, and the other is neither a cone nor an expression."""
     other = next((side for side in sides if side.kind != "cone"), None)
     if other is not None and other.kind != "value":
         raise UnsupportedModel(

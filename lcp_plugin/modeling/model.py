@@ -356,7 +356,7 @@ class Model:
         return problem
 
     def refuse_violated_bounds(self, z: FloatVector) -> None:
-        """Raise NotSquare where a solution violates bounds that no pair states."""
+        """Raise NotSquare if a solution violates bounds that no pair states."""
         unknowns, dropped = self.square.elimination.expand(z), self.square.dropped
         for column in dropped[self.statement.is_outside(unknowns, dropped)][:1].tolist():
             entry = self.statement.name_of(column)

@@ -210,7 +210,7 @@ class Reader:
         return rule(self.compiler, node, arguments if broadcasts(rule) else whole(node, arguments))
 
     def _value(self, node: Any, values: list[Any]) -> Any:
-        """Return the value of a node without sources, or of any where everything is held."""
+        """Return the value of a node without sources, or of any node if variables are held."""
         if node.args:
             return atoms.shaped(node, atoms.constant_numeric(node, values))
         value = (

@@ -133,7 +133,7 @@ def solve_model(
     algorithm : str or Algorithm
         As in :func:`lcp_plugin.solve`.
     warm_start : bool
-        Begin with the present values of the variables where all have one.
+        Begin with the present values of the variables if all have one.
     verbose : bool
         Print the run as :func:`lcp_plugin.solve` does, then print a summary through cvxpy's logger.
     solver : None
@@ -144,7 +144,7 @@ def solve_model(
     Returns
     -------
     float
-        The value of the objective: 0 for a complementarity problem, ∞ where it is proved to have no solution.
+        The value of the objective: 0 for a complementarity problem, ∞ if it is proved to have no solution.
 
     Raises
     ------

@@ -32,7 +32,7 @@ random graphs above about 1000 unknowns) and no cheaper test decides, neither a 
 error may exceed 1 % of z, and if a product (z_i − bound) w_i is large relative to the residual.
 
 **Guarantees** are "guaranteed" or "not covered". ``scaling="auto"``, the default of the np* methods, is a row scaling
-with which every H₊-matrix is covered: S = θ_i/d_i with θ_i = 1, or up to 2 where the row sums of M prove that too.
+with which every H₊-matrix is covered: S = θ_i/d_i with θ_i = 1, or up to 2 if the row sums of M prove that too.
 `solve` does not analyze M by itself: ``result.guarantee`` (or `convergence_guarantee`) reports whether a theorem
 covers the named algorithm, and so does ``explain()`` after a run that failed.
 

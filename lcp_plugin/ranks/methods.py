@@ -78,7 +78,7 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: flo
 
 
 def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
-    """Yield z after each sweep that follows a correction: truncated V-cycles, or Krylov steps where those are slow.
+    """Yield z after each sweep and correction: truncated V-cycles, or Krylov steps if those are slow.
 
     A cold start comes from the coarser grids (nested iteration). After idle cycles the run goes back to its best point
     and sweeps; it ends if that gains nothing either.

@@ -52,12 +52,12 @@ def assert_solves(
         Draw other bounds than 0 and ∞.
     may_give_up : bool
         Whether the solver may give up on a problem that has a solution. If not, that is a failure on all problems
-        drawn with their answer and, where M is a P-matrix, on the others.
+        drawn with their answer and, if M is a P-matrix, on all others.
     tolerance : float
-        Allowed for each row's z − mid(lower, upper, z − w/d), d the diagonal entry (the row's largest where that is
+        Allowed for each row's z − mid(lower, upper, z − w/d), d the diagonal entry (the row's largest if that is
         negligible), relative to max(1, its largest value at the point between the bounds nearest to 0).
     error_tolerance : float
-        Allowed for ‖z − z*‖∞ relative to 1 + ‖z*‖∞, where the answer z* is known and the only one (M is a P-matrix). On
+        Allowed for ‖z − z*‖∞ relative to 1 + ‖z*‖∞, if the solution z* is known and unique (M is a P-matrix). On
         nearly singular matrices a small residual goes with a large error; ∞ leaves this out.
     max_examples : int
         Number of problems, at least 1.

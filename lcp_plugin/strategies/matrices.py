@@ -32,7 +32,7 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
 
 
 def check_integer(value: Any, need: str, low: int) -> int:
-    """Return the value as an int, or raise InvalidOption with what is needed where it is none from low on."""
+    """Return the value as an int; raise InvalidOption unless it is an integer ≥ low."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
         raise InvalidOption(f"{need}, got {value!r}")
     return int(value)
@@ -308,7 +308,7 @@ def not_h_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     Parameters
     ----------
     size : int or strategy of int, optional
-        Rows and columns, at least 1 (where the only one is [0]); up to 8 by default.
+        Rows and columns, at least 1 (a 1 × 1 matrix is [0]); up to 8 by default.
     density : float
         Share of nonzeros of the parts, in [0, 1], roughly; the cycle is added.
 

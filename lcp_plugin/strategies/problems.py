@@ -92,7 +92,7 @@ def solved_lcps(
     bounds: bool = False,
     huge_slacks: bool = False,
 ) -> st.SearchStrategy[tuple[LCP, Answer]]:
-    """Return a strategy for pairs (problem, z) where z solves the problem exactly.
+    """Return a strategy for pairs (problem, z) such that z solves the problem exactly.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def solved_lcps(
     bounds : bool
         Draw one-sided bounds below or above, boxes, fixed and free rows. Otherwise lower = 0, upper = ∞.
     huge_slacks : bool
-        Slacks are multiplied by powers of two up to 2²⁴ where q stays free of rounding: active rows then have a
+        Slacks are multiplied by powers of two up to 2²⁴ if q stays free of rounding: active rows then have a
         huge q that has no influence on z.
 
     Returns

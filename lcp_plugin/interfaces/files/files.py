@@ -78,7 +78,7 @@ def checked_folder(target: Path) -> Path:
 
 
 def checked_path(path: Any) -> Path:
-    """Return the path, or raise InvalidOption or UnreadableFile where it can be none."""
+    """Return the path; raise InvalidOption or UnreadableFile if it cannot be a path."""
     try:
         target = Path(path)
     except TypeError:
@@ -149,14 +149,14 @@ def _save_folder(problem: LCP, folder: Path) -> None:
 def require_keys(
     source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str
 ) -> None:
-    """Raise UnreadableFile where one of the arrays is missing."""
+    """Raise UnreadableFile if one of the arrays is missing."""
     missing = [key for key in keys if key not in content]
     if missing:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {remedy}")
 
 
 def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -> sp.csr_array:
-    """Return the matrix of a file's CSR arrays, or of its CSC arrays, or raise UnreadableFile where they are none."""
+    """Return the matrix of a file's CSR or CSC arrays; raise UnreadableFile if they are invalid."""
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
             raise UnreadableFile(
@@ -174,7 +174,7 @@ def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -
 
 
 def names_in(source: Path) -> list[str]:
-    """Return the names of the arrays in a ``.npz`` or ``.mat`` file; raise UnreadableFile where it is none."""
+    """Return the names of the arrays in a ``.npz`` or ``.mat`` file, or raise UnreadableFile."""
     if source.suffix.lower() == ".mat":
         return read_mat(source, ())[1]
     with _archive(source) as archive:

@@ -195,7 +195,7 @@ class _Impulses(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
-        *_, z = ctx.saved_tensors  # torch rejects where one was changed in place
+        *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
         by_W, by_b, by_friction = _Gradient.apply(contact_gradients, ctx.run, z, g)
         return by_W, by_b, by_friction.sum() if ctx.has_one_friction else by_friction, None, None
 
@@ -218,7 +218,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
-        M, *_, z = ctx.saved_tensors  # torch rejects where one was changed in place
+        M, *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
         by_q, by_lower, by_upper = _Gradient.apply(gradients, ctx.run, z, g)
         by_M = None
         if ctx.needs_input_grad[0]:  # ∂L/∂m_ij is ∂L/∂q_i z_j, summed if one M is for all

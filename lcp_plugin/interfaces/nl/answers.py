@@ -131,7 +131,7 @@ class NLModel(ABC):
         return x
 
     def names(self) -> list[str]:
-        """Return the names of the variables; of their numbers where the file has none."""
+        """Return the names of the variables, or of their numbers if the file has no names."""
         return [*map(self.content.variable, range(self.content.lower.size))]
 
     def __repr__(self) -> str:

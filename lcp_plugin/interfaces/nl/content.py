@@ -177,7 +177,7 @@ class NLContent:
         objective: Trees | None = None,
         objective_linear: sp.csr_array | None = None,
     ) -> NLContent:
-        """Return the content with these rows between limits, and an objective to be minimized where there is one."""
+        """Return the content of rows with limits, and of an objective to minimize, if any."""
         n, count = lower.size, 0 if objective is None else 1
         none = Trees.of_numbers(np.zeros(0))
         return cls(

@@ -65,7 +65,7 @@ def model_of(content: NLContent) -> NLModel:
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
-    """Return the LCP that an ``.nl`` file states; raise UnsupportedModel where it states something else."""
+    """Return the LCP that an ``.nl`` file states; raise UnsupportedModel for any other problem."""
     model = read_nl(path)
     beside = model.beside.names() if isinstance(model, ComplementarityModel) else []
     if isinstance(model.problem, LCP) and not beside:
@@ -136,7 +136,7 @@ class FileStatement:
     def _check_crossed(
         self, call: Callable[[int], str], low: FloatVector, high: FloatVector
     ) -> None:
-        """Raise where a lower bound is above an upper one."""
+        """Raise if a lower bound is above an upper bound."""
         crossed = np.flatnonzero(low > high)
         if crossed.size:
             k = int(crossed[0])
@@ -153,7 +153,7 @@ class FileStatement:
         return right
 
     def _check_partners(self) -> None:
-        """Raise where two rows go with one variable."""
+        """Raise if two rows belong to one variable."""
         content, rows = self.content, self.pairs
         columns = content.partners[rows]
         order = np.argsort(columns, kind="stable")

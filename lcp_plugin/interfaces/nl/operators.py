@@ -26,7 +26,7 @@ REMEDIES = {
 
 
 class Arithmetic(Enum):
-    """Operators that are affine, or become another function, where operands are constants."""
+    """Operators that are affine, or become another function, if operands are constants."""
 
     SUM = "+"
     DIFFERENCE = "-"

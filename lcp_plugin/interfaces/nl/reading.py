@@ -154,7 +154,7 @@ def _place(data: bytes, fault: Fault) -> str:
 
 
 def _header(data: bytes) -> tuple[SimpleNamespace, int]:
-    """Return the numbers of the head by their names, and where the segments begin."""
+    """Return the numbers of the head by name, and the start of the segments."""
     if data[:1] not in (b"g", b"b"):
         raise Fault(0, "an .nl file begins with g (text) or b (binary)")
     lines, begin = [b""], 0
@@ -391,7 +391,7 @@ class _Reader:
             self.bounds[letter].append((low, high, -1, 0))
 
     def _check_partner(self, letter: str, finite: int, variable: int, earlier: set[int]) -> None:
-        """Raise where a row cannot be complementary to a variable, which are numbered from 1 here."""
+        """Raise if a row cannot be complementary to a variable, numbered from 1 here."""
         source, n = self.source, self.header.variables
         if letter == "b" or not 0 <= finite < 4 or not 1 <= variable <= n:
             what = f"which bounds are finite (0 to 3), and a variable from 1 to {n}"
@@ -443,7 +443,7 @@ class _Reader:
         )
 
     def _check_counts(self) -> None:
-        """Raise where the head announces what is not there, before anything of that size is allocated."""
+        """Raise if the head announces more than the file holds, before memory is allocated."""
         header, bounds, trees = self.header, self.bounds, self.trees
         pairs = header.linear_pairs + header.nonlinear_pairs
         slopes, announced_slopes = len(self.rows["G"].values), header.objective_nonzeros

@@ -45,7 +45,7 @@ def write_sol(
     code : int
         0 to 99 solved, 100 solved to a lower precision, 200 infeasible, 300 unbounded, 400 limit, 500 failure.
     sizes : tuple of int, optional
-        m and n, where x or y is None.
+        m and n, if x or y is None.
     """
     target = checked_path(path)
     duals, values = _given(y), _given(x)

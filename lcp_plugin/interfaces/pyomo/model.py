@@ -182,7 +182,7 @@ class _Draft:
         self.given: list[Any] = []
         self.states: dict[int, Any] = {}  # by the row's id
         self.partners: dict[int, tuple[Any, Pair]] = {}  # variable and pair, by the variable's id
-        self.spare: list[Pair] = []  # whose equations only count where there are not too many
+        self.spare: list[Pair] = []  # their equations count unless there are too many
         self.named: dict[int, str] = {}  # unknowns that were added
 
     def constrain(self, row: Any) -> None:
@@ -314,7 +314,7 @@ class _Draft:
         lower, upper = content.lower.copy(), content.upper.copy()
         if (
             self.is_search
-        ):  # where a pair of Pyomo's own transformation has no other bounds than it states
+        ):  # if a pair of Pyomo's own transformation has no other bounds than it states
             transformed = np.flatnonzero(partners >= 0)
             own, stated_bits = partners[transformed], partner_bounds[transformed]
             lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf

@@ -20,7 +20,7 @@ from .row_inequality import ActiveSetSteps, RowInequality
 
 DENSE_UP_TO = 500  # free rows: a few milliseconds
 STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
-GOAL = 1e-6  # of a linear solve in such a step, where it is iterative
+GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
 EXACT = 1e-14  # relative error after a step
 ROUNDING = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
 
@@ -167,7 +167,7 @@ def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: floa
 
 
 def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
-    """Return LAPACK's estimate of ‖(S M_FF)⁻¹‖∞, ∞ where that is singular, None beyond 500 rows."""
+    """Return LAPACK's estimate of ‖(S M_FF)⁻¹‖∞, ∞ if that is singular, None beyond 500 rows."""
     from scipy.linalg import lapack
 
     if free.size > DENSE_UP_TO:

@@ -38,7 +38,7 @@ class Curvature:
     Attributes
     ----------
     weights : ndarray, shape (n,)
-        −∞ where nothing is known.
+        −∞ if nothing is known.
     indefinite : str
         Why P is certainly not positive semidefinite, or nothing.
     penalty : float

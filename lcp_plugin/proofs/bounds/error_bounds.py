@@ -245,7 +245,7 @@ def _residuals(at: RowInequality) -> FloatVector:
 
 
 def relative_to(infinity: float, size: float) -> float:
-    """Return infinity/size, rounded up: 0 for 0/0, else ∞ where the size is 0."""
+    """Return infinity/size, rounded up: 0 for 0/0, else ∞ if the size is 0."""
     if infinity == 0.0:
         return 0.0
     return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf

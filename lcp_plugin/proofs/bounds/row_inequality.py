@@ -5,7 +5,7 @@ Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i 
 
     e_i ≤ max(z_i − upper_i, min(z_i − lower_i, (w_i + (|B||e|)_i)/d_i)),
 
-and the mirror image holds where e_i < 0. Together |e| ≤ Φ(|e|) with an isotone Φ. Two things follow.
+and the mirror image holds if e_i < 0. Together |e| ≤ Φ(|e|) with an isotone Φ. Two things follow.
 
 1. |e| ≤ y gives |e| ≤ Φ(y), for any B.
 2. If ⟨M⟩v > 0 for some v > 0, every y ≥ 0 with Φ(y) ≤ y bounds |e|: Φ(y + σv) < y + σv for σ > 0, so the smallest σ
@@ -193,7 +193,7 @@ class NearPoint(NamedTuple):
     y: FloatVector
 
     def bound(self, z: FloatVector) -> FloatVector:
-        """Return |z − ẑ| + y ≥ |z − z*|; ∞ where z is not finite."""
+        """Return |z − ẑ| + y ≥ |z − z*|; ∞ if z is not finite."""
         with np.errstate(all="ignore"):
             bound = sum_above(distance_above(self.high, self.low, z), self.y)
         return np.where(np.isnan(bound), np.inf, bound)

@@ -6,8 +6,8 @@ of z − S w to the bounds. Its variational inequality at z*, and the inequality
 
     (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   so that   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
 
-and as λ‖C⁻¹e‖₂² ≤ eᵀM e, ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ where S = C = I, and much
-less where r is smooth.
+and as λ‖C⁻¹e‖₂² ≤ eᵀM e, ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ if S = C = I, and much
+less if r is smooth.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
 
 
 def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
-    """Return y with |z − z*| ≤ y, shape (n,), where `eigenvalue` holds."""
+    """Return y with |z − z*| ≤ y, shape (n,), if `eigenvalue` holds."""
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
     # Both bounds of each r_i; at a bound, with w_i of the right sign, they are equal for any rounding of w_i.
     residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
@@ -184,7 +184,7 @@ def absolute_transpose(matrix: Matrix) -> sp.csr_array:
 
 
 def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:
-    """Return C (M + Mᵀ)/2 C and how far rounding moved its eigenvalues at most, ∞ where it overflows."""
+    """Return C (M + Mᵀ)/2 C and a bound of the rounding of its eigenvalues, ∞ after overflow."""
     even = scale_matrix(M, exponents)
     part = 0.5 * (even + even.T)
     size = float(abs(part).sum(axis=1).max())

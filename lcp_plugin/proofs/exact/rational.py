@@ -146,7 +146,7 @@ def rounded_down(value: Fraction | None) -> float:
 
 
 def enclosures(values: Sequence[Fraction]) -> tuple[FloatVector, FloatVector]:
-    """Return doubles not above and not below the values, equal where these are doubles; infinite beyond the largest.
+    """Return the nearest float64 numbers not above and not below the values, ∞ beyond the range.
 
     Examples
     --------

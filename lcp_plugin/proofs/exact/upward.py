@@ -17,7 +17,7 @@ LEAST = -LARGEST
 
 
 def sum_above(a: Any, b: Any) -> FloatVector:
-    """Return a double ≥ a + b, equal to it where a + b is a double."""
+    """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
     with np.errstate(all="ignore"):
         total = np.add(a, b)
         part = total - a

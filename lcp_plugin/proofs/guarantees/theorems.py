@@ -32,7 +32,7 @@ AUTOMATIC = (
     "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel does, and "
     f"M is {{}} ({CRYER})"
 )
-ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also where it is subnormal
+ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -47,7 +47,7 @@ class Guarantee:
     theorem : str
         The theorem and its source, or the missing condition.
     rate : float or None
-        c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x where `speaks_of` is "x". So
+        c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x if `speaks_of` is "x". So
         |z_k − z*| ≤ c/(1 − c) ‖z_k − z_{k−1}‖_v v, in exact arithmetic.
     v : array, shape (n,), or None
         The weights of that norm, positive.

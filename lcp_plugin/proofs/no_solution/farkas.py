@@ -188,7 +188,7 @@ class FarkasProgram:
     def _with_slack(self, answer: FarkasAnswer, slacks: sp.csr_array) -> FloatVector | None:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
 
-        A vertex has as few positive multipliers as it can: where the coefficients carry rounding errors, those may
+        A vertex has as few positive multipliers as it can: if the coefficients carry rounding errors, those may
         vanish only together, and proofs with rounding margins require slack in all inequalities.
         """
         form = self._form
@@ -207,7 +207,7 @@ class FarkasProgram:
 
     @cached_property
     def _slacks(self) -> list[sp.csr_array]:
-        """Matrices from slacks to multipliers: one slack for all one-sided bounds, then separate."""
+        """Matrices from slacks to multipliers: a slack for all one-sided bounds, then separate."""
         form = self._form
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]

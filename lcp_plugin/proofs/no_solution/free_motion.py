@@ -52,7 +52,7 @@ def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
     ----------
     P, c, direction
     left : mapping of int to number
-        P d where it is not 0.
+        Entries of P d that are not 0.
 
     Examples
     --------

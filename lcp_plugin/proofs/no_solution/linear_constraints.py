@@ -87,7 +87,7 @@ class LinearConstraints:
             return np.stack([below, np.where(self.needs_fall, lowest + self.q, -np.inf)])
 
     def contradictory_rows(self) -> Iterator[tuple[int, int]]:
-        """Yield the rows that x within the bounds miss by most, and +1 where w_i is too small, −1 where too large."""
+        """Yield the most violated rows, with +1 if w_i is too small, and −1 if it is too large."""
         missing = self.missing
         most = missing.max(axis=0)
         suspects = np.flatnonzero(most > 0.0)
@@ -159,7 +159,7 @@ class Contradiction:
     y : mapping of int to Fraction
         Entries by row, none of them 0.
     rows : IntegerMatrix, optional
-        M, where it is known in integers.
+        M, if it is known in integers.
     left : dict of int to Fraction
         Entries of Mᵀy that are not 0 on open sides.
     plain : Fraction

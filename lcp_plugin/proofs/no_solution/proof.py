@@ -100,7 +100,7 @@ class NoSolutionProof:
     Notes
     -----
     |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
-    |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; where the case is not chosen, w_i has a wrong sign by d_i t_i
+    |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; if the case is not chosen, w_i has a wrong sign by d_i t_i
     at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which the certificate of a piece fails,
     minimized over all pieces, bounds the relative residual from below.
     """

@@ -26,7 +26,7 @@ from ...systems.comparison_sums import comparison_product, exact_comparison_row
 from ..exact.rational import rounded_down
 
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
-TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, where they iterate: a loose one is often enough
+TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose one is often enough
 SMALLEST_WEIGHT = 1e-30
 
 
@@ -89,7 +89,7 @@ def h_verdict(matrix: Matrix) -> HVerdict:
 
 
 def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
-    """Return a rigorous lower bound of ⟨M⟩v where it is positive on every row and v > 0, else None."""
+    """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
     if not ((v > 0.0) & np.isfinite(v)).all():
         return None
     value, radius = comparison_product(M, v)

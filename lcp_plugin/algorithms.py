@@ -1,4 +1,4 @@
-"""The algorithms by their names.
+"""The table of algorithms by name, and the functions that create them.
 
 An algorithm is a class below :class:`Algorithm` with ``name``, its options as fields, ``needs``, ``solves``, ``cost``
 and ``reference``, which ``lcp-plugin list`` and the manual's table print. Ours is a file in ``methods/`` and a line of
@@ -67,7 +67,9 @@ def __getattr__(name: str) -> Any:
         module, _, word = place.partition(":")
         if word == name:
             return getattr(import_module(f".{module}", __package__), word)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    classes = [place.rpartition(":")[2] for place in REGISTRY.values()]
+    hint = "" if name.startswith("_") else did_you_mean(name, classes)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
 
 
 def algorithm_class(name: str) -> type[Algorithm]:

@@ -48,7 +48,7 @@ ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
 
 
 class RowsAtPoint(NamedTuple):
-    """Rows at a point z: one pass over M.
+    """Values of all rows at a point z, from one pass over M.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class RowData:
         return self.q.shape[-1] if isinstance(self.M, np.ndarray) else np.diff(self.M.indptr)
 
     def rows(self, z: FloatVector) -> RowsAtPoint:
-        """Return the rows at z."""
+        """Return the values of all rows at z."""
         products = times(self.absolute, np.abs(z))
         terms = products + np.abs(self.q)
         slip = np.where(
@@ -152,7 +152,7 @@ class RowData:
         return (wrong > 0.0) | ((z > self.lower) & (z < self.upper))
 
     def acting_reference(self, z: FloatVector, at: RowsAtPoint) -> Any:
-        """Return the largest T_k/d_k of rows of each row's component that act, or may, rounding included."""
+        """Return, for each row, the largest T_k/d_k of the rows of its component that act, or may act with rounding."""
         wrong = self.violations(z, at.w)
         may_act = self.acts(z, wrong) | ((np.abs(at.w) <= at.slip) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
@@ -362,7 +362,7 @@ def rows_near_start(problem: LCP) -> Any:
 
 
 def snap_to_bounds(problem: LCP, z: FloatVector) -> FloatVector:
-    """Return z with z_i at a bound that is closer than the step −w_i/d_i, and z° in components that z° solves."""
+    """Return z, each z_i moved to the bound that z_i − w_i/d_i reaches or passes; z° in components that it solves."""
     with np.errstate(all="ignore"):
         moved = row_data(problem).snap_to_bounds(z, problem.slack(z))
     is_solved = rows_solved_at_start(problem)

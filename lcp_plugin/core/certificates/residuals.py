@@ -125,7 +125,7 @@ class Certificate:
 
     @cached_property
     def _worst(self) -> tuple[float, int]:
-        """The residual that is the largest relative to the reference of its component, and its row."""
+        """The residual that is largest relative to the reference of its component, and its row."""
         several = connected_components(self.problem.matrix)
         with np.errstate(all="ignore"):
             residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
@@ -296,7 +296,7 @@ class Certificate:
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True at that level, if the residual is small, or in its component z° is a solution up to rounding.
+        """True at rounding level, if each component has a small residual or is solved by z° up to rounding.
 
         Otherwise rounding as large as the problem itself, from a z of extreme size, would count as a limit reached.
         """

@@ -47,7 +47,7 @@ def magnitude(problem: LCP, z: FloatVector) -> FloatVector:
 
 
 def measured_residual(problem: LCP, z: FloatVector) -> float:
-    """Return ‖r(z)‖∞ as double precision gives it."""
+    """Return ‖r(z)‖∞ as computed in double precision, without a bound of its rounding error."""
     with np.errstate(all="ignore"):
         residual = scaled_residual(problem, z, problem.slack(z))
         return float(np.abs(residual, out=residual).max(initial=0.0))
@@ -87,7 +87,7 @@ def is_at_bound(problem: LCP, z: FloatVector) -> BoolVector:
 
 
 def ratio_upwards(numerator: float, denominator: float) -> float:
-    """Return a double that is no smaller than the quotient of two that are ≥ 0; 0 for 0/0.
+    """Return the quotient of two numbers ≥ 0, rounded upwards; 0 for 0/0.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def ratio_upwards(numerator: float, denominator: float) -> float:
 
 
 def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
-    """Return a double that is no smaller than any of the quotients of numbers that are ≥ 0; 0 for 0/0, and for none.
+    """Return the largest quotient of numbers ≥ 0, rounded upwards; 0 for 0/0, and for empty arrays.
 
     Examples
     --------

@@ -148,7 +148,7 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
 
 
 def row_splits(matrix: Any, *, backward: bool) -> Any:
-    """Return the read-only positions in each row of a CSR array of the first column ≥ i (backward: > i), shape (n,)."""
+    """Return, for each row i of a CSR array, the position of its first column ≥ i (backward: > i), shape (n,)."""
     n, indptr = matrix.shape[0], matrix.indptr
     first = np.repeat(
         np.arange(int(backward), n + int(backward), dtype=matrix.indices.dtype), np.diff(indptr)

@@ -36,7 +36,7 @@ def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
 
 @fact
 def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return the row splits of a sweep direction, shape (n,)."""
+    """Return where the updated columns of each row end, for a sweep direction, shape (n,)."""
     from ..kernels import splitting_sweeps as kernels
 
     return kernels.row_splits(matrix.csr, backward=backward)
@@ -72,7 +72,7 @@ def row_blocks(n: int) -> Iterator[slice]:
 
 @fact
 def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVector:
-    """Return θ, shape (n,): 1 where a row is not dominant in M, else up to 2; one pass over M, kept with M.
+    """Return θ, shape (n,): up to 2 if every row of M is diagonally dominant, else 1 on all rows; one pass over M.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVecto
 def balanced_factors(
     matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
 ) -> FloatVector:
-    """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
+    """Return θ of `automatic_factors`, from g, the sums ℓ over the updated columns, and the triangle sums of v = 1."""
     factors = np.empty(matrix.n)
     is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(
         matrix.residual_scale, matrix.diagonal

@@ -58,7 +58,7 @@ class Components:
 
 @fact
 def connected_components(matrix: Matrix) -> Components | None:
-    """Return the connected components of the graph of M; None if all rows belong together, as they mostly do.
+    """Return the connected components of the graph of M; None if there is only one.
 
     Examples
     --------

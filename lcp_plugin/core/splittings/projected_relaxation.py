@@ -321,7 +321,7 @@ class AdaptiveRelaxation:
 
     @staticmethod
     def _rate(sizes: list[float]) -> float:
-        """Return the contraction a sweep over the second half; the first half is transient."""
+        """Return the contraction per sweep over the second half of the sweeps; the first half is transient."""
         half = len(sizes) // 2
         if not sizes[-1 - half] > 0.0:
             return 0.0

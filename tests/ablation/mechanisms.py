@@ -1,4 +1,4 @@
-"""The mechanisms: the name, what it is for, what is put in its place, which lines would go with it."""
+"""The mechanisms: name, purpose, replacements, and the definitions that would become unused."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dua
 
 
 class Mechanism(NamedTuple):
-    """One that can be left out.
+    """A mechanism that can be switched off.
 
     Attributes
     ----------
     name : str
     purpose : str
     off : dict
-        What is put in place of what, by places.
+        Replacement for each patched definition, by its location.
     goes : str
-        Files, folders and definitions that it alone needs.
+        Files, folders and definitions that only this mechanism needs.
     claim : str
-        A test of this folder's parent that fails without it, ``path::name``, where the inputs here show no loss.
+        A test of this folder's parent that fails without it, ``path::name``, if the inputs here show no loss.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Mechanism(NamedTuple):
 
     @property
     def patches(self) -> list[Patch]:
-        """What leaves it out."""
+        """Return the patches that switch the mechanism off."""
         return [Patch(place, instead) for place, instead in self.off.items()]
 
     @property
@@ -62,26 +62,27 @@ class Mechanism(NamedTuple):
         return sum(code_lines(place) for place in self.goes.split())
 
 
-# --- what stands there instead --------------------------------------------------------------------------------------
+# --- replacements
+# ---------------------------------------------------------------------------------------------------
 
 
 def says(answer: Any) -> Instead:
-    """That answer, whatever is asked."""
+    """Return a function with a constant result."""
     return differing(lambda old: lambda *_, **__: answer)
 
 
 def skipped() -> Instead:
-    """Nothing is done where something was."""
+    """Return a function that does nothing."""
     return Instead(lambda old: lambda *_, **__: None)
 
 
 def given_back(position: int = 0) -> Instead:
-    """What it was given."""
+    """Return a function that returns one of its arguments."""
     return differing(lambda old: lambda *given, **_: given[position])
 
 
 def differing(off: Callable[[Any], Any]) -> Instead:
-    """What is cheap, so that whoever watches can compare the two answers."""
+    """Return a cheap replacement, for a comparison of both results."""
 
     def watch(old: Any, note: Callable[[], None]) -> Any:
         other = off(old)
@@ -98,7 +99,7 @@ def differing(off: Callable[[Any], Any]) -> Instead:
 
 
 def is_same(one: Any, other: Any) -> bool:
-    """Whether two answers are one object, or the same numbers."""
+    """Return whether two results are one object, or the same numbers."""
     if one is other:
         return True
     try:
@@ -108,7 +109,7 @@ def is_same(one: Any, other: Any) -> bool:
 
 
 def yielding(is_kept: Callable[[int, Any], bool], *, to_the_end: bool = True) -> Instead:
-    """What it yields as long as that is kept, or all that is."""
+    """Return a generator that keeps only some items, or ends at the first item that is not kept."""
 
     def made(old: Any, note: Callable[[], None] | None) -> Any:
         def generator(*given: Any, **named: Any) -> Any:
@@ -138,7 +139,7 @@ def one_row_alone(old: Any) -> Any:
 
 
 def without(*names: str) -> Instead:
-    """What it yields but for methods of these names."""
+    """Return a generator without methods of these names."""
     return yielding(lambda _, choice: choice.algorithm.name not in names)
 
 
@@ -171,12 +172,12 @@ def nothing() -> Instead:
 
 
 def only_start() -> Instead:
-    """No step of least squares: the start alone."""
+    """Return only the start, without steps of least squares."""
     return Instead(lambda old: lambda start, *_: iter([start]))
 
 
 def without_engines(*names: str) -> Instead:
-    """The engines that are asked but for those of these names."""
+    """Return a generator of the requested engines without engines of these names."""
     return yielding(lambda _, asked: asked[0].name not in names)
 
 
@@ -218,7 +219,7 @@ def no_point(old: Any) -> Any:
 
 
 MECHANISMS = (
-    # --- LCPs: what comes first
+    # --- LCPs: first methods
     Mechanism(
         "banded",
         "rounds of active sets on narrow bands",

@@ -1,22 +1,24 @@
-"""Numbers that users write, in every kind of problem, judged from outside.
+"""Campaign of problems with outliers among their data, for every problem class, with external checks.
 
     python tests/campaigns/outliers.py --kind all --count 500 --csv now.csv --beside before.csv
 
-Small problems of integers and one or two odd numbers: limits of 1e10 … 1e19, 1e20 and ∞ that stand for "none", cos(π/2)
-in place of a zero, a regularisation of 1e-9, ties, zeros, a far origin, two groups of other sizes. What the package
-says of itself is not asked:
+The problems are small, have integer data, and contain one or two outliers. Outliers are right-hand sides and bounds
+of 1e10 … 1e19, 1e20 and ∞ for "none", cos(π/2) for a zero, a regularization of 1e-9, ties, zeros, a distant origin,
+or two groups of different sizes. The campaign does not use the certificates of the package. It counts these
+outcomes:
 
-- an answer is right where its conditions hold to 1e-9 (programs) or 1e-7 of their own terms, those of LCPs in
-  fractions, or where it is near one that enumeration of all cases in fractions, Clarabel or HiGHS find, or that was
-  planted (monotone kinds);
-- refused: one exists, and the run ended without it, or raised;
-- false: called SOLVED and neither, INFEASIBLE, UNBOUNDED or NO_SOLUTION where one exists within the radius of the
-  proof, or "proved" of an x that is none; an exception that is no LCPError;
-- open: no judge knows, an optimum lies beyond the radius of the proof, or an x that fulfils rows and bounds to 1e-9
-  is better than what the judge found.
+- right: the conditions hold to 1e-9 (programs) or to 1e-7 of the row-wise terms. The conditions of LCPs are
+  evaluated with rational numbers. A solution is also right if it is close to a solution from rational enumeration,
+  Clarabel or HiGHS, or to a manufactured solution (monotone classes).
+- refused: a solution exists, and the run ended without it, or raised an exception.
+- false: a wrong SOLVED, a wrong INFEASIBLE, UNBOUNDED or NO_SOLUTION although a solution exists within the radius
+  of the proof, a wrong "proved", or an exception that is not an LCPError.
+- open: no reference solution is available, an optimum lies beyond the radius of the proof, or an x that satisfies
+  rows and bounds to 1e-9 is better than the reference.
 
-Prints these per kind, and the first false ones; exit code 1 where anything is false. ``--csv`` writes the outcomes,
-``--beside`` counts what is refused now and was right there (run that with another checkout's Python).
+The script prints the counts per problem class, and the first false outcomes. The exit code is 1 if any outcome is
+false. ``--csv`` writes the outcomes. ``--beside`` counts problems that are refused now and were right in that file,
+for example from another checkout.
 """
 
 from __future__ import annotations
@@ -45,13 +47,14 @@ ALGORITHMS = ("auto",) * 5 + ("lemke", "newton", "interior_point", "npsor", "pso
 
 
 class Outcome(NamedTuple):
-    """What became of one problem, and in words."""
+    """Outcome of one problem, with a message."""
 
     what: str
     text: str = ""
 
 
-# --- Exact judges -----------------------------------------------------------------------------------------------------
+# --- Exact checks
+# ---------------------------------------------------------------------------------------------------
 
 
 def exact(values: Any) -> list[Any]:
@@ -85,9 +88,9 @@ class ExactLCP:
         ]
 
     def wrong(self, z: np.ndarray, *, leaves_negligible: bool = False) -> float:
-        """The largest wrong part of w_i beside |q_i| + Σ|m_ij z_j|, and of z_i beside itself.
+        """Return the largest violation of w_i relative to |q_i| + Σ|m_ij z_j|, and of z_i relative to z_i.
 
-        What is nearer to a bound than 1e-9 of what its w_i asks for is at it.
+        z_i counts as at a bound if their distance is below 1e-9 of the step that w_i requires.
         """
         if not np.isfinite(z).all():
             return np.inf
@@ -119,7 +122,7 @@ class ExactLCP:
         return largest
 
     def _is_negligible(self, i: int, z: list[Fraction], sizes: list[Fraction]) -> bool:
-        """Whether row i, which has no q_i, is noise beside other rows and the column of z_i, in its component."""
+        """Return whether row i has q_i = 0 and is negligible in its component (other rows, column of z_i)."""
         if self.q[i]:
             return False
         part = self.parts()
@@ -164,7 +167,7 @@ class ExactLCP:
         return sp.csgraph.connected_components(sp.csr_array(pattern), directed=False)[1]
 
     def is_near(self, z: np.ndarray) -> bool | None:
-        """Whether a solution is within .1 % in every component; None where no regular case has one."""
+        """Return whether a solution is within .1 % in every component; None if no regular case has one."""
         part, some = self.parts(), None
         for solution in self.solutions():
             some, right = False, np.array([float(value) for value in solution])
@@ -227,7 +230,7 @@ class ExactProgram:
         return quadratic / 2 + _dot(self.c, x)
 
     def optimum(self) -> list[Fraction] | None:
-        """An optimal x of a regular case; None where there is none."""
+        """Return an optimal x of a regular active set, or None."""
         n = len(self.c)
         sides = [
             [side for side in (None, low, high) if side is None or abs(side) < np.inf]
@@ -289,12 +292,12 @@ def integers(rng: Generator, *shape: int, largest: int = 3) -> np.ndarray:
 def some(
     rng: Generator, values: Any, shape: Any, share: float = 0.3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where an odd number stands, and which."""
+    """Return the mask of the outliers, and their values."""
     return rng.random(shape) < share, np.asarray(rng.choice(values, shape), float)
 
 
 def matrix(rng: Generator, n: int) -> tuple[np.ndarray, str]:
-    """A square matrix of integers, of several kinds."""
+    """Return a square matrix of integers, of one of several classes."""
     kind = rng.choice(["any", "definite", "semidefinite", "dominant", "saddle"])
     A = integers(rng, n, n)
     if kind == "definite":
@@ -471,7 +474,7 @@ def odd_program(rng: Generator, *, linear: bool) -> tuple[list[Any], str]:
 
 
 def without_far(data: list[Any]) -> list[Any]:
-    """The program without its limits beyond 1e9."""
+    """Return the program without right-hand sides and bounds beyond 1e9."""
     P, c, G, h, A, b, lower, upper = data
     keep = abs(h) < 1e9
     return [
@@ -487,7 +490,7 @@ def without_far(data: list[Any]) -> list[Any]:
 
 
 def by_others(data: list[Any]) -> np.ndarray | None:
-    """The answer of HiGHS or Clarabel to the program without its far limits, where that keeps them."""
+    """Return the solution of HiGHS or Clarabel without bounds beyond 1e9, if it satisfies them."""
     import clarabel
     from scipy.optimize import linprog
 
@@ -520,9 +523,9 @@ def by_others(data: list[Any]) -> np.ndarray | None:
     return x if x is not None and violation(data, x) <= 1e-8 else None
 
 
-@np.errstate(all="ignore")  # an error beside 1e-300
+@np.errstate(all="ignore")  # ratios to 1e-300
 def violation(data: list[Any], x: np.ndarray) -> float:
-    """The largest violation beside a row's own terms, or 1e-6 of its largest coefficient times the largest unknown."""
+    """Return the largest violation of a row relative to its terms (at least 1e-6 |coefficient| |unknown|)."""
     _, _, G, h, A, b, lower, upper = data
     largest, worst = abs(x).max(initial=0.0), 0.0
     lower, upper = limits(lower), limits(upper)
@@ -544,7 +547,7 @@ def violation(data: list[Any], x: np.ndarray) -> float:
 
 @np.errstate(all="ignore")
 def conditions(data: list[Any], x: np.ndarray, duals: dict[str, np.ndarray]) -> float:
-    """The largest violation of any condition of optimality beside its own terms."""
+    """Return the largest violation of any optimality condition, relative to the terms of its row."""
     P, c, G, h, A, b, lower, upper = data
     y, e, below, above = (duals[name] for name in ("inequality", "equality", "lower", "upper"))
     Q = np.zeros((len(c), len(c))) if P is None else P
@@ -581,7 +584,7 @@ def value_of(data: list[Any], x: np.ndarray) -> tuple[float, float]:
 
 
 def best_of(data: list[Any], cases: int = 600) -> tuple[float, float, float] | str | None:
-    """The optimal value, its size and the largest unknown; "none" where enumeration finds none; None: nobody knows."""
+    """Return the optimal value, its size and the largest unknown; "none" if infeasible; None if unknown."""
     program = ExactProgram(*data)
     if program.count() <= cases:
         found = program.optimum()
@@ -603,7 +606,7 @@ def judged_program(
             return Outcome(FALSE, f"SOLVED {x}: {text}")
         rounded = np.where(
             abs(x) <= 1e-15 * abs(x).max(), 0.0, x
-        )  # rounding of a zero has no size to be beside
+        )  # the rounding error of a zero has no reference size
         if min(conditions(data, x, duals), conditions(data, rounded, duals)) <= HOLDS_OF_PROGRAMS:
             return Outcome(RIGHT)
         best, violated, (value, size) = best_of(data), violation(data, x), value_of(data, x)
@@ -683,7 +686,7 @@ def lcp_case(rng: Generator) -> Outcome:
 
 
 def batch_case(rng: Generator) -> Outcome:
-    """One of several problems at once: of one M, stacked, or a list with programs."""
+    """Draw a batch: several q for one M, stacked matrices, or a list with programs."""
     M, q, lower, upper, words = odd_lcp(rng, 4)
     qs = np.array([q, integers(rng, len(q)), np.where(rng.random(len(q)) < 0.5, q, 0.0)])
     way = str(rng.choice(["one matrix", "stacked", "list", "programs"]))
@@ -767,7 +770,7 @@ def derivative_case(rng: Generator) -> Outcome:
 
 
 def game_case(rng: Generator) -> Outcome:
-    """An equilibrium of a game: what its players lose against the best reply, in fractions."""
+    """Draw a bimatrix game; its equilibrium is checked with rational payoffs of the best replies."""
     m, k = rng.integers(1, 5, 2)
     A, B = (rng.integers(0, rng.choice([2, 7, 100]), (m, k)).astype(float) for _ in range(2))
     words = str(rng.choice(["plain", "far", "one", "small", "offset"]))
@@ -797,13 +800,13 @@ def game_case(rng: Generator) -> Outcome:
                 for share in (found.row_strategy, found.column_strategy)
             ),
         )
-        for noise in (0.0, 1e-12)  # a share of 1e-16 is rounding, but beside payoffs of 1e19
+        for noise in (0.0, 1e-12)  # a share of 1e-16 is rounding error, except with payoffs of 1e19
     )
     return Outcome(RIGHT if worst <= 1e-6 else FALSE, f"loses {worst:.1e} of its payoff: {text}")
 
 
 def _loss(A: np.ndarray, B: np.ndarray, x: list[Fraction], y: list[Fraction]) -> float:
-    """What a player loses against the best reply, beside the payoffs of what is played."""
+    """Return the loss against the best reply, relative to the payoffs of the strategies in use."""
     worst = 0.0
     for payoffs, own, other in ((exact_rows(A), x, y), (exact_rows(B.T), y, x)):
         values = [_dot(row, other) for row in payoffs]
@@ -884,7 +887,7 @@ def equilibrium_case(rng: Generator) -> Outcome:
 
 
 def least_squares_case(rng: Generator) -> Outcome:
-    """The cost of each group of columns beside that of the exact minimiser."""
+    """Draw least squares; the cost of each group of columns is compared with the exact minimum."""
     n, m = int(rng.integers(1, 5)), int(rng.integers(1, 7))
     A, b = integers(rng, m, n), integers(rng, m)
     lower, upper, ridge, words = np.zeros(n), np.full(n, np.inf), 0.0, []
@@ -976,10 +979,10 @@ def least_squares_case(rng: Generator) -> Outcome:
 def _slope_beside_rounding(
     rows: Any, right: Any, ridge: Fraction, x: list[Fraction], program: ExactProgram
 ) -> float:
-    """The largest slope of the wrong sign beside what a relative change 1 of every entry of A and b can make of it.
+    """Return the largest slope of the wrong sign, relative to its change if A and b change by 100 %.
 
-    Where that is a rounding error, x is an answer of the same problem but for one: where the distance to the answer is
-    large nevertheless, A is singular but for rounding, or a limit of 1e19 is an end of what was asked for.
+    If the ratio is at rounding level, x solves a problem whose data differ by rounding errors. If x is nevertheless
+    far from the solution, A is singular to rounding error, or a bound of 1e19 is at the end of the supported range.
     """
     left = [_dot(row, x) - value for row, value in zip(rows, right, strict=True)]
     sizes = [
@@ -1002,12 +1005,12 @@ def _slope_beside_rounding(
 
 
 def _in_cone(z: np.ndarray, slope: float) -> float:
-    """How far z is outside of ‖z_T‖ ≤ slope z_0."""
+    """Return the distance by which z is outside of ‖z_T‖ ≤ slope z_0."""
     return float(max(np.linalg.norm(z[1:]) - slope * z[0], -z[0]))
 
 
 def cone_case(rng: Generator) -> Outcome:
-    """A strongly monotone problem with a planted answer; the conditions of each block beside its own terms."""
+    """Draw a strongly monotone cone problem; each block is checked relative to the terms of its rows."""
     sizes = [int(rng.choice([1, 2, 3])) for _ in range(int(rng.integers(1, 4)))]
     n, ends = sum(sizes), np.cumsum([0, *sizes])
     L, K = integers(rng, n, n), integers(rng, n, n)
@@ -1053,7 +1056,7 @@ def cone_case(rng: Generator) -> Outcome:
         )
     x, wrong = result.z.copy(), 0.0
     alone = np.repeat(np.array(sizes) == 1, sizes)
-    x[alone & (x <= 1e-9 * abs(x).max()) & (M @ x + q > 0)] = 0.0  # so near to its bound is at it
+    x[alone & (x <= 1e-9 * abs(x).max()) & (M @ x + q > 0)] = 0.0  # it counts as at its bound
     v, terms = M @ x + q, abs(M) @ abs(x) + abs(q)
     noise = 1e-12 * max(terms.max(), 1e-300), 1e-12 * abs(x).max()
     is_negligible = True
@@ -1074,7 +1077,7 @@ def cone_case(rng: Generator) -> Outcome:
 
 
 def contact_case(rng: Generator) -> Outcome:
-    """One or two groups of contacts, or a tower: the laws of friction in each, or the planted impulses."""
+    """Draw one or two groups of contacts, or a tower; the laws of friction are checked in each group."""
     d, groups, qs, planted = int(rng.integers(2, 4)), [], [], []
     word = str(rng.choice(["one", "groups", "tower", "masses"]))
     mu = []
@@ -1144,7 +1147,7 @@ def contact_case(rng: Generator) -> Outcome:
 
 
 def nonlinear_case(rng: Generator) -> Outcome:
-    """A monotone F with a planted solution: M positive definite and increasing functions of each unknown."""
+    """Draw a monotone F with a known solution: M positive definite and increasing scalar functions."""
     n = int(rng.integers(1, 5))
     L = integers(rng, n, n)
     M = L @ L.T + np.eye(n)
@@ -1211,5 +1214,5 @@ def run(kind: str, seed: int, k: int) -> Outcome:
         return KINDS[kind](rng)
     except lp.LCPError as error:
         return Outcome(REFUSED, f"{type(error).__name__}: {error}")
-    except Exception as error:  # a campaign counts what a caller would see
+    except Exception as error:  # a campaign counts all exceptions that a user would see
         return Outcome(FALSE, f"{type(error).__name__}: {error}")

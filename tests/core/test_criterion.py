@@ -113,7 +113,7 @@ def constructed(name: str) -> tuple[LCP, Any, Any]:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", CONSTRUCTED)
 def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) -> None:
-    """No method calls a constructed wrong point SOLVED: the answer is right, or the status says that it is not."""
+    """No method calls a constructed wrong point SOLVED: the result is right, or has another status."""
     problem, wrong, right = constructed(name)
     if method == "psor" and (problem.diagonal <= 0.0).any():
         with pytest.raises(UnsuitableMatrix):
@@ -203,7 +203,7 @@ def solves_exactly(M: Any, q: Any, z: Any) -> bool:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(20))
 def test_no_wrong_point_is_solved(seed: int) -> None:
-    """Of well-conditioned problems, a SOLVED z lies near an exact solution; none is SOLVED without one."""
+    """A SOLVED z of a well-conditioned problem is close to an exact solution."""
     rng = np.random.default_rng([81, seed])
     for _ in range(100):
         M, q = drawn(rng)
@@ -235,7 +235,7 @@ def test_a_right_result_passes_exactly_and_one_ulp_off(name: str) -> None:
 
 
 def test_a_stack_is_judged_as_its_problems() -> None:
-    """Of 40 random problems each status in a batch is that of a solve by itself."""
+    """The statuses of a batch of 40 random problems equal the statuses of single solves."""
     rng = np.random.default_rng(3)
     M, q = (
         rng.integers(-2, 4, (40, 4, 4)).astype(float),
@@ -246,11 +246,11 @@ def test_a_stack_is_judged_as_its_problems() -> None:
         assert solve(LCP(M[k], q[k])).status is batch.status[k]
 
 
-# --- Rows beside their own terms ---
+# --- Residuals relative to row-wise terms ---
 
 
 def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
-    """Where m_ii is small beside its row, w_i measures it: 1e-16 is no distance of 1e-4."""
+    """If m_ii is small relative to its row, an error of 1e-16 in w_i does not count as a distance of 1e-4."""
     for tiny in 10.0 ** -np.arange(6.0, 14.0):
         problem = LCP([[1.0, -2.0], [3.0, tiny]], [-3.0, -8.0])
         right = np.array([(3.0 * tiny + 16.0), 8.0 - 9.0]) / (tiny + 6.0)
@@ -262,7 +262,7 @@ def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
 
 
 def test_rows_where_no_double_is_nearer_are_right() -> None:
-    """A step of diffusion into a far field that underflows is solved; a wrong row of 1e-309 there is not excused."""
+    """A diffusion step into an underflowing far field is SOLVED; a wrong row of 1e-309 is detected."""
     n = 2400
     M = sp.diags_array([-8.0, 17.0, -8.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
     problem = LCP(M, -np.fmax(5e-324, 0.1 ** np.arange(n)))
@@ -276,7 +276,7 @@ def test_rows_where_no_double_is_nearer_are_right() -> None:
 
 @pytest.mark.full
 def test_integers_with_tiny_diagonals_by_all_cases() -> None:
-    """No SOLVED of 300 drawn problems is false, and none of ten planted ones."""
+    """No SOLVED of 300 random problems and ten problems with known solutions is false."""
     rng = np.random.default_rng(3)
     for _ in range(300):
         case = tiny_diagonals.drawn(rng, int(rng.integers(1, 6)))
@@ -288,7 +288,7 @@ def test_integers_with_tiny_diagonals_by_all_cases() -> None:
 
 
 def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
-    """z* = w* = 0: what is left of z in such a row is as large as its terms, and no wrong row."""
+    """For z* = w* = 0 the remainder of z is as large as the terms of its row, and the row passes."""
     M = 4.0 * np.eye(60) - np.eye(60, k=1) - np.eye(60, k=-1)
     z = np.where(np.arange(60) < 20, 1.0, 0.0)
     result = solve(LCP(M, np.where(np.arange(60) == 20, 1.0, 0.0) - M @ z), "npgs")
@@ -299,7 +299,7 @@ def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
 
 @pytest.mark.parametrize("none", [1e20, 1e30, np.inf])
 def test_a_bound_of_1e20_is_none(none: float) -> None:
-    """As in files and other solvers: in arrays, with another q, in a batch; 1e19 is a bound."""
+    """A bound of 1e20 means none in arrays, with another q, and in a batch; 1e19 is a bound."""
     M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
     problem = LCP(M, q, lower=-none, upper=[none, 1e19])
     assert problem.lower.tolist() == [-np.inf, -np.inf]
@@ -325,7 +325,7 @@ def is_lie(problem: LCP, z: np.ndarray) -> bool:
 
 
 def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.ndarray]:
-    """Five-point grids without coupling, an answer planted in each; q in these units."""
+    """Return five-point grids without coupling, with known solutions, and q in these units."""
     rng, n = np.random.default_rng(seed), side * side
     T = sp.diags_array(
         [-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1]
@@ -339,7 +339,8 @@ def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.nda
     ), size * z.ravel()
 
 
-# --- One component wrong, and small beside another -------------------------------------------------------------------
+# --- One component is wrong and small relative to another
+# -------------------------------------------------------------
 
 
 def test_a_small_component_that_is_wrong_is_not_called_solved() -> None:
@@ -352,14 +353,14 @@ def test_a_small_component_that_is_wrong_is_not_called_solved() -> None:
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_no_method_stops_at_a_component_that_is_wrong(name: str) -> None:
-    """Every method goes on from there until the small component is within the tolerance, too."""
+    """Every method continues until the small component is also within the tolerance."""
     result = solve(FAR_APART, name, z0=WRONG_IN_ONE)
     assert result.is_solved
     assert abs(result.z[1] - 0.5) <= TOLERANCE * 0.5
 
 
 def test_the_certificate_names_the_worst_component() -> None:
-    """The worst row is that of the component that is wrong beside its own reference, not of the largest residual."""
+    """The worst row belongs to the component with the largest relative, not absolute, residual."""
     certificate = Certificate.of(FAR_APART, [1e10 - 1.0, 0.6])
     assert certificate.worst_index == 1
 
@@ -374,7 +375,7 @@ def test_the_worst_component_is_named_by_what_is_proved() -> None:
 
 
 def test_a_change_in_the_small_component_is_seen_by_a_warm_start() -> None:
-    """Two grids in units 1e10 apart, solved; q of the small one changes: the old answer is no answer any more."""
+    """If q changes on the smaller of two grids, 1e10 apart in size, the old solution no longer passes."""
     problem, z = two_grids(1e10, 1.0)
     first = solve(problem)
     assert first.is_solved
@@ -391,7 +392,7 @@ def test_a_change_in_the_small_component_is_seen_by_a_warm_start() -> None:
 
 @pytest.mark.parametrize("unit", [1e12, 1e-12])
 def test_the_interior_point_method_solves_components_far_apart(unit: float) -> None:
-    """Whose path is one for all components, in units 10^±12."""
+    """The path of the interior point is shared by components in units 10^±12, and both are SOLVED."""
     problem, z = two_grids(unit, 1.0, side=10)
     result = solve(problem, "interior_point")
     assert result.is_solved
@@ -402,14 +403,14 @@ def test_the_interior_point_method_solves_components_far_apart(unit: float) -> N
 
 
 def test_what_z0_solves_exactly_is_left_there() -> None:
-    """A component that z° solves has no other answer by its own data: a start elsewhere does not stay there."""
+    """A component that z° solves exactly returns z°, also from another start."""
     result = solve(LCP(np.eye(2), [-1.0, 2.0]), z0=[0.0, 1e-300])
     assert result.is_solved
     assert result.z.tolist() == [1.0, 0.0]
 
 
 def test_a_narrow_box_is_no_rounding() -> None:
-    """z₂ ≤ 1e-17 makes the residual of z° small; w₂ = −1 says that z° is wrong, and z₂ = 1e-17 is the answer."""
+    """The bound z₂ ≤ 1e-17 makes the residual of z° small, but w₂ = −1 shows that z₂ = 1e-17 is right."""
     problem = LCP(np.eye(2), [-3.0, -1.0], lower=[1.0, 0.0], upper=[np.inf, 1e-17])
     result = solve(problem)
     assert result.is_solved
@@ -417,7 +418,7 @@ def test_a_narrow_box_is_no_rounding() -> None:
 
 
 def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
-    """z₂ = 3 misses by the rounding of 0.3 alone; the first is solved all the same, and PRECISION_LIMIT said."""
+    """The value z₂ = 3 misses by the rounding error of 0.3: PRECISION_LIMIT, and other rows are solved."""
     M = np.zeros((6, 6))
     M[:5, :5] = (
         np.tril(np.full((5, 5), -1.0), -1) + np.triu(np.full((5, 5), 2.0), 1) + 3.0 * np.eye(5)
@@ -432,7 +433,7 @@ def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer(
 
 
 def test_a_residual_beyond_the_range_of_doubles_is_not_rounding() -> None:
-    """w₁ = −1e200 measured in 1e-200, and w₂ = −1 contradicts: the misfit of 1e400 is no rounding of 1e400."""
+    """Row w₁ = −1e200 with the scale 1e-200, and w₂ = −1 is infeasible: the error of 1e400 is not rounding."""
     result = solve(LCP([[-1e-200, 0.0], [0.0, 0.0]], [-1e200, -1.0]))
     assert result.status not in (Status.PRECISION_LIMIT, Status.SOLVED)
 
@@ -447,7 +448,7 @@ def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) 
 
 
 def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
-    """A component without solution leaves the whole without one, with a proof in the caller's units."""
+    """An infeasible component makes the entire problem INFEASIBLE, with a proof for the unscaled data."""
     problem = LCP(np.diag([1.0, -1.0, 2.0]), [-1e6, -1e3, -1.0])
     result = solve(problem)
     assert result.status is Status.INFEASIBLE
@@ -456,7 +457,8 @@ def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
     assert result.infeasibility.verify()
 
 
-# --- However it is asked ---------------------------------------------------------------------------------------------
+# --- All interfaces
+# -------------------------------------------------------------------------------------------------
 
 
 def batch_of_components() -> tuple[Any, ...]:
@@ -474,7 +476,7 @@ def batch_of_components() -> tuple[Any, ...]:
 
 
 def test_batches_have_the_answers_of_single_solves() -> None:
-    """Stacked and listed: answer and status; and none is a lie."""
+    """Stacked and listed problems have the solution and status of single solves, and no false SOLVED."""
     M, q = batch_of_components()
     problems = [LCP(*one) for one in zip(M, q, strict=True)]
     alone = [solve(problem) for problem in problems]
@@ -487,7 +489,7 @@ def test_batches_have_the_answers_of_single_solves() -> None:
 
 
 def test_marches_take_each_step_in_units_of_its_own() -> None:
-    """Two rods in units 1e9 apart, on narrow bands: every step is right in both."""
+    """Two rods in units 1e9 apart, on narrow bands: every step is SOLVED in both rods."""
     T = 3.0 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
     rods = LCP(sp.block_diag([sp.csr_array(T)] * 2, format="csr"), np.zeros(40))
     forcing = np.broadcast_to(np.repeat([-1e9, -1.0], 20), (5, 40))
@@ -504,7 +506,7 @@ def test_marches_take_each_step_in_units_of_its_own() -> None:
 
 @pytest.mark.parametrize("first", range(len(campaign.ASKED)))
 def test_the_campaign_finds_nothing(first: int) -> None:
-    """Some of its problems, asked in every way; see campaigns/components.py."""
+    """Some problems of campaigns/components.py pass through every interface."""
     for number in (first * len(REGISTRY) + k for k in range(1, 3)):
         with warnings.catch_warnings(action="ignore"):  # of methods not covered
             bad, kind, status = campaign.judge(5, number)
@@ -531,7 +533,7 @@ def test_the_campaign_sees_one_norm_for_all(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
 def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
-    """Right to a hundredth of the tolerance, in any units: every row is right in its own terms."""
+    """A point right to a hundredth of the tolerance passes in every row, for any scaling."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
         rows, of_z = random_scaling(seed, z.size)
@@ -543,7 +545,7 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (friction, game)])
 def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
-    """Off its bound by 1e-12 of its unit, where w is positive and large, z is rounded; the diagonal tells units."""
+    """If w is positive and large, a z off its bound by 1e-12 counts as rounding error of the bound."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
         rows, of_z = random_scaling(seed, z.size)[0], np.ones(z.size)
@@ -567,7 +569,7 @@ def flow(kind: str, n: int) -> np.ndarray:
 @pytest.mark.parametrize("kind", FLOWS)
 @pytest.mark.parametrize("units", ["own", "one", "each", "rows"])
 def test_a_flow_is_no_unit(kind: str, algorithm: str, units: str) -> None:
-    """Convection in other units: what is SOLVED is right to 1e-3, and auto solves it."""
+    """For convection under scaling, a SOLVED z is accurate to 1e-3, and auto solves the problem."""
     for n in (60, 200):
         rng = np.random.default_rng(n)
         M, q = flow(kind, n), rng.choice([-1.0, 1.0], n) * rng.uniform(0.5, 1.0, n)
@@ -608,7 +610,7 @@ def test_what_is_small_by_the_callers_word_is_right() -> None:
 
 
 def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
-    """Far from the load z is 1e-20 and any error there is of its size: it counts beside the load, as ever."""
+    """Far from the load z is 1e-20 with errors of this size, which count relative to the load."""
     n = 60
     M = sp.diags_array(
         [-np.ones(n - 1), np.full(n, 10.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
@@ -635,7 +637,7 @@ def laplacian(side: int, noise: float = 0.0) -> sp.csr_array:
 
 
 def test_entries_that_ought_to_cancel_leave_a_matrix_symmetric():
-    """|m_ij − m_ji| is rounding beside rows, however large beside m_ij; a real flow is none."""
+    """Differences |m_ij − m_ji| at rounding level of the rows are ignored, unlike real convection."""
     M = laplacian(20, noise=4e-16)
     assert is_nearly_symmetric(Matrix(M))
     assert not is_nearly_symmetric(Matrix(laplacian(20, noise=1e-9)))
@@ -688,7 +690,7 @@ def test_contact_at_rest_is_accepted_or_said_to_be_rounding() -> None:
 
 
 def test_infeasible_beyond_the_tolerance_only() -> None:
-    """Z ≥ 0, w = −z − gap has no solution by gap/1: INFEASIBLE where that is more than both tolerances."""
+    """Z ≥ 0, w = −z − gap violates by gap/1: INFEASIBLE if that exceeds both tolerances."""
     problem = LCP([[-1.0]], [-1e-3])
     assert solve(problem).status is Status.INFEASIBLE
     assert solve(problem, absolute_tolerance=1e-5).status is Status.INFEASIBLE
@@ -726,7 +728,7 @@ def test_solved_means_one_tolerance_or_the_other_in_every_part(
 
 
 def test_a_start_that_is_good_enough_stays() -> None:
-    """From a z within the absolute tolerance nothing is done; without it there is work."""
+    """A start within the absolute tolerance takes no iteration; without the tolerance it does."""
     problem = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, -1.0])
     near = [1.0 + 1e-6, 1.0]
     assert solve(problem, "psor", z0=near, absolute_tolerance=1e-5).iterations == 0
@@ -750,7 +752,7 @@ def test_batches_marches_and_nonlinear_problems_take_it() -> None:
 
 
 def test_a_part_at_rest_does_not_hide_another() -> None:
-    """A contact that is open by rounding beside a free body, or by more than that: both are answered."""
+    """A contact that is open, by rounding error or by more, does not hide a free body."""
     M = np.zeros((4, 4))
     M[:2, :2], M[2:, 2:] = AT_REST[0], [[2.0, -1.0], [-1.0, 2.0]]
     problem = LCP(M, [*AT_REST[1], -1.0, -1.0])
@@ -764,7 +766,7 @@ def test_a_part_at_rest_does_not_hide_another() -> None:
 
 @given(st.integers(0, 10**6))
 def test_the_advised_number_is_enough(seed: int) -> None:
-    """Where the advice names an absolute tolerance, the same call with it is SOLVED."""
+    """If the advice recommends an absolute tolerance, the same call with it is SOLVED."""
     random = np.random.default_rng(seed)
     n = int(random.integers(1, 5))
     M = random.integers(-3, 4, (n, n)).astype(float)
@@ -778,7 +780,7 @@ def test_the_advised_number_is_enough(seed: int) -> None:
 
 
 def test_a_huge_one_accepts_everything() -> None:
-    """Nothing overflows on the way."""
+    """Huge absolute tolerances cause no overflow."""
     for M, q in (([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), (np.eye(2), [-1e-9, -1.0])):
         assert solve(LCP(M, q), absolute_tolerance=1e300).is_solved
         assert solve(LCP(M, q), absolute_tolerance=1e300, tolerance=0.0).is_solved

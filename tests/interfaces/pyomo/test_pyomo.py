@@ -1,4 +1,4 @@
-"""Models written in Pyomo, with nothing of ours in them, reach the solver and come back as they were."""
+"""Models written in plain Pyomo reach the solver, and are not modified except for the solution."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SOLVER = pe.SolverFactory("lcp_plugin")
 
 @pytest.mark.parametrize("name", MODELS)
 def test_published_models_are_solved_as_published(name: str) -> None:
-    """Of each model the answer is optimal, holds in Pyomo's own expressions, and is the published one."""
+    """The solution of each model is optimal, satisfies Pyomo's expressions, and is the published one."""
     case = MODELS[name]()
     results = SOLVER.solve(case.model, options={"tolerance": 1e-12})
     pe.assert_optimal_termination(results)
@@ -47,7 +47,7 @@ def test_published_models_are_solved_as_published(name: str) -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_random_models_are_read_as_pyomo_evaluates_them_solved_and_left_alone(seed: int) -> None:
-    """F and Jacobian to 1e-12, the planted answer found, every pair satisfied in Pyomo, the model as it was."""
+    """F and Jacobian agree to 1e-12, the known solution is found in Pyomo, and the model is unchanged."""
     for k in range(8):
         rng = np.random.default_rng([seed, k])
         case = campaign.planted(rng)
@@ -56,7 +56,7 @@ def test_random_models_are_read_as_pyomo_evaluates_them_solved_and_left_alone(se
 
 @pytest.mark.full
 def test_two_hundred_random_models() -> None:
-    """The same of more of them, by the campaign itself."""
+    """The campaign finds no fault in 200 further models."""
     for k in range(200):
         rng = np.random.default_rng([1, k])
         assert not list(campaign.faults_of(campaign.planted(rng), rng)), k
@@ -74,7 +74,7 @@ def pair(m: Any, first: Any, second: Any, name: str = "c") -> None:
 
 
 def made(*pairs: Any, cost: Any = (), x: Any = (None, None), **rows: Any) -> Callable[[Any], None]:
-    """Return what adds a variable y, pairs c, d …, named rows and objectives to a model with a variable x."""
+    """Return a function that adds a variable y, pairs c, d …, rows and objectives to a model with x."""
 
     def build(m: Any) -> None:
         m.y = pe.Var()
@@ -191,7 +191,7 @@ STATED: dict[str, tuple[Callable[[Any], None], float]] = {
 
 @pytest.mark.parametrize("name", STATED)
 def test_what_may_be_stated(name: str) -> None:
-    """Each way to state a pair gives its answer, also where Pyomo's own transformation fails or says something else."""
+    """Every form of a pair has the right solution, even if Pyomo's transformation fails."""
     build, value = STATED[name]
     m = model(build)
     before = campaign.picture(m)
@@ -222,7 +222,7 @@ OF_ITS_OWN = {  # the model, its side and bound, and the row there
 
 @pytest.mark.parametrize("name", OF_ITS_OWN)
 def test_bounds_of_a_variable_belong_to_its_pair(name: str, tmp_path: Path) -> None:
-    """As PATH and AMPL take them: the answer lies at the bound, and is optimal; the message names the bound."""
+    """Bounds of a variable belong to its pair, as in PATH and AMPL; the message names the bound."""
     build, side, bound, row = OF_ITS_OWN[name]
     m = model(build)
     m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
@@ -249,7 +249,7 @@ def test_bounds_count_after_pyomos_own_transformation_too() -> None:
 
 
 def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
-    """model.write refuses pairs; write_nl writes what is solved, with names, and what stands beside the pairs."""
+    """model.write raises ValueError for pairs; write_nl writes pairs and other rows, with names."""
     m = MODELS["oligomcp"]().model
     with pytest.raises(ValueError, match="Complementarity"):
         m.write(str(tmp_path / "theirs.nl"))
@@ -266,7 +266,7 @@ def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [1e-10, 1e-3, 1.0, 1e10])
 def test_what_holds_only_in_part_is_not_optimal_in_any_unit(size: float) -> None:
-    """An inequality beside the pairs, and the pair of a fixed variable, multiplied by any number."""
+    """A violated inequality, or pair of a fixed variable, is not optimal at any scale."""
     m = model(lambda m: pair(m, m.x >= 0, m.x - 5 >= 0))
     m.beside = pe.Constraint(expr=size * m.x <= size)
     results = SOLVER.solve(m)
@@ -298,7 +298,7 @@ def derivative(m: Any) -> None:
 
 
 def test_an_abstract_model_is_told_apart() -> None:
-    """A model without data is refused with what to do."""
+    """A model without data raises an error with advice."""
     abstract = pe.AbstractModel()
     abstract.x = pe.Var()
     with pytest.raises(LCPError, match=r"solve model.create_instance\(…\)"):
@@ -383,7 +383,7 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_not_taken_is_refused_by_name(name: str) -> None:
-    """The message names the component and says what to do; the model stays as it is."""
+    """The message names the component and the remedy; the model is unchanged."""
     build, words = REFUSED[name]
     m = model(build)
     before = campaign.picture(m)
@@ -392,7 +392,7 @@ def test_what_is_not_taken_is_refused_by_name(name: str) -> None:
     assert words in str(caught.value)
     assert "LCP(" not in str(
         caught.value
-    )  # which would leave out what the model says beside its objective
+    )  # LCP(…) would omit the constraints and pairs of the model
     assert campaign.picture(m) == before
 
 
@@ -419,7 +419,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_pyomos_own_models_of_each_form(form: str) -> None:
-    """Equations are solved or proved infeasible; what leaves unknowns without an equation is refused in words."""
+    """Equations are solved or proved infeasible; unknowns without an equation raise an error."""
     case = PyomosOwn()
     getattr(case, f"test_{form}")()
     assert case.outcome.endswith(FORMS[form])
@@ -448,7 +448,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("given", "words"), WRONG.values(), ids=WRONG)
 def test_wrong_options_are_refused_in_words(given: dict[str, Any], words: str) -> None:
-    """A mistyped keyword, option or algorithm is told, with the nearest one."""
+    """A mistyped keyword, option or algorithm raises an error that suggests the nearest name."""
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(simple(), **given)
     assert words in str(caught.value)
@@ -486,7 +486,7 @@ def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_ans
 
 
 def test_suffixes_get_the_row_of_each_pair() -> None:
-    """``dual`` of a pair is its row, ``rc`` of its variable the same; the stale ones go."""
+    """``dual`` of a pair and ``rc`` of its variable are the row; stale values are removed."""
     m = pe.ConcreteModel()
     m.x = pe.Var([1, 2], initialize=1.0)
     m.low = Complementarity(expr=complements(m.x[1] >= 0, m.x[1] + m.x[2] + 1 >= 0))
@@ -511,7 +511,7 @@ def program() -> Any:
 
 @pytest.mark.parametrize("sense", [pe.minimize, pe.maximize])
 def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
-    """The dual of a row is the derivative of the objective by its right-hand side, rc that by a variable's bound."""
+    """``dual`` is the derivative of the objective by a right-hand side, ``rc`` by a bound."""
     m = program()
     sign = 1.0 if sense == pe.minimize else -1.0
     m.o.set_value(sign * m.o.expr)
@@ -526,7 +526,7 @@ def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
 
 
 def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible() -> None:
-    """Not unbounded, as the rest would be, nor optimal with a remark; one that holds but for rounding is none."""
+    """A violated row of fixed variables makes a program infeasible; rounding errors do not."""
     m = model(lambda m: None)
     m.y = pe.Var([1, 2])
     m.y[1].fix(0.1)
@@ -594,7 +594,7 @@ def test_a_model_that_pyomo_transformed_before_is_solved_too() -> None:
 
 
 def test_a_linear_model_becomes_the_linear_problem_as_stated() -> None:
-    """No unknown and no row is added to pairs of a variable and an affine row: M is the user's."""
+    """Pairs of a variable and an affine row add no unknown and no row: M is the user's matrix."""
     M = np.array([[2.0, 1.0], [1.0, 2.0]])
     m = pe.ConcreteModel()
     m.x = pe.Var([0, 1])
@@ -621,7 +621,7 @@ def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
 
 @pytest.mark.full
 def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None:
-    """``import lcp_plugin`` loads no Pyomo; without it the interface says what to install."""
+    """``import lcp_plugin`` does not load Pyomo; without Pyomo the interface names the package."""
     code = (
         "import sys, lcp_plugin, lcp_plugin.interfaces.nl\nprint('pyomo' in sys.modules)\nsys.modules['pyomo'] = None\n"
         "try:\n    import lcp_plugin.pyomo\nexcept ImportError as error:\n    print(error)"
@@ -663,7 +663,7 @@ def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
 
 
 def test_pyomos_command_finds_the_solver_by_its_entry_point() -> None:
-    """Pyomo imports what stands under pyomo.command before it reads its arguments."""
+    """Pyomo imports the entry points of pyomo.command before it reads its arguments."""
     project = tomllib.loads((Path(lcp_plugin.__file__).parents[1] / "pyproject.toml").read_text())[
         "project"
     ]
@@ -696,7 +696,7 @@ def test_a_variable_of_an_inequality_alone_gives_way_to_it() -> None:
 
 
 def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
-    """Beside pairs it is taken for a number; where an equation defines it, the bounds are looked at."""
+    """A variable with equal bounds is a number in pairs; if an equation defines it, bounds are checked."""
     m = pe.ConcreteModel()
     m.x, m.y = pe.Var(), pe.Var(bounds=(3, 3))
     m.pair = Complementarity(expr=complements(m.x >= 0, m.x - m.y >= 0))
@@ -713,7 +713,7 @@ def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
 
 
 def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:
-    """Pyomo's file leaves it out; after "optimal" it is as near to 0 as its bounds let it."""
+    """Pyomo's file omits the variable; after "optimal" its value is the point of its bounds nearest to 0."""
     model = pe.ConcreteModel()
     model.x, model.y, model.z = pe.Var(bounds=(0, None)), pe.Var(bounds=(1, 3)), pe.Var()
     model.goal = pe.Objective(expr=(model.x - 1) ** 2 + 0 * model.y)

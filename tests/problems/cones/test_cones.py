@@ -1,4 +1,4 @@
-"""Complementarity over cones, and friction as it is: data, criterion, methods, derivative, files."""
+"""Complementarity over cones and quadratic friction cones: data, criterion, methods, derivative, files."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ BAD: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_refused_in_words(name: str) -> None:
-    """The message says what was given and what is needed."""
+    """The error message contains the invalid value and the requirement."""
     make, words = BAD[name]
     with pytest.raises(InvalidProblem, match=words):
         make()
@@ -78,7 +78,7 @@ def test_bad_input_is_refused_in_words(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_planted_contacts_are_solved(seed: int) -> None:
-    """Open, sticking, sliding contacts and those on the edge: SOLVED, and with a definite W the planted impulses."""
+    """Open, sticking, sliding and degenerate contacts are SOLVED; a definite W gives the known impulses."""
     rng = np.random.default_rng(seed)
     problem, r, _ = planted_contacts(
         int(rng.integers(1, 12)), int(rng.integers(1, 6)), 10.0 ** rng.uniform(0, 5), rng
@@ -95,7 +95,7 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("name", ["npgs", "newton", "fixed_point"])
 def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
-    """Cones without friction, M positive definite: each method finds the planted answer."""
+    """Each method finds the known solution over cones without friction if M is positive definite."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
     tolerance = (
         1e-3 if name == "fixed_point" else 1e-8
@@ -115,7 +115,7 @@ def test_each_method_solves_a_contact_that_slides(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
-    """What it says of any point is no less than the residual in 60 digits, and hardly more than rounding above it."""
+    """The certificate bounds the residual in 60 digits from above, up to rounding error."""
     rng = np.random.default_rng(seed)
     problem: Any = planted_contacts(4, 3, 1e4, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
     near = solve(problem, tolerance=1e-12).z
@@ -139,7 +139,7 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
 
 
 def test_components_have_their_own_references() -> None:
-    """A light contact beside a heavy one that it does not touch may not hide behind it."""
+    """A light contact has a reference of its own next to a heavy contact that it does not touch."""
     problem = FrictionalContact(np.eye(6), [-1e10, 0.0, 0.0, -0.5, 0.0, 0.0], 0.5)
     certificate = solve(problem, z0=[1e10, 0, 0, 0.6, 0, 0], max_iterations=0).certificate
     assert certificate.relative_residual == pytest.approx(0.2)
@@ -148,7 +148,7 @@ def test_components_have_their_own_references() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 2.0])
 def test_a_block_slides_against_its_impulse(friction: float) -> None:
-    """One contact in any direction: r_T = −μ r_N u_T/‖u_T‖ where the push exceeds friction, u_T = 0 elsewhere."""
+    """A contact in any direction has r_T = −μ r_N u_T/‖u_T‖ if the push exceeds friction, else u_T = 0."""
     for angle in np.linspace(0.0, 6.0, 13):
         push = np.array([np.cos(angle), np.sin(angle)])
         result = solve(FrictionalContact(np.eye(3), [-1.0, *push], friction), tolerance=1e-12)
@@ -159,7 +159,7 @@ def test_a_block_slides_against_its_impulse(friction: float) -> None:
 
 
 def test_in_the_plane_friction_is_an_lcp() -> None:
-    """In two dimensions the cone is a pyramid: the same impulses as those of LCP.from_contacts."""
+    """The cone is a pyramid in two dimensions, so the impulses agree with LCP.from_contacts."""
     rng = np.random.default_rng(1)
     for _ in range(10):
         J = rng.standard_normal((6, 9))
@@ -180,7 +180,7 @@ def test_bodies_move_as_their_impulses_say() -> None:
 
 
 def test_a_gap_lets_a_contact_close() -> None:
-    """As for pyramids: 4 mm in 0.01 s allow 0.4 m/s of the 1 m/s that it falls with."""
+    """A gap of 4 mm in 0.01 s allows 0.4 m/s of the 1 m/s of the fall, as for pyramids."""
     block = 2.0 * np.eye(2), [[0.0, 1.0]], [[1.0, 0.0]]
     result = solve(FrictionalContact(block, [0.0, -1.0], 0.5, gaps=0.004, time_step=0.01))
     np.testing.assert_allclose(result.motion.normal, [1.2], atol=1e-8)
@@ -189,7 +189,7 @@ def test_a_gap_lets_a_contact_close() -> None:
 
 
 def test_names_of_methods_are_checked() -> None:
-    """An unknown name, a method for LCPs, and a wrong option are refused."""
+    """An unknown name, a method for LCPs, and a wrong option raise errors."""
     problem = FrictionalContact(*ONE)
     with pytest.raises(UnknownAlgorithm, match="newton"):
         solve(problem, "newtn")
@@ -202,7 +202,7 @@ def test_names_of_methods_are_checked() -> None:
 
 
 def test_a_warm_start_ends_at_once() -> None:
-    """From its own answer a run takes no step; from one nearby a few of Newton's."""
+    """A run from its solution takes no step; a run from a nearby solution takes a few Newton steps."""
     problem, _, _ = planted_contacts(10, 5, 10.0, np.random.default_rng(3))
     first = solve(problem)
     assert solve(problem, z0=first.z).iterations == 0
@@ -212,7 +212,7 @@ def test_a_warm_start_ends_at_once() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_derivatives_are_those_of_differences(seed: int) -> None:
-    """By velocities, W and friction; vjp is the transpose of jvp."""
+    """The derivatives by velocities, W and friction agree with differences; vjp is the transpose of jvp."""
     rng = np.random.default_rng(seed)
     problem, _, _ = planted_contacts(3, 3, 10.0, rng, definite=True, most=0.5)
     problem = problem.with_q(problem.b + 0.01 * rng.standard_normal(9))  # off the edges
@@ -280,7 +280,7 @@ def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) ->
 
 
 def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
-    """Its matrix and q alone would be another problem: LCP.load says what it is, and what reads it."""
+    """LCP.load rejects the file, and the message names the problem class and load_problem."""
     contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
     cones = ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
     for problem, words in ((contact, "a FrictionalContact"), (cones, "a ConeProblem")):
@@ -322,7 +322,7 @@ def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
 
 
 def test_what_has_an_answer_is_not_proved_infeasible() -> None:
-    """Planted answers, W of low rank or not: no proof is found."""
+    """No proof is found for problems with known solutions, for W of full or low rank."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
         assert infeasibility_proof(planted_contacts(4, 2, 1e3, rng)[0]) is None
@@ -330,7 +330,7 @@ def test_what_has_an_answer_is_not_proved_infeasible() -> None:
 
 
 def test_a_result_tells_of_its_contacts() -> None:
-    """How many are open, stick and slide, what they dissipate, how steep the impulses are."""
+    """The explanation counts open, sticking and sliding contacts and contains the dissipation."""
     told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
     assert (
         "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.875 J in SI units" in told
@@ -338,7 +338,7 @@ def test_a_result_tells_of_its_contacts() -> None:
 
 
 def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
-    """With another q nothing is said of how the bodies move, where the old velocities would be wrong."""
+    """With another q the body velocities are None, because the old velocities would be wrong."""
     block = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
     problem = FrictionalContact(block, [1.0, 0.0, -1.0], 0.1)
     assert solve(problem).motion.body_velocities is not None
@@ -349,7 +349,7 @@ def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
 
 @pytest.mark.parametrize("size", [1e-160, 1e160])
 def test_a_result_tells_of_impulses_of_any_size(size: float) -> None:
-    """What overflows or vanishes in a square is no warning."""
+    """Overflow or underflow of squares raises no warning."""
     result = solve(FrictionalContact(np.eye(3) / size, [-1.0, 3.0, 4.0], 0.5))
     assert result.require_solved()
     assert "1 slide" in result.explain()
@@ -376,7 +376,7 @@ def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
 
 
 def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
-    """One number of friction for all contacts; an option of a method; a batch."""
+    """A number for dfriction applies to all contacts; unknown options and batches raise clear errors."""
     problem = FrictionalContact(np.eye(6), [[-1.0, 3.0, 4.0], [-2.0, 0.1, 0.0]], 0.5)
     found = derivative(solve(problem))
     np.testing.assert_array_equal(found.jvp(dfriction=0.1), found.jvp(dfriction=[0.1, 0.1]))
@@ -391,7 +391,7 @@ def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
 
 
 def test_the_answer_is_in_the_cone_where_a_diagonal_cancels() -> None:
-    """Rounding in the sum of a block's diagonal is no scale: z is in K, and w in K*, as 50 digits show."""
+    """The scale ignores rounding error in a block's diagonal: z is in K, and w in K*, in 50 digits."""
     M = [[0.2, -0.5, 0.7], [0.0, 0.0, 0.5], [-0.7, 0.6, -0.2 + 2.0**-54]]
     problem = ConeProblem(M, [1.1, -1.2, 1.2], [("second_order", 3)])
     result = solve(problem)
@@ -423,7 +423,7 @@ def test_solved_means_solved_where_diagonals_cancel(draws: Any) -> None:
 
 
 def together(*problems: FrictionalContact) -> FrictionalContact:
-    """Groups of contacts that do not touch one another, as one problem."""
+    """Return groups of contacts without common bodies as one problem."""
     W = sp.block_diag([problem.rows.csr for problem in problems], format="csr")
     b, mu = (np.concatenate([getattr(one, name) for one in problems]) for name in ("b", "friction"))
     return FrictionalContact(W, b, mu)
@@ -432,7 +432,7 @@ def together(*problems: FrictionalContact) -> FrictionalContact:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
 def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
-    """Velocities 1 : 1e-7 in one problem, 70 contacts each, SOLVED alone: so are both."""
+    """Two groups of 70 contacts with velocities 1 : 1e-7 are SOLVED together, as each group is alone."""
     rngs = [np.random.default_rng(seed) for seed in seeds]
     groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
     groups[1] = groups[1].with_q(1e-7 * groups[1].b)
@@ -444,7 +444,7 @@ def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
 
 
 def test_one_group_without_an_answer_makes_all_infeasible() -> None:
-    """Beside contacts that have an answer, one that nothing opens: INFEASIBLE by a proof for the whole problem."""
+    """One contact that nothing opens makes the entire problem INFEASIBLE, with a proof for all contacts."""
     good = planted_contacts(5, 4, 1e3, np.random.default_rng(0))[0]
     problem = together(good, FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5))
     result = solve(problem)
@@ -458,7 +458,7 @@ def test_one_group_without_an_answer_makes_all_infeasible() -> None:
 
 
 def test_a_row_on_the_edge_has_one_sided_derivatives() -> None:
-    """With z = w = 0 in a half-line it is degenerate, and as that of the LCP towards either side."""
+    """A row with z = w = 0 in a half-line is degenerate, with the one-sided derivatives of the LCP."""
     found = derivative(solve(ConeProblem([[2, 1], [1, 2]], [-1, -2], [("nonnegative", 2)])))
     assert found.degenerate.tolist() == [0]
     np.testing.assert_allclose(found.jvp(dq=[-1.0, 0.0]), [2.0 / 3.0, -1.0 / 3.0], rtol=1e-12)
@@ -479,7 +479,7 @@ EDGES: dict[str, Any] = {  # μ, z, w; without μ a second-order cone
 
 @pytest.mark.parametrize("name", EDGES)
 def test_derivatives_on_an_edge_are_one_sided_differences(name: str) -> None:
-    """Towards any side dz is what a small step there makes; the block is named, but where nothing begins."""
+    """The jvp equals one-sided differences in every direction, and names a degenerate block."""
     mu, z, w = EDGES[name]
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -520,7 +520,7 @@ def test_a_limit_of_1e20_is_none() -> None:
 
 
 def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
-    """μ‖u_T‖ = 27 nearly cancels in R, whose reference is 2e-5: SOLVED all the same, by few steps."""
+    """With μ‖u_T‖ = 27 nearly canceling in R and a reference of 2e-5, few steps suffice for SOLVED."""
     W = np.array([[3.128, -2.472], [-2.472, 3.872]])
     for algorithm in ("auto", "newton", "npgs", "interior_point", "fixed_point"):
         result = solve(
@@ -550,7 +550,7 @@ def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
 
 
 def test_what_rounding_limits_ends_after_one_look() -> None:
-    """The slack at 0 leaves the dual cone by 1e-8 of its size: alone and beside another group, no restarts."""
+    """If the slack at 0 leaves the dual cone by 1e-8 of its size, the run ends without restarts."""
     M, q = np.array([[5.0, 5.0], [5.0, 10.0]]), [1.0, -1.0 - 1e-8]
     alone = solve(ConeProblem(M, q, [("second_order", 2)]))
     both = (
@@ -592,7 +592,7 @@ def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:
 @pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("seed", range(4))
 def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
-    """What is found by the velocities of bodies holds for W alone, from nothing and from an answer nearby."""
+    """A solution in the velocities of bodies is also one for W only, from cold and warm starts."""
     *contacts, velocities = poured(30, seed)
     found = solve(FrictionalContact(tuple(contacts), velocities, 0.4)).require_solved()
     again = solve(
@@ -604,7 +604,7 @@ def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
 
 
 def test_a_start_beyond_all_sizes_harms_nothing() -> None:
-    """From impulses of 1e300 the central path is asked at last, and nothing overflows into a warning."""
+    """From impulses of 1e300 the central path is the last method, and no overflow raises a warning."""
     W = [
         [1.0, 0.0, 1.0, 2.0],
         [0.0, 0.0, 0.0, 0.0],
@@ -679,7 +679,7 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
 
 
 def test_more_friction_than_a_solution_has_ends_soon() -> None:
-    """Coefficients of 1000, where W may jam any contact: an honest status within some thousand iterations."""
+    """With coefficients of 1000, for which W may jam any contact, the status is correct after a few seconds."""
     W = [[3.0, -1.0, 0.0], [-1.0, 1.0, -1.0], [0.0, -1.0, 2.0]]
     with pytest.warns(ModelWarning):
         problem = FrictionalContact(W, [-3.0, 1.0, 1.0], 1000.0)
@@ -691,7 +691,7 @@ def test_more_friction_than_a_solution_has_ends_soon() -> None:
 
 
 def test_components_that_are_solved_alone_are_seen_by_the_callback() -> None:
-    """Of each component samples and points of the whole problem are shown, and the callback ends the run."""
+    """The callback receives samples and points of the entire problem for each component, and ends the run."""
     rngs = [np.random.default_rng(seed) for seed in (0, 2)]
     groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
     groups[1] = groups[1].with_q(1e-7 * groups[1].b)
@@ -719,7 +719,7 @@ def test_warm_steps_of_a_pile_obey_their_limit() -> None:
 
 
 def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
-    """W in few digits, sparse, b flat: gap / time step is added to normal velocities, and W stays as it is."""
+    """For W in few digits, sparse, b flat: gap / time step is added to normal velocities, W is unchanged."""
     W = np.eye(6)
     W[0, 3], W[3, 0] = 0.1, 0.101
     b, gaps = np.concatenate([SLIDES, SLIDES]), [0.01, 0.0]
@@ -749,7 +749,7 @@ def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
 def test_a_damaged_file_over_cones_is_told_what_is_wrong(
     changed: Any, words: str, tmp_path: Path
 ) -> None:
-    """Shapes, indices, kinds and rows that are no whole numbers, or none of a matrix; a kind of −1 counts from none."""
+    """Invalid shapes, indices, types and row numbers in a file raise UnreadableFile with the reason."""
     ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
         tmp_path / "p.npz"
     )
@@ -770,7 +770,7 @@ def test_a_damaged_file_over_cones_is_told_what_is_wrong(
 def test_heavy_stands_on_light(
     heavy: float, light: int, corners: tuple[float, ...], has_foot: bool
 ) -> None:
-    """A heavy box on light ones, on another heavy one or on the ground: each face carries the weight above it."""
+    """Each face of a tower of heavy and light boxes carries the weight above the face."""
     problem, weights = tower([heavy] * has_foot + [1.0] * light + [heavy], corners)
     result = solve(problem)
     carried = result.motion.normal.reshape(len(weights), -1).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Least squares within bounds: planted answers, other programs' answers, exact gaps, honest statuses, refusals."""
+"""Least squares within bounds: known solutions, other solvers' results, exact gaps, statuses, errors."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -
     return float(np.abs(np.clip(gradient, x - upper, x - lower)).max() / np.abs(A.T @ b).max())
 
 
-# --- planted answers ----------------------------------------------------------------------------------------
+# --- known solutions ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("condition", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("shape", [(60, 30), (30, 60), (300, 280), (400, 400)])
 def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: float) -> None:
-    """A dense A of condition up to 1e8, tall, square, wide: SOLVED, the cost of the planted answer, x in its bounds."""
+    """A dense A of condition up to 1e8, tall, square or wide, gives SOLVED, the known cost, x in its bounds."""
     A, b, upper, x = planted(of_condition(*shape, condition), boxed=0.2)
     result = bounded_least_squares(A, b, upper=upper).require_solved()
     best = 0.5 * np.sum((A @ x - b) ** 2)
@@ -105,7 +105,7 @@ def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: floa
 @pytest.mark.few(3)
 @pytest.mark.parametrize("form", [sp.csr_array, sp.csc_matrix, sp.coo_array, aslinearoperator])
 def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
-    """Any sparse format and a LinearOperator give the planted answer; what is proved is said."""
+    """Any sparse format and a LinearOperator give the known solution; is_proved is correct."""
     A, b, upper, x = planted(random_rows(3000, 600, 8), boxed=0.2)
     result = bounded_least_squares(form(A), b, 0.0, upper).require_solved()
     np.testing.assert_allclose(result.x, x, atol=1e-6)
@@ -120,7 +120,7 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
 def test_rank_deficient_problems_have_an_answer_of_moderate_size(
     m: int, n: int, rank: int, lower: float
 ) -> None:
-    """Where x is not unique an optimal one is found, not far away along what rounding leaves of singular values."""
+    """If x is not unique, the solution is not large along singular vectors at rounding level."""
     rng = np.random.default_rng(m + n)
     A, b = rng.standard_normal((m, rank)) @ rng.standard_normal((rank, n)), rng.standard_normal(m)
     for given_A in (A, sp.csr_array(A)):
@@ -203,7 +203,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Any]] = {
 
 
 def of_rank(n: int, rank: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A square A of that rank, but for rounding, and b."""
+    """Return a square A of this rank, up to rounding error, and b."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, n))
     return A, rng.standard_normal(n)
@@ -242,7 +242,7 @@ def test_no_point_that_costs_more_than_a_known_one_is_solved(
             assert 0.5 * np.sum((A @ result.x - b) ** 2) <= most * (1.0 + 1e-6)
 
 
-# --- what people fit ----------------------------------------------------------------------------------------
+# --- typical fits -------------------------------------------------------------------------------------------
 
 
 def relaxations(m: int, n: int) -> np.ndarray:
@@ -285,9 +285,9 @@ def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
 def exact_minimum(
     A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, upper: list[Any]
 ) -> Fraction:
-    """The exact minimum over 0 ≤ x ≤ upper: of all faces whose equations have one answer, the best feasible one.
+    """Return the exact minimum over 0 ≤ x ≤ upper, by enumeration of faces with unique solutions.
 
-    Some minimum lies on such a face, as columns that depend on others can be moved to a bound.
+    Some minimum is on such a face, because dependent columns can be shifted until one is at a bound.
     """
     m, n = A.shape
     rows = [[Fraction(int(a)) for a in row] for row in A]
@@ -336,7 +336,7 @@ def exact_cost(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, x:
 
 @pytest.mark.parametrize("form", [np.ascontiguousarray, np.asfortranarray, sp.csr_array])
 def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> None:
-    """By rows in blocks, by columns and sparse: the exact residual and gradient lie within the proved radii."""
+    """The exact residual and gradient lie within the proved radii, by blocks of rows, columns and sparse."""
     rng = np.random.default_rng(2)
     A, b, x = (
         10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)),
@@ -370,7 +370,7 @@ def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> Non
     st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]),
 )
 def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
-    """In rational arithmetic, whatever the tolerance, rank, weights, ridge: cost − min ≤ gap; SOLVED is true."""
+    """Rational arithmetic confirms cost − min ≤ gap and SOLVED for all tolerances, ranks and weights."""
     rng = np.random.default_rng(seed)
     A, b, weights = rng.integers(-4, 5, (m, n)), rng.integers(-6, 7, m), rng.integers(0, 3, m)
     upper = [None if rng.random() < 0.6 else int(rng.integers(0, 3)) for _ in range(n)]
@@ -385,7 +385,7 @@ def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, toleranc
     assert 0 <= true_gap <= Fraction(result.gap)
     if (
         result.is_solved
-    ):  # no more than the tolerance above the least, beside its cost, but for rounding
+    ):  # at most the tolerance above the minimum, relative to its cost, up to rounding error
         case = Case(
             "",
             A.astype(float),
@@ -409,7 +409,7 @@ def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
 
 
 def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
-    """Rows, columns, weights in mixed units, any rank, exact fits: no SOLVED above the least, ≤ 2 % not solved."""
+    """With mixed scaling, any rank and exact fits there is no false SOLVED, and at most 2 % are unsolved."""
     found = [
         finding.what
         for number in draws(360)
@@ -421,9 +421,10 @@ def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
 
 @given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
 def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None:
-    """Rows × 2^k with weights ÷ 4^k, and columns × 2^k: the same status, the same x in its units, bit for bit.
+    """Scaled rows (× 2^k, weights ÷ 4^k) and columns (× 2^k) give the same status, and the same x bit for bit.
 
-    Without weights a problem may be asked of nnls as it stands: the same status, and a cost as small but for rounding.
+    Without weights nnls may solve the unscaled problem, with the same status and, up to rounding error, the same
+    cost.
     """
     rng = np.random.default_rng(seed)
     case = campaign.draw(campaign.KINDS[seed % 3], rng)
@@ -458,7 +459,7 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
 def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
     lower: float, upper: float
 ) -> None:
-    """Half the singular values × 1e-8, mixed over all columns: a gradient of 1e-8 beside a third of the cost."""
+    """Half the singular values × 1e-8, mixed: a gradient of 1e-8 hides a third of the cost, so not SOLVED."""
     rng = np.random.default_rng(0)
     mix = np.linalg.qr(rng.standard_normal((100, 100)))[0]
     sizes = np.repeat([1.0, 1e-8], 50)
@@ -497,13 +498,13 @@ def test_a_linear_operator_has_any_unit(unit: float) -> None:
     ],
 )
 def test_empty_and_trivial_problems(A: Any, b: Any, lower: float, x: list[float]) -> None:
-    """Nothing to fit, nothing to choose, nothing to gain: the point of the box nearest to 0 that is best."""
+    """Empty problems, and problems with a trivial solution, return the best point nearest to 0."""
     result = bounded_least_squares(A, b, lower).require_solved()
     np.testing.assert_array_equal(result.x, x)
 
 
 def test_statuses_say_why_a_run_ended() -> None:
-    """Limits end a run with their own names and the best point; optimal but for rounding is SOLVED to any tolerance."""
+    """Limits end a run with their status and the best point; a point at rounding level is SOLVED."""
     A, b, _, _ = planted(random_rows(3000, 600, 8))
     none = bounded_least_squares(A, b, max_iterations=0)
     few = bounded_least_squares(aslinearoperator(A), b, max_iterations=5)
@@ -553,7 +554,7 @@ def test_advice_names_what_is_wrong_with_an_operator() -> None:
 
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e160, 1e300])
 def test_data_whose_squares_are_no_doubles_are_refused(size: float) -> None:
-    """An A, a b or weights of 1e±160: refused with the number; a single tiny entry is not."""
+    """An A, a b or weights of 1e±160 raise InvalidProblem with the number; one tiny entry is accepted."""
     A, b = np.array([[1.0, 0.5], [0.5, 1.0], [2.0, 1.0]]), np.ones(3)
     for data in ((size * A, b), (sp.csr_array(size * A), b), (A, size * b)):
         with pytest.raises(InvalidProblem, match=r"divide A and b by a number"):
@@ -567,7 +568,7 @@ def test_data_whose_squares_are_no_doubles_are_refused(size: float) -> None:
     assert bounded_least_squares(A, b).is_solved
 
 
-# --- refusals -----------------------------------------------------------------------------------------------
+# --- errors -------------------------------------------------------------------------------------------------
 
 A_OF_THREE = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 B_OF_THREE = np.array([2.0, 1.0, -1.0])
@@ -623,13 +624,13 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
 def test_mistakes_are_refused_in_words(
     change: dict[str, Any], error: type[LCPError], words: str
 ) -> None:
-    """What is wrong, where, and what is needed."""
+    """Error messages state the invalid value, its place, and the requirement."""
     with pytest.raises(error, match=words):
         bounded_least_squares(**({"A": A_OF_THREE, "b": B_OF_THREE} | change))
 
 
 def test_the_result_shows_what_matters() -> None:
-    """Its repr fits a line or two, without the arrays as long as A has rows; a pickled one is the same."""
+    """The repr fits into two lines and omits long arrays; a pickled result is equal."""
     import pickle
 
     result = bounded_least_squares(A_OF_THREE, B_OF_THREE)
@@ -645,7 +646,7 @@ def test_the_result_shows_what_matters() -> None:
 
 @pytest.mark.parametrize("far", [1e20, 1e25, 9.999999999999999e19])
 def test_a_bound_of_1e20_is_none(far: float) -> None:
-    """Bounds of ±1e20 and beyond are none: the answer is that without them, by scipy."""
+    """Bounds of ±1e20 and beyond mean none: the solution equals scipy's unbounded solution."""
     rng = np.random.default_rng(1)
     A, b = rng.normal(size=(5, 3)), rng.normal(size=5)
     found = bounded_least_squares(A, b, lower=-far, upper=far)
@@ -676,14 +677,14 @@ def test_climbing_solves_nothing_wrong(draws: Callable[[int], range]) -> None:
 
 @pytest.mark.parametrize("small", [1e-120, 1e-100])
 def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small: float) -> None:
-    """Beside b of 1e-120 lower bounds of 1 hold x there: they are none in no unit."""
+    """With b of 1e-120, lower bounds of 1 are active and never count as infinite."""
     found = bounded_least_squares([[1.0, 0.0], [1.0, 2.0]], [small, small], lower=[1.0, -INF])
     assert found.status is Status.SOLVED
     np.testing.assert_allclose(found.x, [1.0, -0.5], rtol=1e-14)
 
 
 def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
-    """Equations of right side 0 that large x must meet: what rounding leaves of them is as much at any answer."""
+    """Equations with right-hand side 0 and large x leave a rounding error at any solution: still SOLVED."""
     A, b = [[3.0, -2.0, 2.0], [-1.0, -3.0, 2.0], [1.0, -2.0, -2.0]], [1e15, -3.0, -2.0]
     bounds = {"lower": [0.0, 0.0, -np.inf], "upper": [np.inf, 1.0, np.inf]}
     assert solve(BoundedLeastSquares(A, b, **bounds)).is_solved
@@ -695,7 +696,7 @@ def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
 
 
 def test_a_cost_is_that_of_its_x() -> None:
-    """Near columns that depend on each other x is large and the residual cancels: its cost is right to 1e-7."""
+    """For nearly dependent columns x is large, the residual cancels, and its cost is accurate to 1e-7."""
     A, b = [[2.0, 2.0], [1.0, 1.0 + 1e-12], [3.0, 3.0]], [1.0, 2.0, 3.0]
     result = solve(BoundedLeastSquares(A, b, lower=-np.inf))
     off = [
@@ -707,7 +708,7 @@ def test_a_cost_is_that_of_its_x() -> None:
 
 
 def test_a_vandermonde_matrix_is_solved() -> None:
-    """Powers up to 11 on [0, 1], an exact fit: SOLVED, x right to what the condition leaves."""
+    """An exact fit with powers up to 11 on [0, 1] is SOLVED, with x accurate relative to the condition."""
     A = np.vander(np.linspace(0.0, 1.0, 120), 12)
     result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
     np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)

@@ -1,4 +1,4 @@
-"""Nonlinear complementarity: published and planted answers, honest statuses, proofs, derivatives, refusals in words."""
+"""Nonlinear complementarity: published and manufactured solutions, statuses, proofs, derivatives, errors."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def solved(result: Result) -> np.ndarray:
 def test_kojima_shindo_and_josephy(
     F: Callable[..., Any], roots: set[tuple[float, ...]], x0: tuple[int, ...]
 ) -> None:
-    """From the starts of the literature the published solutions are found."""
+    """The published solutions are found from the starts of the literature."""
     x = solved(solve_nonlinear(NonlinearProblem(F), x0, tolerance=1e-10))
     assert min(np.abs(x - root).max() for root in roots) < 1e-6
 
 
 def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
-    """Which of the two solutions is found depends on the start, and both are."""
+    """Both solutions are found, depending on the start."""
     starts = np.random.default_rng(0).uniform(0, 3, (40, 4))
     found = {
         tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0)
@@ -71,7 +71,7 @@ def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
     [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)],
 )
 def test_nash_cournot(F: Callable[..., Any], published: list[float], start: float) -> None:
-    """Oligopolies of 5 and 10 firms have their published equilibria; F is undefined at 0, and the result says so."""
+    """Oligopolies of 5 and 10 firms have their published equilibria; the result reports that F(0) is undefined."""
     result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
     np.testing.assert_allclose(solved(result), published, rtol=1e-4)
     assert "the distance from the point of the bounds" in str(result.certificate)
@@ -96,7 +96,7 @@ def test_billups(x0: float) -> None:
 
 
 def test_scarf() -> None:
-    """In Scarf's economy no good is in short supply, what is left over is free, and no activity makes a profit."""
+    """Scarf's economy has no shortage, goods in excess are free, and no activity makes a profit."""
     problem, start, excess_supply = models.scarf()
     result = solve_nonlinear(problem, start)
     prices, excess = excess_supply(solved(result))
@@ -115,7 +115,7 @@ def test_bratu_with_a_ceiling(strength: float) -> None:
         assert x.max() == pytest.approx(0.0781, abs=2e-3)  # of the continuous problem
 
 
-# --- planted -----------------------------------------------------------------------------------------------------
+# --- manufactured solutions -------------------------------------------------------------------------------------
 
 
 @settings.get_profile("few")
@@ -135,7 +135,7 @@ def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [2, 20, 100])
 def test_planted_problems_are_solved(kind: str, n: int) -> None:
-    """Monotone and P₀ problems of every kind are solved from the point nearest to 0."""
+    """Monotone and P₀ problems of all families are solved from the point nearest to 0."""
     for seed in range(3):
         solved(solve_nonlinear(planted(np.random.default_rng(seed), kind, n).problem, np.zeros(n)))
 
@@ -143,7 +143,7 @@ def test_planted_problems_are_solved(kind: str, n: int) -> None:
 @settings.get_profile("few")
 @given(SEEDS, st.integers(1, 8))
 def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) -> None:
-    """On F(x) = M x + q the residuals are those of the LCP; at most three steps are taken."""
+    """For F(x) = M x + q the residuals equal the residuals of the LCP, and three steps suffice."""
     rng = np.random.default_rng(seed)
     M = rng.standard_normal((n, n))
     M = M @ M.T + np.eye(n)
@@ -166,7 +166,7 @@ def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) ->
 @settings.get_profile("few")
 @given(SEEDS, st.integers(1, 6))
 def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
-    """Multiplying rows of F, and measuring x in another unit, leaves the relative residual as it is."""
+    """Scaling the rows of F, and changing the unit of x, does not change the relative residual."""
     rng = np.random.default_rng(seed)
     one = planted(rng, "monotone polynomial", n)
     x, rows, unit = (
@@ -230,7 +230,7 @@ def test_steps_do_not_grow_under_refinement(size: int) -> None:
 
 
 def test_differences_on_a_pattern() -> None:
-    """Differences on a five-point pattern take at most 7 evaluations, and the answer is that of the derivative."""
+    """Differences on a five-point pattern take at most 7 evaluations, and give the same solution."""
     problem, A = models.membrane(15)
     calls = []
 
@@ -251,7 +251,7 @@ def test_differences_on_a_pattern() -> None:
 
 
 def test_differences_stay_within_the_bounds() -> None:
-    """Where x is at its upper bound F is asked below it, and where it is not defined above x also without a bound."""
+    """Differences are one-sided at an upper bound, or if F is undefined above x."""
     problem = NonlinearProblem(lambda x: np.sqrt(2.0 - x), upper=[2.0, 3.0])
     assert problem.derivative([1.0, 2.0 - 1e-9])[0, 0] == pytest.approx(-0.5)
     assert np.isfinite(problem.derivative([1.0, 2.0 - 1e-9]).toarray()).all()
@@ -313,7 +313,7 @@ def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) ->
 
 
 def test_slack_at_a_bound_lends_no_tolerance() -> None:
-    """x₀ runs to 7e11 where slack of 5e10 holds x₁ at its bound: row 0, flat at −0.1, is wrong in its own terms."""
+    """Unknown x₀ runs to 7e11 while slack of 5e10 keeps x₁ at its bound: row 0, flat at −0.1, must not pass."""
 
     def F(x: np.ndarray) -> np.ndarray:
         return np.array([-(x[0] ** -3.0) - 0.1 + 0.1 * x[1], 0.1 * x[0] + x[1] - 1.0])
@@ -375,7 +375,7 @@ def test_a_bound_of_1e20_is_none(none: float) -> None:
 
 @pytest.mark.full
 def test_a_hill_climber_finds_no_wrong_point_that_passes() -> None:
-    """Of ten planted problems in units of rows and unknowns no point off by 1 % passes after a polish's tolerance."""
+    """Random search finds no point off by 1 % that passes, in ten scaled problems with known solutions."""
     from campaigns.attack_nonlinear import attack_nonlinear
 
     with np.errstate(all="ignore"):  # of large norm F leaves the range of doubles
@@ -406,7 +406,7 @@ def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
 def test_ten_by_x_less_one_is_solved_at_its_root_or_not(
     jacobian: Callable[..., Any] | None,
 ) -> None:
-    """10/x − 1 from 100: what is SOLVED is 10, and never an x so far away that F = −1 there."""
+    """10/x − 1 from 100: a SOLVED x is 10, and never so large that F = −1."""
     result = solve_nonlinear(NonlinearProblem(lambda x: 10.0 / x - 1.0, jacobian), [100.0])
     assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
 
@@ -421,7 +421,7 @@ def test_of_several_solutions_one_near_the_start_is_found(
 
 
 def test_lotka_volterra_stays_inside() -> None:
-    """Two competitors from (0.7, 0.7) come to their interior equilibrium, not to that where both are extinct."""
+    """Two competitors from (0.7, 0.7) reach their interior equilibrium, not the extinction of both."""
     problem = NonlinearProblem(
         lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]])
     )
@@ -433,7 +433,7 @@ def test_lotka_volterra_stays_inside() -> None:
 def test_two_problems_in_units_of_their_own(
     jacobian: Callable[..., Any] | None, start: tuple[float, float]
 ) -> None:
-    """x₀ = 1e10 and 1/x₁ = 2 are two problems, and each is solved in its own unit."""
+    """The equations x₀ = 1e10 and 1/x₁ = 2 are two components, and each is solved relative to its size."""
     problem = NonlinearProblem(lambda x: np.array([x[0] - 1e10, 1.0 / x[1] - 2.0]), jacobian)
     np.testing.assert_allclose(solved(solve_nonlinear(problem, start)), [1e10, 0.5], rtol=1e-7)
 
@@ -458,14 +458,14 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
 
 @pytest.mark.full
 def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
-    """A positive diagonal is what psor needs, and where a linearization has none auto solves it."""
+    """Algorithm psor requires a positive diagonal, and auto replaces it for linearizations without one."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0])
     )
     solved(solve_nonlinear(problem, [0.0, 0.0], "psor"))
 
 
-POLICIES = ("auto", "npsor", "psor", "newton", "interior_point", "lemke")  # one of each kind
+POLICIES = ("auto", "npsor", "psor", "newton", "interior_point", "lemke")  # one per method family
 HOPELESS = {
     "undefined beyond 2": lambda x: -2.0 - np.sqrt(2.0 - x),
     "indefinite": lambda x: -1.0 - x[::-1] * np.array([1.0, 2.0]),
@@ -492,7 +492,7 @@ UNSOLVABLE = {
 @pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
 @pytest.mark.parametrize("name", UNSOLVABLE)
 def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
-    """Without a solution every policy ends by itself, far from max_iterations, or rejects the matrix in words."""
+    """Every algorithm ends long before max_iterations on an unsolvable LCP, or raises UnsuitableMatrix."""
     try:
         result = solve(LCP(*UNSOLVABLE[name]), algorithm)
     except (UnsuitableMatrix, UnsuitableProblem):
@@ -503,7 +503,7 @@ def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
 
 
 def test_prices_near_zero_lend_no_tolerance() -> None:
-    """Where F is 1e20 at z°, prices of 1e-5, a SOLVED still means that the markets clear."""
+    """F is 1e20 at z°, prices of 1e-5, but a SOLVED still means that the markets clear."""
     supply = np.array([3.0, 1.0, 0.5])
     result = solve_nonlinear(
         NonlinearProblem(lambda p: supply - p**-4.0, lower=1e-5), np.full(3, 0.02)
@@ -514,7 +514,7 @@ def test_prices_near_zero_lend_no_tolerance() -> None:
 
 @pytest.mark.full
 def test_rounding_in_f_is_a_precision_limit() -> None:
-    """Where F carries rounding far above the tolerance that is said, and where it is a wrong derivative it is not."""
+    """Rounding error in F above the tolerance gives PRECISION_LIMIT, a wrong derivative does not."""
     noisy = NonlinearProblem(
         lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3,
         lambda x: np.diag(3 * x**2),
@@ -527,7 +527,7 @@ def test_rounding_in_f_is_a_precision_limit() -> None:
 
 
 def test_limits_record_and_callback() -> None:
-    """max_iterations, max_seconds, a callback that says stop, and record mean what they mean in solve."""
+    """The options max_iterations, max_seconds, callback and record work as in solve."""
     problem, start, _ = models.scarf()
     assert solve_nonlinear(problem, start, max_iterations=2).status is Status.MAX_ITERATIONS
     assert solve_nonlinear(problem, start, max_seconds=0.0).status is Status.MAX_SECONDS
@@ -546,7 +546,7 @@ def test_limits_record_and_callback() -> None:
 
 
 def test_nothing_of_the_callers_is_changed() -> None:
-    """x0, bounds and what F returns stay as they are, and F gets no array that it could write to."""
+    """Start, bounds and returned arrays of F are not modified, and F receives read-only arrays."""
     x0, lower, kept = np.ones(2), np.zeros(2), np.array([-1.0, 2.0])
 
     def F(x: np.ndarray) -> np.ndarray:
@@ -563,7 +563,7 @@ def test_nothing_of_the_callers_is_changed() -> None:
 
 @pytest.mark.parametrize("kind", ["csr", "csc", "coo", "lil", "dok", "dia", "bsr"])
 def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
-    """Whatever scipy's format is, the answer is the same."""
+    """The solution is the same for every sparse format of scipy."""
 
     def jacobian(x: np.ndarray) -> Any:
         return sp.csr_array(np.diag(3 * x**2) + np.eye(3, k=1)).asformat(kind)
@@ -575,7 +575,7 @@ def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
 
 
 def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
-    """One array that the callable fills at every call gives what new ones give, bit for bit."""
+    """A derivative in one reused array gives the same result bit for bit as new arrays."""
     F, slopes = models.kojima_shindo, NonlinearProblem(models.kojima_shindo).derivative
     shared = sp.csr_array(np.ones((4, 4)))
 
@@ -682,7 +682,7 @@ def test_a_right_jacobian_is_not_warned_of(seed: int, kind: str, n: int) -> None
 
 
 def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
-    """x₂ stands in one row alone, which is at its bound: it says nothing of x₁, small beside x₀ and right."""
+    """Unknown x₂ appears only in a row at its bound, and so does not affect the small and correct x₁."""
 
     def F(v: np.ndarray) -> np.ndarray:
         return np.array(
@@ -710,7 +710,7 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
 
 
 def test_a_derivative_in_single_precision_is_not_refused() -> None:
-    """Where F and its derivative come in float32, rounding in F is not taken for a wrong derivative."""
+    """With F and its derivative in float32, rounding error does not count as a wrong derivative."""
     for seed in range(20):
         one = planted(np.random.default_rng(seed), "monotone polynomial", 10)
         problem = NonlinearProblem(
@@ -750,6 +750,6 @@ def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
 
 
 def test_only_a_solution_has_a_derivative() -> None:
-    """What is not SOLVED has no derivative."""
+    """A result that is not SOLVED has no derivative."""
     with pytest.raises(UnsuitableProblem, match="MAX_ITERATIONS"):
         derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=0))

@@ -1,4 +1,4 @@
-"""`certify`: what it says of right answers, of wrong ones, and of what is no convex program."""
+"""`certify`: verdicts for right solutions, for wrong solutions, and for other problem classes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from lcp_plugin.strategies import convex_qps
 INF = np.inf
 
 
-SEEDS = {"redundant": (311,), "fixed": (118, 278)}  # far above before small ones were looked for
+SEEDS = {"redundant": (311,), "fixed": (118, 278)}  # with large multipliers in an earlier version
 SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 
 
@@ -52,7 +52,7 @@ SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", certify_campaign.KINDS)
 def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
-    """Of each kind some programs: every number holds in fractions; right is proved, planted wrong answers are not."""
+    """Programs of each class: numbers hold with rationals, right is proved, wrong points never are."""
     off = []
     for seed in range(5):
         rng = np.random.default_rng([seed, 20])
@@ -86,7 +86,7 @@ def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
 
 
 def test_what_proves_is_said() -> None:
-    """An optimal answer's reason is a sentence: what is proved of the objective, by how much, and by what."""
+    """The reason of an optimal verdict states the bound of the objective and the argument of the proof."""
     said = certify(SIMPLE, [0.5, 1.5])
     assert re.fullmatch(
         r"no feasible x has an objective lower than this one's by more than \S+, which the multipliers prove by weak "
@@ -114,7 +114,7 @@ def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
     assert (
         certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"
-    )  # beside |c x| + xᵀP x
+    )  # relative to |c x| + xᵀP x
     leaning = QuadraticProgram(None, [-1.0, 0.0], G=[[1.0, 1.0]], h=[1e6], A=[[0.0, 1.0]], b=[1e6])
     said = certify(leaning, [0.5, 1e6], tolerance=1e-6)  # a violation of 5e-7 of the row's terms
     assert said.verdict == "disproved"
@@ -188,14 +188,14 @@ def test_an_error_that_the_objective_does_not_see_is_told_by_the_distance() -> N
 
 
 def test_multipliers_are_a_pair_or_a_solution() -> None:
-    """Those of G and A, or a QPSolution with those of the bounds as well: the same verdict."""
+    """A pair of multipliers (G, A) and a QPSolution with bound multipliers have the same verdict."""
     zeros = np.zeros(2)
     for multipliers in (([1.0], []), QPSolution(SIMPLE, [0.5, 1.5], [1.0], [], zeros, zeros)):
         assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
 
 
 def test_wrong_multipliers_of_a_right_x_are_told() -> None:
-    """A wrong sign, and a gradient that the multipliers leave; the bounds stand all the same."""
+    """A wrong sign, or a remaining gradient, is reported; the lower and upper bounds stay valid."""
     for wrong in ([-1.0], [0.5]):
         said = certify(SIMPLE, [0.5, 1.5], (wrong, []))
         assert said.verdict == "unproved"
@@ -219,7 +219,7 @@ def test_wrong_multipliers_of_a_right_x_are_told() -> None:
     ],
 )
 def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> None:
-    """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave slack."""
+    """Multipliers that cancel in the gradient are wrong if their constraints have slack."""
     program = QuadraticProgram(
         [[2, 0], [0, 2]],
         [-2, -4],
@@ -237,7 +237,7 @@ def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> No
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
 def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float) -> None:
-    """Where a row's unit is small, so is the violation of an x that is far off: its own multipliers prove nothing."""
+    """A small row scale makes the violation of a distant x small, and its multipliers prove nothing."""
     n = SMALL + 20
     P = sp.diags_array(np.append(1e3, np.ones(n - 1)))
     program = QuadraticProgram(
@@ -262,7 +262,7 @@ def test_an_objective_that_overflows_is_not_proved() -> None:
 
 
 def test_a_row_that_overflows_is_not_met() -> None:
-    """What overflows in a row is no proof of feasibility: no upper bound comes from it."""
+    """A row that overflows gives no proof of feasibility and no upper bound."""
     program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1e308, 1e308]], h=[0.0])
     said = certify(program, [1.0, 1.0])
     assert said.verdict != "proved"
@@ -270,7 +270,7 @@ def test_a_row_that_overflows_is_not_met() -> None:
 
 
 def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
-    """A row that is violated by less than what its cancellation leaves in doubles has an excess above 0."""
+    """A row violated by less than its rounding error in double precision has an excess above 0."""
     row = [
         -348.8201551564181,
         1.908583919254138e-14,
@@ -286,7 +286,7 @@ def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
 
 @pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])
 def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
-    """Squares that underflow are no weights: a P + ρ AᵀA of which rounding is a part proves nothing."""
+    """Underflowing squares are not weights: P + ρ AᵀA at rounding level proves no curvature."""
     A, P = np.array([row]), np.diag([1e-16, 0.0])
     found = constrained_curvature(P, A)
     rest, rows = exact.exact_rows(P), exact.exact_rows(A)
@@ -321,7 +321,7 @@ def test_claims_are_proved_by_proofs_and_disproved_by_points() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_claim_is_proved_after_a_solve_as_before(seed: int) -> None:
-    """The proof that a compiled solve keeps may be rounded: "infeasible" is proved exactly all the same."""
+    """The proof of a compiled solve may be rounded, but "infeasible" is proved exactly."""
     rng = np.random.default_rng(seed)
     G, h = rng.normal(size=(40, 6)), np.full(40, -1.0)
     program = QuadraticProgram(np.eye(6), np.zeros(6), G, h)
@@ -349,7 +349,7 @@ def test_a_result_claims_what_its_status_says() -> None:
 
 @pytest.mark.parametrize("miss", [1e-7, 1e-5])
 def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
-    """Constraints that contradict by less than the tolerance are met to it; by more, "infeasible" is proved."""
+    """Constraints inconsistent by less than the tolerance are satisfied to it; else "infeasible" is proved."""
     program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
     claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
     assert (claimed.verdict, answered.verdict) == (
@@ -358,7 +358,8 @@ def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
     assert ("only" in claimed.reason) == (miss < 1e-6)
 
 
-# --- What it is made of ------------------------------------------------------------------------------------------
+# --- Components of the proofs
+# ---------------------------------------------------------------------------------------
 
 
 @given(st.integers(1, 5), st.integers(0, 5), st.integers(0, 2**31), st.booleans())
@@ -381,7 +382,7 @@ def test_weights_leave_a_semidefinite_matrix(
 def test_any_point_and_any_multipliers_give_a_lower_bound(
     kind: str, draws: Callable[[int], range]
 ) -> None:
-    """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""
+    """Multipliers of any sign, close to the right ones or not, give a lower bound in every variant."""
     finite = 0
     for seed in draws(25):
         rng = np.random.default_rng([seed, 21])
@@ -407,7 +408,7 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(
 @pytest.mark.parametrize("kind", ["definite", "definite, equations"])
 @pytest.mark.parametrize("moved", [0.0, 1e-11, 1e-7])
 def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
-    """In fractions the distance bounds ‖x − x*‖; mostly it is the root of what the value is known to."""
+    """With rationals, the distance bounds ‖x − x*‖; usually it is the root of the error of the value."""
     small = 0
     for seed in range(14):
         rng = np.random.default_rng([seed, 58])
@@ -429,7 +430,7 @@ def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
 
 
 def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
-    """Of equations with a known solution, to a radius that rounding explains; of dependent ones there is none."""
+    """For equalities with a known solution the radius is at rounding level; dependent ones have none."""
     rng = np.random.default_rng(8)
     for n, p in ((1, 1), (6, 2), (30, 10), (12, 12)):
         A, x = rng.integers(-8, 9, (p, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
@@ -444,7 +445,7 @@ def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
 
 
 def test_what_is_called_feasible_is() -> None:
-    """Near points that miss rows, one another's opposites among them: no row is missed by more than the radius."""
+    """A feasible point exists within the radius of points that violate rows, opposite rows included."""
     for seed in range(25):
         rng = np.random.default_rng(seed)
         n, m = int(rng.integers(2, 5)), int(rng.integers(1, 5))
@@ -532,7 +533,7 @@ def test_wrong_values_of_cvxpy_variables() -> None:
 
 @pytest.mark.parametrize("value", [0.0, 0.25, 1.0])
 def test_every_optimal_value_is_proved(value: float) -> None:
-    """Where x is not the only answer, what cvxpy added to the problem is as it is best beside this x."""
+    """If x is not unique, the auxiliary variables of cvxpy are chosen optimally for this x."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(cp.pos(x) + cp.pos(1.0 - x)), [x <= 5.0])
     problem.solve(solver="CLARABEL")
@@ -545,7 +546,7 @@ def test_every_optimal_value_is_proved(value: float) -> None:
 
 
 def test_claims_of_cvxpy_solvers() -> None:
-    """Statuses are held against the problem, right and wrong ones."""
+    """Statuses of cvxpy solvers are checked against the problem, right and wrong statuses."""
     x = cp.Variable(2)
     infeasible = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1, cp.sum(x) <= 1])
     unbounded = cp.Problem(cp.Maximize(cp.sum(x)), [x >= 1])
@@ -560,7 +561,8 @@ def test_claims_of_cvxpy_solvers() -> None:
         assert certify(fine).verdict == "disproved"
 
 
-# --- Refused in words ---------------------------------------------------------------------------------------------
+# --- Errors
+# ---------------------------------------------------------------------------------------------------------
 
 
 def unsolved(constraints: Any = (), **attributes: Any) -> cp.Problem:
@@ -610,7 +612,7 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
 
 @pytest.mark.parametrize(("call", "kind", "words"), REFUSED, ids=[words for _, _, words in REFUSED])
 def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: str) -> None:
-    """What is no answer to a convex program is an error that says what is needed."""
+    """Invalid arguments raise errors that state the requirement."""
     with pytest.raises(kind, match=words):
         call()
 
@@ -620,7 +622,7 @@ def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: s
 
 @pytest.mark.parametrize("kind", multipliers_campaign.KINDS)
 def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
-    """Of each kind of degenerate programs some: at most 1e3 times the largest multiplier of HiGHS, bounds included."""
+    """Multipliers of degenerate programs are at most 1e3 times the largest multiplier of HiGHS."""
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
         case = multipliers_campaign.program(kind, np.random.default_rng([0, seed, 7]))
@@ -668,7 +670,7 @@ def test_verdicts_do_not_depend_on_units(
 
 
 def test_a_program_without_unknowns_is_judged() -> None:
-    """Without unknowns the value is 0, and a row 0 ≤ h holds or not."""
+    """A program without unknowns has the value 0, and its rows 0 ≤ h are checked."""
     empty = np.zeros((0, 0))
     assert certify(QuadraticProgram(empty, []), []).verdict == "proved"
     for h, verdict in ((1.0, "proved"), (-1.0, "disproved")):

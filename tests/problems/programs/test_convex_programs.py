@@ -1,4 +1,4 @@
-"""Convex programs of every kind: solved to their own conditions, or proven to have no minimum."""
+"""Convex programs of every family: solved to their optimality conditions, or proved infeasible or unbounded."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ INTERIOR = InteriorPoint()
 
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
-    """Two planted programs of each kind have their value and conditions, measured here."""
+    """Two programs of each family reach the known value and the conditions, which are measured here."""
     for seed in (77, 78):
         case, value = convex_programs.case(kind, seed, 0, 25)
         result = solve_program(case)
@@ -121,7 +121,7 @@ HARD = (
 @pytest.mark.parametrize("largest", [60, 400])
 @pytest.mark.parametrize("kind", HARD)
 def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> None:
-    """Planted programs of each kind: the planted value, KKT residuals of 1e-6 row by row, in about twelve steps."""
+    """Hard programs reach the known value with row-wise KKT residuals of 1e-6, in about twelve steps."""
     for seed in range(4):
         made = chain(6 * largest, np.random.default_rng(seed)) if kind == HARD[0] else None
         program, value = made or convex_programs.case(kind, seed, 11, largest)
@@ -145,7 +145,7 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
 def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
     family: str, seed: int, case: int
 ) -> None:
-    """A program with numbers of 1e-9 to 1e9 is never proved to have no minimum, and SOLVED means its planted value."""
+    """A program with data of 1e-9 to 1e9 has no false proof, and SOLVED means its known value."""
     program, value = convex_programs.case(
         family, seed, case, 400 if family == "everything" else 2000
     )
@@ -159,7 +159,7 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     seed: int, largest: int, case: int
 ) -> None:
-    """Equations that contradict by 2e-9 of their size are more than rows may be off: PRECISION_LIMIT, and x is near."""
+    """Equalities inconsistent by 2e-9 of their size exceed the row tolerance: PRECISION_LIMIT, x is close."""
     program, value = convex_programs.case("redundant, rounded", seed, case, largest)
     result = solve(program)
     assert result.status is Status.PRECISION_LIMIT
@@ -168,7 +168,7 @@ def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
 
 
 def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
-    """A proof by a margin of 1e-12, which holds for the stored doubles alone, is no answer."""
+    """A proof with a margin of 1e-12, valid only for the stored numbers, is not returned as the result."""
     program = QuadraticProgram(
         np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf]
     )
@@ -187,7 +187,7 @@ def test_a_factor_that_magnifies_errors_is_not_used() -> None:
 
 
 def test_an_infinite_limit_may_be_rounded() -> None:
-    """1e20 less its last digits, as files hold it, says nothing either."""
+    """A rounded 1e20, as in files, also means that no bound exists."""
     program = QuadraticProgram.from_ranges(
         np.eye(2),
         [1.0, -1.0],
@@ -215,7 +215,7 @@ def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
 
 
 def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
-    """1e8 out along a slope of 1e-10 the objective is off by 2e-2, beside terms of 2e8: the exact optimum is better."""
+    """At 1e8 along a slope of 1e-10 the objective is off by 2e-2 relative to terms of 2e8: not optimal."""
     program = QuadraticProgram(
         np.zeros((2, 2)), [1.0, 1e-10 - 1.0], A=[[1.0, -1.0]], b=[0.0], lower=-1e8, upper=1e8
     )
@@ -227,11 +227,12 @@ def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
     assert right.is_optimal()
 
 
-# --- No minimum, proven ------------------------------------------------------------------------------------------
+# --- Proofs of infeasibility and unboundedness
+# ----------------------------------------------------------------------
 
 
 def highs_verdict(case: QuadraticProgram) -> str:
-    """What HiGHS says of the constraints, and of the directions along which the objective is linear."""
+    """Return HiGHS's status of the constraints, and of the directions with a linear objective."""
     from scipy.optimize import linprog
 
     has_rows = case.b.size > 0
@@ -239,7 +240,7 @@ def highs_verdict(case: QuadraticProgram) -> str:
     bounds = np.column_stack([case.lower, case.upper])
     if linprog(np.zeros(case.n), case.G, case.h, A, b, bounds=bounds).status == 2:
         return "infeasible"
-    # P d = 0 with cᵀd < 0 is what a linear objective sees where P x is held at 0.
+    # The condition P d = 0 with cᵀd < 0 is unboundedness of a linear objective with P x fixed at 0.
     flat = sp.vstack([sp.csr_array(case.A), sp.csr_array(case.P)])
     cone = np.where(np.isinf(bounds), bounds, 0.0)
     answer = linprog(case.c, case.G, 0.0 * case.h, flat, np.zeros(flat.shape[0]), bounds=cone)
@@ -249,7 +250,7 @@ def highs_verdict(case: QuadraticProgram) -> str:
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
-    """Planted infeasible and unbounded programs get their proof, which holds exactly and breaks when tampered with."""
+    """Infeasible and unbounded programs get an exact proof, which fails after any modification."""
     case, _ = convex_programs.case(kind, seed, 5, 20)
     proof = proof_of_no_minimum(case)
     assert proof is not None
@@ -268,7 +269,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
-    """Programs with a planted minimum have no proof that there is none, except for data rounded to few digits."""
+    """Programs with a known minimum have no accepted proof; rounded data may have one of small margin."""
     case, _ = convex_programs.case(kind, seed, 6, 10)
     assert case.facts.accepted_proof(1e-6) is None
     assert convex_programs.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
@@ -276,7 +277,7 @@ def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
-    """Rows and unknowns in units from 1e-5 to 1e5: the multipliers are found, whatever the units."""
+    """The multipliers are found for rows and unknowns in units from 1e-5 to 1e5."""
     rng = np.random.default_rng([7, seed])
     n, m = 20, 30
     G, y = rng.normal(size=(m, n)), rng.random(m)
@@ -304,7 +305,7 @@ def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
 def test_a_run_that_a_proof_ends_says_so(
     program: Any, word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With verbose=True and without, an infeasible program has no multipliers, and the last line names the proof."""
+    """An infeasible program has no multipliers, and the last line of verbose=True names the proof."""
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
     assert end.startswith(f"{word.upper()}: ")
@@ -354,7 +355,7 @@ def falling(n: int) -> QuadraticProgram:
 def test_large_dense_programs_are_proved_infeasible_before_methods_creep(
     made: Any, status: Status, n: int
 ) -> None:
-    """In seconds, where interior points end: a proof that counts, within a radius, is not searched for in fractions."""
+    """A proof within a radius is accepted in seconds, without a search for an exact rational proof."""
     result = solve(made(n), max_seconds=60.0)
     assert result.status is status
     assert result.proof is not None
@@ -373,7 +374,7 @@ def test_a_rounded_bound_proves_nothing() -> None:
 
 
 def test_a_linear_program_under_a_limit_of_seconds_is_refuted() -> None:
-    """Few rows, but too many unknowns for an active set: Σ x = 1 and x₀ = 2 contradict each other."""
+    """Σ x = 1 and x₀ = 2 are infeasible; there are few rows, but too many unknowns for an active set."""
     rows = sp.csr_array(np.vstack([np.ones(240), np.eye(1, 240)]))
     program = QuadraticProgram(None, np.arange(1.0, 241.0), A=rows, b=[1.0, 2.0], lower=0.0)
     result = solve(program, max_seconds=60.0)
@@ -402,7 +403,7 @@ NONCONVEX = {
     [(np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5)],
 )
 def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value: float) -> None:
-    """An eigenvalue of −1e-8 relative to its rows is rounding of single precision; the advice says so."""
+    """An eigenvalue of −1e-8 relative to its rows is rounding error, and the advice mentions it."""
     n = len(c)
     result = solve(QuadraticProgram(P, c, lower=-np.ones(n), upper=np.ones(n)))
     assert result.is_solved
@@ -413,7 +414,7 @@ def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value
 
 @pytest.mark.parametrize("force", [1e6, 1e8, 1e12])
 def test_a_force_elsewhere_excuses_no_saddle(force: float) -> None:
-    """A part with its own cost and entry does not say what counts in a part beside it."""
+    """The cost and entry of one separable part do not affect the convexity test of another part."""
     P = np.array([[force, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 2.0, 1.0]])
     for first in (P[0, 0], 1.0, 0.0):
         P[0, 0] = first
@@ -424,7 +425,7 @@ def test_a_force_elsewhere_excuses_no_saddle(force: float) -> None:
 
 
 def test_an_optimum_of_0_is_an_optimum() -> None:
-    """Where P x cancels and nothing costs, nothing is hidden by the rounding of P x."""
+    """The rounding error of P x hides nothing if P x cancels and c is 0."""
     result = solve(QuadraticProgram([[4, 2], [2, 1]], [0, 0], A=[[1, 1]], b=[-1]))
     assert result.is_solved
     np.testing.assert_allclose(result.x, [1, -2])
@@ -438,7 +439,7 @@ def test_an_optimum_of_0_is_an_optimum() -> None:
 @pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize("rows", [3, 5])
 def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
-    """All residuals of cvxpy's sum of squares are rounding, and so are the forces."""
+    """All residuals of cvxpy's sum of squares, and all forces, are at rounding level."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         A, x = rng.standard_normal((rows, 5)), cp.Variable(5)
@@ -450,7 +451,7 @@ def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
 
 
 def test_data_of_single_precision_are_convex_enough() -> None:
-    """A covariance of fewer samples than assets, rounded to seven digits, in any unit."""
+    """A covariance of fewer samples than assets, rounded to seven digits, is accepted at any scale."""
     rng = np.random.default_rng(0)
     P = np.cov(rng.standard_normal((20, 40)).T.astype(np.float32)).astype(np.float32).astype(float)
     gains = 0.3 * rng.random(40)
@@ -496,7 +497,7 @@ def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool
 
 
 def test_an_unbounded_direction_needs_a_feasible_point() -> None:
-    """A direction of descent beside contradicting constraints is infeasible, never unbounded."""
+    """A direction of descent with inconsistent constraints is infeasible, never unbounded."""
     program = QuadraticProgram(
         np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0]
     )
@@ -525,7 +526,7 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
 def test_an_exact_descent_counts_beside_its_own_costs(
     program: QuadraticProgram, along: Any
 ) -> None:
-    """However small a cost is beside the others: what falls indefinitely along it alone is unbounded, exactly."""
+    """A recession direction with a small cost, relative to other costs, proves unboundedness exactly."""
     point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
     proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
     assert proof.is_exact
@@ -537,7 +538,7 @@ def test_an_exact_descent_counts_beside_its_own_costs(
 # --- Inside cvxpy ------------------------------------------------------------------------------------------------
 
 
-# test_lp_bound_attr asks that bounds do not become rows, which is not wanted; test_cvxpy_programs.py solves it.
+# test_lp_bound_attr requires that bounds do not become rows; test_cvxpy_programs.py solves the same problem.
 @pytest.mark.parametrize(
     "name",
     [
@@ -552,7 +553,7 @@ def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
 
 
 def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
-    """Rows that contradict each other by rounding: no point is feasible, and the words do not say that one is."""
+    """If constraints are inconsistent by rounding, the proof reports the violation and no feasible point."""
     found = solve(
         QuadraticProgram(None, [-1.0, -1.0, -1.0], [[-4, -1, 2], [4, 1, -2]], [2e6, -2000000.001])
     )
@@ -578,7 +579,7 @@ def test_infeasible_and_unbounded_carry_their_proof() -> None:
 
 
 def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
-    """A named method that needs a positive diagonal says so on a linear program, and what to do."""
+    """A named method that needs a positive diagonal raises an error with advice for a linear program."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
     with pytest.raises(UnsupportedModel, match=r'psor needs a positive diagonal.*algorithm="auto"'):
@@ -603,7 +604,7 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
 def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
-    """x₁ − x₂ = 1 and x₁ − x₂ = 2: at x = 1e6 both hold to 5e-7 of their terms, and the exact proof says infeasible."""
+    """x₁ − x₂ = 1 and = 2 hold to 5e-7 of their terms at x = 1e6, but the exact proof is infeasible."""
     program = QuadraticProgram(
         np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0]
     )
@@ -615,7 +616,7 @@ def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
-    """A block [[1, 2], [2, 1]] beside entries up to 1e12 larger, columns in units of 1e-6 to 1e6, a force of 1e6."""
+    """A block [[1, 2], [2, 1]] next to entries up to 1e12 larger, with scaled columns, is never a minimum."""
     random = np.random.default_rng(seed)
     units, A = 10.0 ** random.integers(-6, 7, 4), random.standard_normal((4, 4))
     P = A.T @ A
@@ -643,7 +644,7 @@ def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
 
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e9])
 def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
-    """Along a direction of endless descent and no multipliers have a dual residual below the proof's margin."""
+    """Multipliers along a recession direction have a dual residual of at least the proof's margin."""
     program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
     flat = QuadraticProgram(np.zeros((2, 2)), [-2.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
     assert program.facts.accepted_proof() is None  # both costs cancel along (1, 1)

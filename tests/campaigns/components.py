@@ -1,20 +1,21 @@
-"""Problems made of uncoupled ones in units 10^±12 apart: SOLVED holds in every component, whoever is asked and however.
+"""Campaign of uncoupled components in units 10^±12 apart: SOLVED must hold in every component.
 
-Two to six problems
-with planted answers, some without, in units and rows of any size, are permuted together, dense and sparse; one case in
-250 is two grids. They are solved by auto and all methods, cold and from starts that are right in some components, in
-both measures, recorded, called back, in batches, marches, from files and through cvxpy. Fractions judge:
+Two to six problems with known solutions, or without a solution, are scaled arbitrarily and permuted together, dense
+and sparse. One case in 250 consists of two grids. The cases are solved by auto and all methods, cold and from
+starts that solve some components, with both error measures, with records and callbacks, in batches, in marches,
+from files and through cvxpy. Rational arithmetic checks these statements:
 
-- SOLVED: every component is within the tolerance of its own reference (euclidean: all of it is, absolutely); the
-  residuals of certificates are no smaller than the exact ones, and the worst component is named;
-- infeasible: the proof verifies, and no planted answer is within the tolerance;
-- PRECISION_LIMIT: every row is at its rounding floor, or what contradicts is rounding of the largest number in q;
-- error bounds hold in every component; derivatives are those of the single components;
-- batches have the status and steps of single solves, and their z up to rounding; two calls have the same bits, and
-  no data are modified;
-- auto solves 99.5 % of what has an answer within a hundredth of the tolerance.
+- SOLVED: every component is within the tolerance of its reference (euclidean: the entire problem, absolutely). The
+  residuals of certificates are at least the exact residuals, and the worst component is named.
+- Infeasible: the proof verifies, and no known solution is within the tolerance.
+- PRECISION_LIMIT: every row is at its rounding floor, or the inconsistency is at the rounding level of the largest
+  number in q.
+- Error bounds hold in every component. Derivatives equal the derivatives of the single components.
+- Batches have the status and steps of single solves, and the same z up to rounding error. Two calls have the same
+  bits, and no data are modified.
+- auto solves 99.5 % of the cases with a solution within a hundredth of the tolerance.
 
-Ranks are left to tests/distributed: they need mpi4py.
+Ranks are left to tests/distributed, because they need mpi4py.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ SOLVABLE, UNSOLVABLE, UNDECIDED = "solvable", "without solution", "limited by it
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A small problem with its answer; None where there is none."""
+    """A small problem with its solution, or None."""
 
     M: Vector
     q: Vector
@@ -128,7 +129,7 @@ def chain(n: int, rng: Generator) -> Vector:
 
 
 def cycle(n: int, rng: Generator) -> Vector:
-    """A P-matrix for odd n, on which rounds of active sets cycle."""
+    """Return a P-matrix for odd n, on which active-set iterations cycle."""
     n += 1 - n % 2
     return np.eye(n) + float(rng.integers(1, 4)) * np.roll(np.eye(n), -1, axis=0) * (n > 1)
 
@@ -166,7 +167,7 @@ FAMILIES: dict[str, tuple[Callable[[int, Generator], Vector], bool]] = {
 
 
 def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Component:
-    """Rows with bounds of all kinds, at them, between them, and with w = 0 at them."""
+    """Return rows with all types of bounds, and z at bounds, between bounds, and degenerate."""
     n = len(M)
     kinds = (
         rng.choice(["lower", "upper", "box", "free"], n, p=[0.7, 0.05, 0.2, 0.05])
@@ -197,7 +198,7 @@ def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Component:
 
 
 def contradictory(rng: Generator) -> Component:
-    """A row of numbers ≤ 0 with q < 0, or one that is forced to stand where another cannot be."""
+    """Return a row ≤ 0 with q < 0, or a row that conflicts with a fixed row."""
     if rng.random() < 0.5:
         M, q = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([1.0, -1.0])
         return Component(M, q, np.zeros(2), np.full(2, np.inf), None)
@@ -233,7 +234,7 @@ def random_component(rng: Generator) -> Component:
 
 
 def grid(rng: Generator) -> Component:
-    """Five points, z planted in a third of the rows."""
+    """Return a five-point grid, with a known z > 0 in a third of the rows."""
     side = int(rng.integers(28, 36))
     T = 2.0 * np.eye(side) - np.eye(side, k=1) - np.eye(side, k=-1)
     M = np.kron(T, np.eye(side)) + np.kron(np.eye(side), T)
@@ -338,7 +339,7 @@ def right_in_some(case: Case, rng: Generator) -> Vector:
 
 
 def complaints(case: Case, result: Any) -> Iterator[str]:
-    """What is wrong with a result that stops on the residual."""
+    """Yield the errors of a result that stops on the residual."""
     z, status, certificate = result.z.tolist(), result.status, result.certificate
     if np.isfinite(result.z).all():
         residual = case.relative(z)
@@ -362,7 +363,7 @@ def complaints(case: Case, result: Any) -> Iterator[str]:
 
 
 def misnamed(case: Case, z: Any, certificate: Any, residual: Any) -> Iterator[str]:
-    """Whether the component that the certificate names is not the worst one."""
+    """Yield an error if the certificate does not name the worst component."""
     if not 1e-6 < residual < 1e6:
         return
     worst, labels = certificate.worst_index, case.data.components
@@ -398,7 +399,7 @@ def frozen(problem: LCP) -> list[bytes]:
     ]
 
 
-# --- What is asked --------------------------------------------------------------------------------------------------
+# --- Interfaces ---------------------------------------------------------------------------------------------------
 
 Asked = Callable[[Case, Generator], list[str]]
 
@@ -431,7 +432,7 @@ def recorded(case: Case, rng: Generator) -> list[str]:
 
 
 def in_batches(case: Case, rng: Generator) -> list[str]:
-    """Stacked and listed, with components in other units and connected ones beside them: z of single solves."""
+    """Compare stacked and listed problems, with scaled and with connected components, with single solves."""
     problem, n = case.problem, case.problem.n
     problems = [
         as_dense(problem, np.arange(n), np.ones(n)),
@@ -527,7 +528,7 @@ def marched(case: Case, rng: Generator) -> list[str]:
 
 
 def filed(case: Case, rng: Generator) -> list[str]:
-    """Saved and loaded: the bits of the stored problem; bounds beyond 1e20 are none to files, and refused."""
+    """Save and load the problem: the bits agree; files treat bounds beyond 1e20 as none."""
     bounds = np.abs(np.r_[case.problem.lower, case.problem.upper])
     if ((bounds >= 1e20) & np.isfinite(bounds)).any():
         return []
@@ -541,7 +542,7 @@ def filed(case: Case, rng: Generator) -> list[str]:
 
 
 def through_cvxpy(case: Case, rng: Generator) -> list[str]:
-    """A model of one pair a component: what is called optimal is within the tolerance in every one of the caller's."""
+    """Solve a cvxpy model with one pair per component: "optimal" must hold in every component."""
     import cvxpy as cp
 
     from lcp_plugin import box, complements
@@ -570,7 +571,7 @@ def through_cvxpy(case: Case, rng: Generator) -> list[str]:
 
 
 def bounded(case: Case, rng: Generator) -> list[str]:
-    """Bounds of the error hold in every component, and the tolerance on it is no lie."""
+    """Check error bounds, and SOLVED with a tolerance on the error, in every component."""
     is_answer = case.is_regular and not any(case.data.residual(case.z.tolist()))
     if not is_answer:
         return []
@@ -606,7 +607,7 @@ def bounded(case: Case, rng: Generator) -> list[str]:
 
 
 def differentiated(case: Case, rng: Generator) -> list[str]:
-    """A change of q in one component moves that component alone, as its own system says."""
+    """Change q in one component: only this component moves, by the solution of its linear system."""
     if not case.is_regular or case.kind != SOLVABLE:
         return []
     result = solve(case.problem)
@@ -646,14 +647,14 @@ ASKED: tuple[Asked, ...] = (
 
 
 def by_auto(case: Case) -> tuple[list[str], str]:
-    """Two calls of auto, and what it says."""
+    """Return errors of two calls of auto, and the status."""
     first, second = solve(case.problem), solve(case.problem)
     bad = told("auto", complaints(case, first)) + differences("auto, once more", first, second)
     return bad, first.status.name
 
 
 def judge(seed: int, number: int) -> tuple[list[str], str, str]:
-    """What is wrong with a case, its kind, and what auto says of it."""
+    """Return the errors of a case, its class, and the status of auto."""
     rng = np.random.default_rng([seed, number])
     case = random_case(rng, number)
     before, kind, status = frozen(case.problem), "", ""
@@ -668,7 +669,7 @@ def judge(seed: int, number: int) -> tuple[list[str], str, str]:
             bad += named(case, rng, name)
         if is_small:
             bad += ASKED[number // len(REGISTRY) % len(ASKED)](case, rng)
-    except Exception:  # whatever it is, it is the finding
+    except Exception:  # any exception is a finding
         bad = [traceback.format_exc().strip()]
     if frozen(case.problem) != before:
         bad.append("the data are modified")

@@ -36,7 +36,7 @@ UNSUITED = LCP(-4.0 * np.eye(3) + 1.0, [1.0, -1.0, 1.0], upper=5.0)
 
 
 def advice_of(call: Callable[[], Any]) -> str:
-    """Return what a call is told: an error's message, or the advice of its result, which did not solve the problem."""
+    """Return the message of the error of a call, or the advice of its unsolved result."""
     try:
         found = call()
     except LCPError as error:
@@ -51,16 +51,16 @@ def calls_in(advice: str) -> list[dict[str, Any]]:
 
 
 def indefinite() -> LCP:
-    """Return a problem with a planted solution, whose M is indefinite."""
+    """Return a problem with a known solution and an indefinite M."""
     rng, n = np.random.default_rng(0), 30
     A = rng.standard_normal((n, n))
     z = np.where(rng.random(n) < 0.5, rng.random(n), 0.0)
     return LCP(A, np.where(z > 0.0, 0.0, rng.random(n)) - A @ z)
 
 
-# Each with the problem, the call that failed, and what it is told to do.
+# Each entry has the problem, the failed call, and the names in its advice.
 FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
-    # refused before the first step
+    # rejected before the first step
     *(
         (CONTACT, {"algorithm": name}, ["auto"])
         for name in ("pgs", "psor", "pj", "mgs", "gfp", "multigrid")
@@ -78,7 +78,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
         {"algorithm": "npsplitting", "scaling": None},
         ["auto"],
     ),
-    # without an end
+    # without convergence
     (CONTACT, {"algorithm": "npsor"}, ["auto"]),
     (CONTACT, {"algorithm": "npj"}, ["auto"]),
     *(
@@ -103,8 +103,8 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
 def test_the_call_that_is_advised_solves_the_problem(
     problem: LCP, failed: dict[str, Any], named: list[str]
 ) -> None:
-    """What names an algorithm or a scaling is no call that ran, and each solves the problem that received it."""
-    algorithm_class(failed.get("algorithm", "psor"))  # said to be missing where its module is
+    """Calls in the advice differ from the failed call, and each call solves the problem."""
+    algorithm_class(failed.get("algorithm", "psor"))  # an error here if its module is missing
     advice = advice_of(lambda: solve(problem, **failed))
     calls = calls_in(advice)
     assert (
@@ -121,7 +121,7 @@ def test_the_call_that_is_advised_solves_the_problem(
 
 @pytest.mark.parametrize("name", list(REGISTRY))
 def test_no_algorithm_is_advised_to_itself(name: str) -> None:
-    """Whatever an algorithm says that refuses or does not solve a problem, it does not name itself."""
+    """The error or advice of an algorithm that does not solve a problem does not name the algorithm."""
     for problem in (CONTACT, FAR, SADDLE, UNSUITED, TRAPPED):
         for limit in (None, 2):
             try:
@@ -152,7 +152,7 @@ def hard(seed: int = 0) -> tuple[LCP, np.ndarray]:
 
 @pytest.mark.full
 def test_auto_is_not_advised_to_itself() -> None:
-    """Where auto finds nothing, its advice names neither auto nor a scaling but another start, which is right."""
+    """If auto fails, its advice contains neither auto nor a scaling but another start, which helps."""
     problem, z = hard()
     result = solve(problem)
     assert result.status is Status.STALLED
@@ -163,7 +163,7 @@ def test_auto_is_not_advised_to_itself() -> None:
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
 def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
-    """The advice "Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""
+    """The advice "continue from z0=result.z" is correct, and a higher limit solves the problem."""
     problem = gallery.obstacle_2d(size=25).problem
     first = solve(problem, algorithm, max_iterations=1)
     assert first.status is Status.MAX_ITERATIONS
@@ -173,13 +173,13 @@ def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
     whole, rest = solve(problem, algorithm), solve(problem, algorithm, z0=first.z)
     assert whole.is_solved
     assert rest.is_solved
-    assert rest.iterations <= 1.1 * whole.iterations  # psor looks for its relaxation anew
+    assert rest.iterations <= 1.1 * whole.iterations  # psor selects its relaxation again
 
 
 @pytest.mark.parametrize("size", [3, 40], ids=["in one compiled call", "step by step"])
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "newton"])
 def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
-    """Of a run that had nothing to do explain() says so, in place of why its method comes; of another it does not."""
+    """If the start is the solution, explain() reports this as the reason, and otherwise does not."""
     problem = gallery.obstacle_2d(size=size).problem
     answer = solve(problem, algorithm, tolerance=1e-10)
     again = solve(problem, algorithm, z0=answer.z)
@@ -218,21 +218,21 @@ STAGE_LINES = {
 
 @pytest.mark.parametrize("name", STAGE_LINES)
 def test_a_stage_is_told_in_words(name: str) -> None:
-    """explain() says what each kind of run does, and what its numbers count."""
+    """The explanation describes each type of run and the meaning of its counts."""
     call, words = STAGE_LINES[name]
     assert words in call().explain()
     assert "1 iterations" not in call().explain()
 
 
 def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
-    """explain() of a small infeasible program makes no second run, whose stages would contradict what it says."""
+    """The explanation of a small infeasible program uses the run itself, and starts no second run."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
     assert "npsor" not in result.explain()
 
 
 def test_least_squares_that_stop_are_told_what_helps() -> None:
-    """A limit names x0=result.x, which goes on."""
+    """The advice at a limit names x0=result.x, from which the run continues."""
     rng = np.random.default_rng(0)
     A, b = (
         rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300)),
@@ -245,7 +245,7 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
 
 
 def test_an_equation_too_many_is_told_the_way_out() -> None:
-    """Prices that sum to one beside all markets: drop a market, or a free multiplier, which solves the model."""
+    """Prices that sum to one, in addition to all markets: the advice is to drop a market or add a multiplier."""
     p, scale = cp.Variable(2), cp.Variable()
     with pytest.raises(LCPError, match=r"sum\(p\) == 1, drop a market .* free multiplier"):
         cp.Problem(cp.Minimize(0), [complements(p >= 0, p - 0.5 >= 0), cp.sum(p) == 1]).solve(

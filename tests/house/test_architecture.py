@@ -1,4 +1,4 @@
-"""The pictures in the README and the manual are the import graph, and importing the package loads nothing heavy."""
+"""The figures in the README and the manual are the import graph, and the import loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ FOLDERS_ALONE = (
     "methods",
     "problems",
     "interfaces",
-)  # which hold nothing but a docstring
-LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why
+)  # which contain only a docstring
+LEADS_ON = {  # imports inside a function from a layer above: importing file, target, reason
     "core.lcp": (
         {
             "contact",
@@ -89,7 +89,7 @@ MODULES = {module_of(file): file for file in FILES}
 
 
 def imported_modules(file: Path) -> tuple[set[str], set[str]]:
-    """Modules of this package that a file imports, at the top and inside functions, but for types alone."""
+    """Return the modules of this package that a file imports, at the top and inside functions."""
     package = ["lcp_plugin", *file.relative_to(PACKAGE).parts[:-1]]
     found: tuple[set[str], set[str]] = (set(), set())
     waiting: list[tuple[ast.AST, bool]] = [(ast.parse(file.read_text(encoding="utf-8")), False)]
@@ -136,7 +136,7 @@ LED = {
 }
 IMPORTS = {
     module: PLAIN[module] | INSIDE[module] - LED[module] for module in MODULES
-}  # what the picture is about
+}  # shown in the figure
 
 
 def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
@@ -160,7 +160,7 @@ def test_arrows_stand_in_the_picture() -> None:
 
 
 def test_every_arrow_is_needed() -> None:
-    """The picture draws no arrow that no file has."""
+    """The figure has no arrow without an import."""
     drawn = {(subpackage, target) for subpackage, targets in ARROWS.items() for target in targets}
     has = {
         (subpackage_of(MODULES[one]), subpackage_of(MODULES[other]))
@@ -171,7 +171,7 @@ def test_every_arrow_is_needed() -> None:
 
 
 def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
-    """What a function imports from above is listed with its reason, and nothing is listed in vain."""
+    """Every import inside a function from a layer above is listed with its reason, and no others are."""
     led = {
         module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
         for module, targets in LED.items()
@@ -182,18 +182,18 @@ def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
 
 
 def test_no_subpackages_and_no_files_import_each_other() -> None:
-    """Subpackages can be put in an order in which each imports only earlier ones, and so can files."""
+    """Subpackages have an order in which each imports only earlier ones, and files also have one."""
     assert_has_no_circle(ARROWS)
     assert_has_no_circle(IMPORTS)
 
 
 def test_the_core_imports_no_subpackage() -> None:
-    """What every solve needs knows nothing of what some need."""
+    """The core imports no subpackage."""
     assert not ARROWS["core"]
 
 
 def test_the_package_offers_a_file_nothing_but_the_version() -> None:
-    """Inside the package nobody imports from the package itself but its version; the rest comes from where it is."""
+    """Inside the package only the version is imported from the package itself."""
     asked: set[str] = set()
     for file in FILES:
         depth, text = len(file.relative_to(PACKAGE).parts), file.read_text(encoding="utf-8")
@@ -204,16 +204,16 @@ def test_the_package_offers_a_file_nothing_but_the_version() -> None:
 
 
 def test_the_house_has_few_floors() -> None:
-    """The picture has at most 14 lines."""
+    """The figure has at most 14 lines."""
     assert len(LINES) <= FLOORS
 
 
 def test_the_storeys_of_the_readme_hold() -> None:
-    """Each subpackage stands on one line of README's picture; none imports from a line below its own."""
+    """Each subpackage is on one line of README's figure, and imports nothing from a line below."""
     storey = {name: k for k, names in enumerate(STOREYS) for name in names}
     for k, names in enumerate(
         STOREYS
-    ):  # a folder stands for those of its subpackages that no line names
+    ):  # a folder stands for those subpackages inside it that no line names
         storey |= {name: k for name in names if not any(name in STOREYS[j] for j in range(k))}
     assert set(storey) == set(ARROWS)
     assert [
@@ -225,14 +225,14 @@ def test_the_storeys_of_the_readme_hold() -> None:
 
 
 def test_picture_shows_every_subpackage() -> None:
-    """The picture names every subpackage once, and nothing else; each lies where its name says."""
+    """The figure contains every subpackage once, and nothing else; each is at the path of its name."""
     assert set(ARROWS) == {subpackage_of(file) for file in FILES}
     assert all(folder.exists() for folder in FOLDERS.values())
     assert above("commands") == set()
 
 
 def test_table_below_the_picture_explains_every_subpackage() -> None:
-    """The table explains each name of the picture once."""
+    """The table explains each name of the figure once."""
     assert sorted(explained()) == sorted(DRAWN)
 
 
@@ -271,7 +271,7 @@ def test_public_names_resolve() -> None:
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_classes_are_had_where_readme_says(name: str) -> None:
-    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class, so for all; a wrong name is refused."""
+    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class; wrong names raise errors."""
     kind = algorithm_class(name)
     assert getattr(algorithms, kind.__name__) is kind
     assert kind.name == name
@@ -281,7 +281,7 @@ def test_classes_are_had_where_readme_says(name: str) -> None:
 
 @pytest.mark.full
 def test_star_import_needs_no_hypothesis() -> None:
-    """``from lcp_plugin import *`` works without the extras; the strategies alone ask for hypothesis, in words."""
+    """``from lcp_plugin import *`` works without extras; only the strategies require hypothesis."""
     code = (
         "import sys\nsys.modules['hypothesis'] = sys.modules['matplotlib'] = None\nfrom lcp_plugin import *\n"
         "print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).status.name)\n"
@@ -299,7 +299,7 @@ def test_star_import_needs_no_hypothesis() -> None:
 
 @pytest.mark.full
 def test_layers_ask_for_their_frameworks() -> None:
-    """The help of ``lcp_plugin.interfaces.learn`` needs none of them; each layer says in words what to install."""
+    """The help of ``lcp_plugin.interfaces.learn`` needs no framework; layers name the missing package."""
     code = (
         "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
         "import lcp_plugin.interfaces.learn\n"
@@ -324,7 +324,7 @@ def table_rows() -> dict[str, list[str]]:
 
 
 def test_the_table_of_algorithms_is_the_registry() -> None:
-    """A row of the manual's table of algorithms says what the class says; those of new files may come later."""
+    """Each row of the manual's table of algorithms agrees with its class; rows of new files may be missing."""
     from dataclasses import fields
 
     rows = table_rows()

@@ -1,4 +1,4 @@
-"""What convergence_guarantee claims is true of actual runs, and it claims nothing that is not."""
+"""The claims of convergence_guarantee are true for actual runs, and it makes no false claim."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     ("name", "options", "rate"),
     [
         ("pj", {}, 0.5),
-        ("pgs", {}, 0.5),  # row 1 sees what row 0 has become: 0 there
+        ("pgs", {}, 0.5),  # row 1 uses the new value of row 0: 0 there
         ("gfp", {"relaxation": 0.5}, 0.75),
         ("psor", {"relaxation": 1.2}, 0.8),  # row 0: 0.2 + 1.2/2
         ("npj", {"scaling": "diagonal"}, 0.75),  # (1 + 1 + 2 − 2·(1 − ½))/4
@@ -72,7 +72,7 @@ def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     ],
 )
 def test_rates_of_a_matrix_by_hand(name: str, options: dict[str, Any], rate: float) -> None:
-    """On [[1, −½], [−½, 1]] with v = 1 the rates are those that a pencil gives."""
+    """The rates for [[1, −½], [−½, 1]] with v = 1 equal the values computed by hand."""
     guarantee = convergence_guarantee(with_matrix([[1.0, -0.5], [-0.5, 1.0]]), name, **options)
     assert guarantee.is_guaranteed
     assert guarantee.rate == pytest.approx(rate, rel=1e-12)
@@ -109,7 +109,7 @@ def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -
 def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
     M: np.ndarray, alpha: float, share: float, sweep: str
 ) -> None:
-    """With scaling="auto", α > 0 and 0 ≤ β ≤ α NP methods are guaranteed on every H₊-matrix; steps shrink."""
+    """NP methods with scaling="auto", α > 0 and 0 ≤ β ≤ α are guaranteed on every H₊-matrix."""
     problem = with_matrix(M)
     algorithm = create(
         "npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep}
@@ -142,7 +142,7 @@ def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) ->
 
 
 def test_what_is_proved_of_direct_methods() -> None:
-    """Lemke: P and finite boxes; Newton: M bounded on one side, banded also tridiagonal; interior point: nothing."""
+    """Lemke, Newton and banded have guarantees on certain matrices, interior point has none."""
     murty, rotation = textbook_scenes.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     boxed = m_matrix.with_q(m_matrix.q, upper=1.0)
@@ -165,7 +165,7 @@ def test_what_is_proved_of_direct_methods() -> None:
 
 @given(drawn=solved_lcps(scaled_matrices(h_plus_matrices(), 3, 3), bounds=True))
 def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
-    """On H₊-matrices, boxes and free rows included, auto and lemke are guaranteed and solve every problem."""
+    """Methods auto and lemke are guaranteed on H₊-matrices with boxes and free rows, and solve all."""
     for name in ("auto", "lemke"):
         assert convergence_guarantee(drawn[0], name).is_guaranteed
         assert solve(drawn[0], name).is_solved
@@ -174,7 +174,7 @@ def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
 def test_newton_is_finite_on_m_matrices(n: int) -> None:
-    """From any start at most n + 2 full steps solve an M-matrix problem, a front that crosses all rows included."""
+    """An M-matrix problem takes at most n + 2 full Newton steps from any start, also for a front."""
     chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     rng = np.random.default_rng(n)
     front = LCP(np.eye(n) - np.eye(n, k=-1), -np.eye(n)[0])
@@ -211,7 +211,7 @@ def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
 
 @pytest.mark.parametrize(("example", "number"), [(1, "3.84"), (2, "3.32")])
 def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, number: str) -> None:
-    """ρ|L+U| is 3.84 and 3.32, where the original Theorem 4.2 asks for less than 1; scaled they are covered."""
+    """The radius ρ|L+U| exceeds the 1 of the original Theorem 4.2; scaled examples are covered."""
     problem = gallery.build(f"paper_example_{example}", n=100).problem
     for name in ("npgs", "npsor"):
         said = convergence_guarantee(problem, name, **UNSCALED).paper
@@ -232,7 +232,7 @@ def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, numbe
     ],
 )
 def test_theorem_4_2_as_stated(M: Any, alpha: float, says: str) -> None:
-    """Its two cases, its premise on the splitting, mixed diagonals and other matrices are told apart."""
+    """The paper's Theorem 4.2 is checked in both cases, with its premise and for mixed diagonals."""
     guarantee = convergence_guarantee(with_matrix(M), "npsor", relaxation=alpha, **UNSCALED)
     assert re.match(says, guarantee.paper)
     if guarantee.paper.startswith("covered"):
@@ -283,7 +283,7 @@ def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(
 
 
 def test_an_iteration_that_cannot_run_is_not_covered() -> None:
-    """A zero diagonal or an upper bound is told as the algorithm tells it."""
+    """A zero diagonal or an upper bound gives the message of the algorithm."""
     assert (
         "positive diagonal"
         in convergence_guarantee(with_matrix([[0.0, 1.0], [1.0, 1.0]]), "pgs").remedy
@@ -294,7 +294,7 @@ def test_an_iteration_that_cannot_run_is_not_covered() -> None:
 
 
 def test_an_algorithm_of_the_user_is_not_covered() -> None:
-    """Nothing is claimed about an iteration that tells no facts."""
+    """An iteration without declared properties has no guarantee."""
 
     @dataclass(frozen=True, kw_only=True)
     class Still(Algorithm):
@@ -308,7 +308,7 @@ def test_an_algorithm_of_the_user_is_not_covered() -> None:
 
 
 def test_arguments_are_checked() -> None:
-    """Unknown names and options are refused as solve refuses them, and an automatic scaling takes no factor."""
+    """Unknown names and options raise the errors of solve; automatic scaling accepts no relaxation there."""
     problem = with_matrix(np.eye(2))
     with pytest.raises(UnknownAlgorithm, match="psor"):
         convergence_guarantee(problem, "psr")
@@ -330,7 +330,7 @@ def test_arguments_are_checked() -> None:
             [[1.0]],
             "msor",
             {"relaxation": 1.19, "omega": (1.19 - 1.0) / 1.19},
-        ),  # a kept diagonal of 0, but for rounding
+        ),  # a kept diagonal of 0, up to rounding error
         ([[1.0]], "mj", {"omega": 2.0**60}),  # the pivot αΩ + d rounds to αΩ: a cycle of two
         ([[3.0, 1.0], [1.0, 3.0]], "psor", {"relaxation": 2.0 - 2.0**-52}),  # ω (1/d) d rounds to 2
         (
@@ -355,7 +355,7 @@ def test_what_rounding_may_undo_is_not_guaranteed(
 
 
 def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
-    """In an SPD matrix of graded units ω = 0.9 is too much though each row is small beside its largest entry."""
+    """The value ω = 0.9 is too large for a graded SPD matrix with small rows relative to the largest entry."""
     unit = np.array([1.0, 1e-11, 1e-22, 1e-33])
     M = unit[:, None] * (0.999 * np.ones((4, 4)) + 0.001 * np.eye(4)) * unit
     M = np.tril(M) + np.tril(M, -1).T
@@ -371,7 +371,7 @@ def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
 
 
 def test_bounds_of_a_nonnegative_radius() -> None:
-    """They enclose LAPACK's spectral radius, on reducible and bipartite matrices too, and the input stays as it is."""
+    """The bounds enclose LAPACK's spectral radius, also for reducible matrices; the input is unchanged."""
     rng = np.random.default_rng(0)
     for _ in range(100):
         n = int(rng.integers(1, 10))
@@ -411,7 +411,7 @@ def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
 
 
 def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
-    """A splitting that is no part of M gets a rate from ρ(T) < 1, up to n = 500, and no claim beyond."""
+    """A splitting that is not a part of M gets a rate from ρ(T) < 1, up to n = 500, and no claim beyond."""
     for n, covered in ((30, True), (501, False)):
         M = sp.diags_array(
             [np.full(n - 1, -1.0), np.full(n, 4.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
@@ -432,7 +432,7 @@ def told(*arguments: str) -> Any:
 
 
 def test_the_command_tells_matrix_and_guarantees() -> None:
-    """One line a claim, one an algorithm, the paper's variants, and what its theorem says; exit code 0."""
+    """The command prints claims, algorithms, the paper's variants and its theorem, with exit code 0."""
     result = told("paper_example_1:n=100")
     assert result.exit_code == 0
     for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
@@ -452,7 +452,7 @@ def test_the_command_prints_json() -> None:
     assert {row["algorithm"] for row in content["convergence"]} >= {"auto", *REGISTRY}
 
 
-# --- A matrix with the wrong sign is told so at once, what may solve it is  ---
+# --- A matrix with the wrong sign is reported at once, a solvable matrix is not ---
 
 
 def negated_laplacian(k: int) -> sp.csr_array:
@@ -500,7 +500,7 @@ def test_lower_bounds_may_be_any(bounds: dict[str, Any]) -> None:
     ],
 )
 def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
-    """Where every diagonal entry is negative, the remark shows one and says what −M is proved to be; else nothing."""
+    """If all diagonal entries are negative, the remark names one and the proved class of −M."""
     said = sign_remark(LCP(M, np.zeros(len(M))).matrix)
     assert words in said
     assert bool(said) == bool(words)
@@ -547,7 +547,7 @@ def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
     iterates = [
         step.z.copy() for step, _ in zip(algorithm.iterates(problem, z0), range(8), strict=False)
     ]
-    if name.startswith("m"):  # |z − z*| ≤ |x − x*| alone: the radius is that of the errors of x
+    if name.startswith("m"):  # only |z − z*| ≤ |x − x*|: the radius applies to the errors of x
         iterates = []
     for before, after in pairwise(iterates):
         assert (abs(after - exact) <= T @ abs(before - exact) + 1e-13).all()
@@ -557,7 +557,7 @@ def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
 
 
 def test_it_is_no_larger_than_a_proved_rate() -> None:
-    """ρ(T) ≤ c of a projected relaxation's proof; it is that of Jacobi's and Gauss–Seidel's matrices where known."""
+    """The radius ρ(T) ≤ c of a projected relaxation is the radius of Jacobi or Gauss–Seidel if known."""
     n = 40
     M = sp.diags_array([-np.ones(n - 1), 2.5 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
     problem = LCP(M, -np.ones(n))

@@ -1,4 +1,4 @@
-"""Verdicts on matrices are true, their proofs hold, and what is undecided says so."""
+"""Verdicts on matrices are true, their proofs hold, and undecided verdicts are reported as such."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_textbook_matrices(name: str, sparse: bool) -> None:
 @pytest.mark.parametrize("n", [40, 600])
 @pytest.mark.parametrize("distance", [1e-9, 1e-12])
 def test_both_sides_of_singular(n: int, distance: float) -> None:
-    """At |1 − ρ| = 1e-9 and 1e-12 the right side of 1 is proven, also with rows and columns scaled by 1e±100."""
+    """The correct side is proved for |1 − ρ| = 1e-9 and 1e-12, also under scaling by 1e±100."""
     rng = np.random.default_rng(n)
     for sign in (-1.0, 1.0):
         M = with_radius(rng, n, 1.0 + sign * distance)
@@ -116,7 +116,7 @@ def test_laplacian_is_certified_through_a_solve() -> None:
 
 
 def test_beyond_singular_on_a_large_grid() -> None:
-    """The five-point matrix less a little more than its smallest eigenvalue is proven to be no H-matrix."""
+    """The five-point matrix minus more than its smallest eigenvalue is proved not to be an H-matrix."""
     m = 90
     smallest = 8.0 * np.sin(np.pi / (2 * (m + 1))) ** 2
     for factor, expected in ((0.999, True), (1.001, False)):
@@ -128,7 +128,7 @@ def test_beyond_singular_on_a_large_grid() -> None:
 
 
 def test_singular_laplacian_ties_are_exact() -> None:
-    """Row sums that vanish exactly prove that the matrix with Neumann boundary is no H-matrix, yet semidefinite."""
+    """Row sums of exactly 0 prove that the Neumann matrix is semidefinite, but not an H-matrix."""
     grid = laplacian(60)
     neumann = sp.csr_array(grid - sp.diags_array(grid @ np.ones(3600)))
     report = analyze(neumann)
@@ -157,7 +157,7 @@ def test_p_recursion_against_minors() -> None:
 
 @pytest.mark.full
 def test_p_at_sixteen_rows() -> None:
-    """With n = 16 a definite matrix in other units of rows and columns passes, one with a bad minor of 3 rows fails."""
+    """A scaled definite matrix with n = 16 is a P-matrix, one with a bad minor of 3 rows is not."""
     rng = np.random.default_rng(2)
     M = rng.normal(size=(16, 16))
     M = (
@@ -185,7 +185,7 @@ def test_pairs() -> None:
 
 
 def test_large_and_undecided_says_so() -> None:
-    """Where the number of minors explodes the verdict is None and the evidence says why."""
+    """If the number of minors explodes, the verdict is None and the evidence contains the reason."""
     rng = np.random.default_rng(3)
     M = rng.normal(size=(30, 30))
     M = (M - M.T + 0.5 * np.eye(30)) * 10.0 ** rng.uniform(-2, 2, (30, 1))
@@ -213,7 +213,7 @@ def test_definite_symmetric_part(n: int) -> None:
 
 
 def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
-    """A singular matrix is never called definite, nor semidefinite beyond n = 10: λ_min ≥ −δ is no True."""
+    """A singular matrix is never called definite, nor semidefinite beyond n = 10, from λ_min ≥ −δ."""
     rng = np.random.default_rng(5)
     factor = rng.integers(-4, 5, (30, 20)).astype(float)
     gram = factor @ factor.T
@@ -232,7 +232,8 @@ def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
     )
 
 
-# --- What other subpackages use -----------------------------------------------------------------------------------
+# --- Functions used by other subpackages
+# ----------------------------------------------------------------------------
 
 
 def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
@@ -260,7 +261,7 @@ def test_a_random_graph_is_not_factorised() -> None:
 
 @pytest.mark.full
 def test_grids_are_factorised() -> None:
-    """A plane grid of a quarter million and a chain of a million unknowns fit, in whatever order, an arrow too."""
+    """A plane grid of 250 000 and a chain of 10⁶ unknowns and an arrow are factorized in any order."""
     rng = np.random.default_rng(0)
     n = 200_000
     chain = sp.diags_array(
@@ -276,7 +277,7 @@ def test_grids_are_factorised() -> None:
 
 
 def test_the_empty_matrix_is_everything() -> None:
-    """Without rows every claim about all rows holds."""
+    """The empty matrix belongs to every class."""
     report = analyze(np.zeros((0, 0)))
     assert {name: report.verdict(name).value for name in report.evidence} == dict.fromkeys(
         report.evidence, True
@@ -301,7 +302,7 @@ def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite:
     assert report.is_positive_semidefinite is is_semidefinite
 
 
-# Rational arithmetic says of their principal minors: that of rows 0 to 3 is negative; all are at least 1.
+# The minor of rows 0 to 3 is negative in rational arithmetic; all other minors are at least 1.
 NEGATIVE_MINOR = [
     [1, 1e137, 0, 1e132, -1e-240],
     [-1e92, 1, 0, 0, -1e-211],
@@ -314,14 +315,14 @@ MINORS_OF_ONE = [[1, 0, 0, -1e103], [1, 1, 1e84, 0], [0, -1e128, 1, 0], [0, -1e2
 
 @pytest.mark.parametrize(("M", "is_p"), [(NEGATIVE_MINOR, False), (MINORS_OF_ONE, True)])
 def test_p_at_the_ends_of_the_range(M: list[list[float]], is_p: bool) -> None:
-    """Numbers whose products leave the range of doubles are decided, and a guarantee rests on the verdict."""
+    """Entries whose products leave the range of double precision are decided, also for guarantees."""
     assert analyze(M).is_p_matrix is is_p
     lemke = convergence_guarantee(LCP(M, -np.ones(len(M))), "lemke")
     assert lemke.is_guaranteed == is_p
 
 
 def test_m_matrix_proofs() -> None:
-    """Solves settle what row sums leave open, on both sides of singular."""
+    """Linear solves decide the M-matrix property if row sums do not, on both sides of singular."""
     assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 4.0]]))).is_h is True
     assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 1.0]]))).is_h is False
     assert decide(laplacian(30)).certificate is not None
@@ -374,7 +375,7 @@ def test_triangular_forms(form: str | None, M: object) -> None:
     ],
 )
 def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]]) -> None:
-    """What overflows inside a question about M is nobody's RuntimeWarning (an error here) and no OverflowError."""
+    """Overflow inside a test of M raises no RuntimeWarning (an error here) and no OverflowError."""
 
     def problem() -> LCP:
         return LCP(M, -np.ones(len(M)))
@@ -391,7 +392,7 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
 
 
 def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
-    """With more than 10 rows a symmetric part that overflows when it is widened is undecided, not refused."""
+    """An overflowing symmetric part of more than 10 rows is undecided, and raises no error."""
     skew = np.triu(np.random.default_rng(0).uniform(-1.0, 1.0, (12, 12)), 1)
     M = np.ldexp(np.eye(12) * 15.0 + skew - skew.T, 1019)
     assert analyze(M).is_positive_definite is True
@@ -418,7 +419,7 @@ def small_matrices(draw: st.DrawFn) -> list[list[Fraction]]:
 @settings.get_profile("many")
 @given(small_matrices())
 def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> None:
-    """The report on small integers says what its minors say; a singular ⟨M⟩ may be undecided."""
+    """The report on small integers agrees with the principal minors; a singular ⟨M⟩ may be undecided."""
     report = analyze([[float(entry) for entry in row] for row in A])
     symmetric = [[entry + A[j][i] for j, entry in enumerate(row)] for i, row in enumerate(A)]
     comparison = [
@@ -456,7 +457,7 @@ def hidden_sign(sign: int, other_rows: int) -> sp.csr_array:
 def test_signs_that_the_sums_hide_are_decided_exactly(
     sign: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the compensated sum of a row leaves its sign open, a proof asks rational arithmetic, for some rows only."""
+    """If the compensated sum of a row has no certain sign, rational arithmetic decides only such rows."""
     M = hidden_sign(sign, 1)
     ones = np.ones(M.shape[0])
     value, radius = comparison_product(M, ones)
@@ -507,7 +508,7 @@ def test_the_verdict_is_on_the_side_of_the_spectral_radius(
 
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_symmetric_part_of_the_smallest_and_largest_entries(build: type) -> None:
-    """Nothing is lost below 2⁻¹⁰²² and nothing overflows: a symmetric matrix is its own symmetric part."""
+    """A symmetric matrix equals its symmetric part for entries below 2⁻¹⁰²² and for the largest entries."""
     for entry in (5e-324, 1.5e-323, 1.7e308):
         M = build([[4.0, entry], [entry, 4.0]])
         part = symmetric_part(M)
@@ -519,7 +520,7 @@ def test_symmetric_part_of_the_smallest_and_largest_entries(build: type) -> None
 @pytest.mark.parametrize("eigenvalue", [1e-9, 0.0, -1e-9])
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_definite_beyond_rounding_in_any_unit(eigenvalue: float, build: type) -> None:
-    """With n = 30 the sign of the least eigenvalue ±1e-9 is proven, of ±0 never claimed, in any unit of the rows."""
+    """The sign of a least eigenvalue ±1e-9 is proved for n = 30, of ±0 never, at any scale of the rows."""
     rng = np.random.default_rng(3)
     Q = np.linalg.qr(rng.standard_normal((30, 30)))[0]
     values = np.linspace(1.0, 2.0, 30)
@@ -532,7 +533,7 @@ def test_definite_beyond_rounding_in_any_unit(eigenvalue: float, build: type) ->
 
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_a_row_of_zeros_is_semidefinite(build: type) -> None:
-    """A zero on the diagonal has to have nothing beside it, and then does not count."""
+    """A zero on the diagonal requires a zero row, which then does not count."""
     assert (
         is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.0], [0.0, 2.0, 1.0]]))
         is True
@@ -555,7 +556,7 @@ def test_a_row_of_zeros_is_semidefinite(build: type) -> None:
     [(4.0, False), (np.nextafter(4.0, 0.0), True), (np.nextafter(4.0, 5.0), False)],
 )
 def test_minors_that_rounding_hides_are_settled_in_integers(entry: float, is_p: bool) -> None:
-    """Among 14 rows a minor that vanishes, or misses that by one unit in the last place, is decided."""
+    """A minor of 0, or one unit in the last place from 0, is decided among 14 rows."""
     skew = np.triu(np.random.default_rng(2).integers(-3, 4, (14, 14)), 1).astype(float)
     M = 4.0 * np.eye(14) + skew - skew.T
     M[:2, 2:], M[0, 1], M[1, 0] = 0.0, 4.0, entry
@@ -581,7 +582,7 @@ def test_evidence_names_the_row() -> None:
 
 
 def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:
-    """1e-7 that stands on one side only, in rows of 1e11, is told beside the rows; a triangle is no noise."""
+    """An asymmetry of 1e-7 in rows of 1e11 is compared with the rows; a triangle is not symmetric."""
     stiffness = [[1e11, -5e10, 1e-7], [-5e10, 1e11, 0.0], [-2e-7, 0.0, 1e11]]
     assert analyze(np.array(stiffness)).evidence["is_symmetric"] == (
         "symmetric up to rounding: its largest asymmetry relative to the rows is 3e-18"

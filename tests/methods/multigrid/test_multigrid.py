@@ -1,4 +1,4 @@
-"""Projected multigrid and batches: answers against direct active sets and planted ones, honesty, limits."""
+"""Projected multigrid and batches: comparison with direct and known solutions, statuses, limits."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
 
 @pytest.mark.parametrize("text", SCENES)
 def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
-    """At the default tolerance z is within 1e-6 of the direct answer, in at most 40 iterations."""
+    """The z of the default tolerance is within 1e-6 of the direct solution, in at most 40 iterations."""
     problem = gallery.parse(text).problem
     result = solve(problem, "multigrid", max_iterations=40)
     assert result.status is Status.SOLVED
@@ -115,7 +115,7 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
 @pytest.mark.parametrize("on", ["stones", "posts"])
 @pytest.mark.parametrize("width", [4, 12])
 def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
-    """Held at its far ends only, where a free strip falls far below all contacts: SOLVED within 60 cycles."""
+    """A strip fixed only at its far ends, which falls far below all contacts, is SOLVED within 60 cycles."""
     generator, length = np.random.default_rng(1), 2000
     across, along = np.ones((width + 1, length)), np.ones((width, length + 1))
     across[[0, -1]] = 0.0
@@ -136,7 +136,7 @@ def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_jumps_between_clusters_that_hang_together_by_weak_edges(seed: int) -> None:
-    """At contrast 1e8 a cut correction has an energy far above all: rounds on one free set after the other arrive."""
+    """Active-set iterations converge at contrast 1e8, although single corrections raise the energy."""
     result = solve(jumps_by_edge("half", 8, size=100, seed=seed), "multigrid", max_iterations=80)
     assert result.status is Status.SOLVED
 
@@ -144,7 +144,7 @@ def test_jumps_between_clusters_that_hang_together_by_weak_edges(seed: int) -> N
 @pytest.mark.parametrize("kind", ["all", "half", "tenth"])
 @pytest.mark.parametrize("decades", [3, 6, 10])
 def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: int) -> None:
-    """Every tenth unknown fixed, they take no more than 20 V-cycles: what a fixed one holds follows nothing else."""
+    """With every tenth unknown fixed, conjugate gradients take at most 20 V-cycles."""
     problem = jumps_by_edge(kind, decades)
     truncation, generator = (
         Truncation(hierarchy_of(problem.matrix, Multigrid.coarsest)),
@@ -164,7 +164,7 @@ def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: 
 
 @pytest.mark.full
 def test_energy_that_falls_is_progress() -> None:
-    """Where blocks land one after the other the residual stands still for long, and the run goes on."""
+    """If blocks land one after the other, the residual stagnates for long, and the run continues."""
     problem = jumps_by_edge("half", 6, size=100, seed=1)
     result = solve(problem, "multigrid")
     assert result.status is Status.SOLVED
@@ -174,7 +174,7 @@ def test_energy_that_falls_is_progress() -> None:
 @pytest.mark.parametrize("decades", [1, 3, 10])
 @pytest.mark.parametrize("scaled", ["rows", "columns", "both alike", "both"])
 def test_the_units_of_single_rows_and_columns_hardly_matter(scaled: str, decades: int) -> None:
-    """Rows and columns times random powers of ten: the same answer in its units, with at most 8 cycles more."""
+    """Rows and columns times random powers of ten need at most 8 more cycles, with the same scaled solution."""
     problem = gallery.build("obstacle_2d", size=60).problem
     plain = solve(problem, "multigrid")
     rows, columns = 10.0 ** np.rint(
@@ -196,7 +196,7 @@ def test_the_units_of_single_rows_and_columns_hardly_matter(scaled: str, decades
         np.abs(result.z * (1.0 - expected / np.where(z != 0.0, z, 1.0))).max()
         / np.abs(result.z).max()
     )
-    assert largest <= 1e-6  # the unknowns with the largest unit decide what SOLVED means
+    assert largest <= 1e-6  # the unknowns with the largest unit dominate the criterion
 
 
 def plate(size: int) -> LCP:
@@ -221,7 +221,7 @@ def test_a_plate_above_an_obstacle() -> None:
 
 
 def planted(seed: int) -> tuple[LCP, np.ndarray]:
-    """Return a small H₊ or SPD problem with bounds of every kind, and its answer."""
+    """Return a small H₊ or SPD problem with all types of bounds, and its solution."""
     generator = np.random.default_rng(seed)
     n = int(generator.integers(1, 41))
     B = generator.normal(size=(n, n)) * (generator.random((n, n)) < generator.uniform(0.05, 1.0))
@@ -283,7 +283,7 @@ def test_elements_of_second_order_need_few_cycles() -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
-    """200 small H₊ and SPD problems with boxes, free and fixed rows agree with their planted answers."""
+    """All 200 small H₊ and SPD problems with boxes, free and fixed rows reach their known solutions."""
     for seed in range(20 * block, 20 * block + 20):
         problem, z = planted(seed)
         result = solve(problem, "multigrid", coarsest=2, tolerance=1e-11, max_iterations=5000)
@@ -311,7 +311,7 @@ def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
     ids=["positive", "zero", "diagonal", "many", "pair", "box", "free", "empty"],
 )
 def test_problems_without_coarser_grids(problem: LCP, z: list[float]) -> None:
-    """One unknown, a diagonal, boxes and equations need no hierarchy."""
+    """A single unknown, a diagonal, boxes and free rows need no hierarchy."""
     result = solve(problem, "multigrid")
     assert result.status is Status.SOLVED
     np.testing.assert_allclose(result.z, z, atol=1e-7)
@@ -346,7 +346,7 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
 
 
 def test_a_warm_start_pays() -> None:
-    """From its own answer a run ends at once, from a near one it needs less than from nothing."""
+    """A run from its solution ends at once, and a run from a close solution needs less than a cold run."""
     problem = prepare(gallery.build("obstacle_2d", size=80).problem)
     cold = solve(problem, "multigrid", tolerance=1e-10)
     again = solve(problem, "multigrid", z0=cold.z)
@@ -360,7 +360,7 @@ def test_a_warm_start_pays() -> None:
 
 @pytest.mark.full
 def test_a_march_in_time_needs_few_corrections() -> None:
-    """Where the free boundary moves by many rows a step, a warm start still ends within 6 corrections on average."""
+    """If the free boundary moves by many rows per step, warm starts need 6 corrections on average."""
     scene = gallery.build("american_put_march", size=20_001, steps=20)
     problem, z, corrections = prepare(scene.problem), np.array(scene.problem.lower), 0
     for step in range(20):
@@ -374,7 +374,7 @@ def test_a_march_in_time_needs_few_corrections() -> None:
     assert corrections <= 6 * 20
 
 
-# --- Where it is no help ------------------------------------------------------------------------------------
+# --- Problems for which multigrid does not help -------------------------------------------------------------
 
 
 def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LCP:
@@ -390,7 +390,7 @@ def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LC
 
 @pytest.mark.full
 def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
-    """Where no coarser grid pays, sweeps go on as long as they contract, and the run ends where they do not."""
+    """If no coarser grid pays, sweeps continue as long as they contract, and then the run ends."""
     assert solve(random_sparse(1.4), "multigrid").status is Status.SOLVED
     slow = solve(random_sparse(1.0001), "multigrid")
     assert slow.status is Status.STALLED
@@ -398,7 +398,7 @@ def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
 
 
 def test_an_indefinite_matrix_ends_the_run() -> None:
-    """On a matrix that is neither definite nor H₊ the run ends by itself, with the best iterate it had."""
+    """The run on a matrix that is neither definite nor H₊ ends by itself, with its best iterate."""
     M = random_sparse(0.3, n=800, positive=True).csr
     shifted = LCP(
         sp.csr_array(M - 0.9 * M.T + sp.eye_array(800)), np.random.default_rng(0).normal(size=800)
@@ -424,7 +424,7 @@ def test_strong_convection_ends_without_a_warning(speed: float) -> None:
 
 @pytest.mark.parametrize(("n", "contrast"), [(1000, 1e4), (1000, 1e6), (3000, 1e6), (20_000, 1.0)])
 def test_stiff_layers_and_long_chains_need_few_cycles(n: int, contrast: float) -> None:
-    """Twenty layers, every other one stiff; a chain of one material."""
+    """Twenty layers with alternating stiffness, and a chain of one material, need few cycles."""
     edges = np.where(np.arange(n + 1) // (n // 20) % 2 == 0, 1.0, contrast)
     M = sp.diags_array(
         [-edges[1:-1], edges[1:] + edges[:-1], -edges[1:-1]], offsets=[-1, 0, 1], format="csr"
@@ -470,7 +470,7 @@ def break_corrections(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
 def test_broken_corrections_do_not_keep_it_from_the_solution(
     monkeypatch: pytest.MonkeyPatch, way: str, scene: str
 ) -> None:
-    """With each V-cycle's answer replaced by nonsense the run is SOLVED all the same, at the same z."""
+    """The run is SOLVED at the same z even if each V-cycle's correction is replaced by nonsense."""
     problem = gallery.parse(scene).problem
     expected = solve(problem, "multigrid", tolerance=1e-11).z
     break_corrections(monkeypatch, way)
@@ -480,7 +480,7 @@ def test_broken_corrections_do_not_keep_it_from_the_solution(
 
 
 def planted_safeguard(seed: int, n: int) -> tuple[LCP, np.ndarray]:
-    """Return a problem with a positive definite M, couplings of both signs, bounds of all kinds, and its solution."""
+    """Return a problem with SPD M, couplings of both signs, all types of bounds, and its solution."""
     generator = np.random.default_rng(seed)
     B = sp.random_array(
         (n, n), density=3.0 / n, rng=generator, data_sampler=generator.standard_normal
@@ -493,7 +493,7 @@ def planted_safeguard(seed: int, n: int) -> tuple[LCP, np.ndarray]:
 def test_it_converges_on_positive_definite_matrices_from_any_start(
     seed: int, n: int, way: str
 ) -> None:
-    """Planted solutions are found from random starts, corrections broken, with few unknowns on the coarsest grid."""
+    """Known solutions are found from random starts with broken corrections and small coarsest grids."""
     problem, z = planted_safeguard(seed, n)
     start = np.random.default_rng(seed + 1).normal(scale=100.0, size=n)
     with pytest.MonkeyPatch.context() as monkeypatch:
@@ -504,7 +504,7 @@ def test_it_converges_on_positive_definite_matrices_from_any_start(
 
 
 def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
-    """Where rounds on one free set after the other would go in a circle, the run goes on by single corrections."""
+    """If iterations on free sets would cycle, the run continues with single corrections."""
     generator = np.random.default_rng(2924)
     n = int(generator.integers(100, 350))
     density = generator.uniform(2, 5) / n
@@ -521,7 +521,7 @@ def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
-    """From one accepted iterate to the next the energy falls, or the least residual does by a tenth."""
+    """The energy falls from one accepted iterate to the next, or the least residual falls by a tenth."""
     problem = gallery.build("obstacle_2d", size=12).problem
     taken: list[tuple[float, float]] = []
     accept = Safeguard._accept
@@ -544,7 +544,7 @@ def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, 
 
 @given(st.integers(0, 10**6))
 def test_the_change_of_the_energy_is_exact_up_to_its_own_margin(seed: int) -> None:
-    """Beside rational arithmetic the computed change is off by at most what is said about rounding."""
+    """The computed change of the energy agrees with rational arithmetic up to the stated rounding error."""
     problem, z = planted_safeguard(seed, 12)
     generator = np.random.default_rng(seed)
     one, other = z + generator.normal(size=12), z + generator.normal(scale=1e-6, size=12)
@@ -560,7 +560,7 @@ def test_the_change_of_the_energy_is_exact_up_to_its_own_margin(seed: int) -> No
 
 
 def test_what_is_proven_about_multigrid() -> None:
-    """It is guaranteed on positive definite matrices, unless it hands over; not on others."""
+    """Multigrid is guaranteed on positive definite matrices unless it may hand over, and on no others."""
     problem = gallery.build("obstacle_2d", size=10).problem
     assert convergence_guarantee(problem, "multigrid").is_guaranteed
     assert not convergence_guarantee(problem, Multigrid(hands_over=True)).is_guaranteed

@@ -263,9 +263,17 @@ def real_vector(
 
 
 def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
-    """Return a hint if the array is a row or a column instead of a vector."""
-    is_one = array.ndim == 2 and 1 in array.shape and length in (None, array.size)
-    return f"; write np.ravel({name})" if is_one else ""
+    """Return the next step for a number, a row, a column, or a vector of another length."""
+    if array.ndim == 2 and 1 in array.shape and length in (None, array.size):
+        return f"; write np.ravel({name})"
+    if length is None:
+        return ""
+    if array.ndim == 0:
+        return f"; write np.full({length}, {name})"
+    surplus = array.size - length
+    if array.ndim > 1 or not surplus:
+        return ""
+    return f": {abs(surplus)} too {'many' if surplus > 0 else 'few'}"
 
 
 def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:

@@ -177,7 +177,7 @@ OFFSETS = [
         sp.csr_array([[1.0, 2.0, 3.0]]),
         r"q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel",
     ),
-    row(InvalidProblem, VECTOR + r"\(2,\)", lambda g: g.problem.with_q([1.0, 2.0])),
+    row(InvalidProblem, VECTOR + r"\(2,\): 1 too few", lambda g: g.problem.with_q([1.0, 2.0])),
     row(InvalidProblem, r"q\[0\] = nan", lambda g: g.problem.with_q([NAN, 2.0, 3.0])),
     row(
         InvalidProblem, r"lower must be .*3.*\(2,\)", lambda g: g.problem.with_q(g.q, lower=[0, 0])
@@ -200,7 +200,7 @@ def bounds(pattern: str, **given: Any) -> Any:
 
 
 BOUNDS = [
-    bounds(r"lower must be a number or a vector of length 3.*\(2,\)", lower=[0.0, 0.0]),
+    bounds(r"lower must be a number or a vector of length 3.*\(2,\): 1 too few", lower=[0.0, 0.0]),
     bounds(r"lower must not hold NaN.*lower\[0\] = nan.*-inf", lower=NAN),
     bounds(r"upper must not hold NaN.*upper\[1\] = nan.*inf", upper=[1.0, NAN, 1.0]),
     bounds(

@@ -1,8 +1,8 @@
-"""What is solved with and without a mechanism: problems with answers that others know, by kinds.
+"""Inputs that are solved with and without a mechanism: problems with reference solutions.
 
-Applications at small sizes and at larger ones; the collection; published problems, where they lie beside the checkout;
-small shares of the campaigns; and the methods and engines by name, each on what it is meant for. Judges are independent
-references, exact arithmetic and other people's solvers, never a status.
+The inputs are applications at small and larger sizes, the collection, and published problems if they exist next to
+the checkout. Small shares of the campaigns follow, and then methods and engines by name, each on suitable problems.
+References are independent: exact arithmetic and third-party solvers, never a status.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ SOLVED, PROVED, OPEN, FALSE = "solved", "proved", "open", "false"
 ALIKE, LOOSE = (
     1e-6,
     1e-4,
-)  # relative, of an objective or a residual that others judge; of a program over a cone
-SHARP = 1e-4  # of the largest entry: a proved distance, the root of what the value is known to
+)  # relative, of an objective or a residual by an external reference; of a program over a cone
+SHARP = 1e-4  # of the largest entry: a proved distance, about the root of the error of the value
 MOST_PUBLISHED = 2500  # rows and columns
 SEED, SHARE = 70, 7
 
 
 @dataclass(frozen=True)
 class Input:
-    """One problem.
+    """An input problem.
 
     Attributes
     ----------
     source, name : str
     state : callable
-        Returns what is solved, of which nothing is known yet.
+        Returns the problem, with empty caches.
     solve : callable, problem -> result
     judge : callable, (problem, result) -> str
         SOLVED or PROVED, OPEN, or FALSE.
@@ -68,7 +68,7 @@ class Input:
 
 
 def work_of(result: Any) -> float:
-    """Return what a result says of its work: passes over M, else steps or nodes."""
+    """Return the work reported by a result: passes over M, else steps or nodes."""
     for name in ("work", "nodes", "nit"):
         if isinstance(found := getattr(result, name, None), (int, float, np.number)):
             return float(found)
@@ -82,7 +82,7 @@ def work_of(result: Any) -> float:
 
 
 def applications() -> Iterator[Input]:
-    """Applications, unscaled and in other units."""
+    """Yield applications, unscaled and scaled."""
     from applications.table import cases
 
     for case in cases(full=False):
@@ -179,7 +179,7 @@ def _read_lcp(file: Path) -> LCP:
 
 
 def residual(problem: Any, z: Any) -> float:
-    """Return the natural residual of a point beside that of the bounds' point nearest to 0, by plain numpy."""
+    """Return the natural residual relative to its value at the bounds' point nearest to 0, by numpy."""
     d = np.abs(problem.M).max(axis=1)
     d = d.toarray().ravel() if sp.issparse(d) else np.asarray(d)
     d = np.where(d > 0.0, d, 1.0)
@@ -199,10 +199,10 @@ def _by_residual(problem: Any, result: Any) -> str:
 
 
 def plain_structures() -> Iterator[Input]:
-    """Matrices whose rows tell how to solve them, and mistakes that they tell: a wrong sign, a row against its bounds.
+    """Yield matrices whose rows select the method, and infeasible rows: a wrong sign, or a row and its bounds.
 
-    Of −L, L an M-matrix, no z with w = q − L z ≥ 0 exceeds L⁻¹q, which has a negative entry; the other row that
-    contradicts says w = −z − 1.
+    For −L, L an M-matrix, every z with w = q − L z ≥ 0 is at most L⁻¹q, which has a negative entry. The other
+    inconsistent row is w = −z − 1.
     """
     rng = np.random.default_rng(SEED)
 
@@ -330,7 +330,7 @@ def batches() -> Iterator[Input]:
 
 
 def paths() -> Iterator[Input]:
-    """Paths of random families, of a lasso and of linear programs, judged at values between breakpoints."""
+    """Yield paths of random families, of a lasso and of linear programs, checked between breakpoints."""
     from campaigns.paths import random_family
 
     rng = np.random.default_rng(SEED)
@@ -398,7 +398,7 @@ def paths() -> Iterator[Input]:
 
 
 def planted_programs(count: int = 45) -> Iterator[Input]:
-    """Minima, contradictions and endless descents that were planted, as drawn and in one other unit each."""
+    """Yield programs with known minima or proofs, as drawn and with one change of scale each."""
     from campaigns.scaled_programs import WHAT, planted, rescaled
 
     def state(case: int, what: str) -> Any:
@@ -465,7 +465,7 @@ def _read_program(file: Path) -> QuadraticProgram:
 
 
 def value_of_others(program: QuadraticProgram) -> float:
-    """Return the minimum by Clarabel, which auto asks last."""
+    """Return the minimum by Clarabel, which is the last engine of auto."""
     import qpsolvers
 
     matrices = [sp.csc_matrix(one) for one in (program.P, program.G, program.A)]
@@ -484,7 +484,7 @@ def value_of_others(program: QuadraticProgram) -> float:
 
 
 def _by_value(program: Any, result: Any, optimal: float) -> str:
-    """Return whether the value is the optimal one and no constraint is missed, beside the terms of each."""
+    """Return the verdict on the value and on violations, relative to the terms of each row."""
     if not result.is_solved:
         return FALSE if result.has_no_solution else OPEN
     x = result.x
@@ -503,7 +503,7 @@ def _by_value(program: Any, result: Any, optimal: float) -> str:
 
 
 def certified(count: int = 60) -> Iterator[Input]:
-    """What `certify` says of right answers and of wrong ones."""
+    """Yield claims for `certify` on right and on wrong solutions."""
     from campaigns.certify import KINDS, case, faults
 
     def state(number: int) -> Any:
@@ -548,7 +548,7 @@ def equilibria(count: int = 40) -> Iterator[Input]:
         try:
             if [one for one in complaints(result, known(case)) if "verify" not in one]:
                 return FALSE
-        except ArithmeticError:  # not judged
+        except ArithmeticError:  # not checked
             return OPEN
         return SOLVED if result.is_solved else PROVED if result.has_no_solution else OPEN
 
@@ -563,7 +563,7 @@ def equilibria(count: int = 40) -> Iterator[Input]:
 
 
 def outliers(count: int = 60) -> Iterator[Input]:
-    """Small problems with one or two odd numbers, judged in fractions; their time has that of the judges in it."""
+    """Yield small problems with outliers, checked with rationals; times include the checks."""
     from campaigns.outliers import FALSE as WRONG
     from campaigns.outliers import RIGHT, run
 
@@ -607,7 +607,7 @@ def least_squares(count: int = 108) -> Iterator[Input]:
 
 
 def cones(count: int = 60) -> Iterator[Input]:
-    """Planted contacts with friction and planted convex problems over cones."""
+    """Yield contacts with friction and convex problems over cones, with known solutions."""
     from cone_families import exact_relative_residual, planted_cones, planted_contacts
 
     def state(case: int) -> Any:
@@ -670,7 +670,7 @@ def published_contacts() -> Iterator[Input]:
 
 
 def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[Input]:
-    """Steps of spheres poured into a box, each from the impulses before, judged by its projections."""
+    """Yield steps of poured spheres from the previous impulses, checked by their projections."""
     from benchmarks.cones import Pile
 
     pile, kept = Pile(count), dict[Any, Any]()

@@ -1,4 +1,4 @@
-"""The command: what it prints, what it writes, its exit codes, and what it says to somebody who mistyped."""
+"""The command line: output, files, exit codes, and messages for mistyped arguments."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BOX = LCP(
 ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
 PNG = b"\x89PNG\r\n\x1a\n"
 
-# Every scene at a size that takes no time, and some also where their picture degenerates.
+# Every test problem at a size that takes no time, and some also at sizes with a degenerate figure.
 SMALL_SCENES = [*SMALL, "american_put:size=1", "obstacle_2d:size=1", "obstacle_3d:size=1"]
 
 
@@ -58,7 +58,7 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_scene_is_solved(scene: str) -> None:
-    """Every scene is solved at the default settings: exit code 0, and the story names scene, size and status."""
+    """Every test problem is solved: exit code 0, and the output names problem, size and status."""
     done = lcp_plugin("solve", scene)
     assert done.exit_code == 0
     assert done.stderr == ""
@@ -85,14 +85,14 @@ def test_file_is_solved(path: str) -> None:
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_algorithm_can_be_named(name: str) -> None:
-    """Each registered algorithm runs from the command line and is named in the story."""
+    """Each registered algorithm runs from the command line and is named in the output."""
     done = lcp_plugin("solve", "paper_example_1:n=100", "--algorithm", name)
     assert done.exit_code == 0
     assert f"\n{name}: " in done.stdout
 
 
 def test_settings_reach_the_run() -> None:
-    """Tolerance, relaxation and options do on the command line what they do in solve."""
+    """Tolerance, relaxation and options have the same effect as in solve."""
     arguments = (
         "-a npaor --relaxation 1.5 -o acceleration=0.5 -o scaling=diagonal -o sweep=symmetric"
     )
@@ -167,7 +167,7 @@ def test_out_holds_the_solution() -> None:
 
 
 def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
-    """--out may overwrite an answer; pointed at the problem's own file it is refused, and the problem is kept."""
+    """Option --out overwrites an earlier result, but raises an error for the file of the problem."""
     BOX.save("p.npz")
     lcp_plugin("solve", "half_active:n=4", "--out", "z.npz")
     assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
@@ -206,7 +206,7 @@ def test_march_ends_where_a_step_fails() -> None:
     [("--max-iterations=3", Status.MAX_ITERATIONS), ("--max-seconds=0", Status.MAX_SECONDS)],
 )
 def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> None:
-    """A limit that comes first gives exit code 1; the status and its advice are printed, and --out still writes."""
+    """A limit gives exit code 1, the status and its advice are printed, and --out is written."""
     done = lcp_plugin("solve", "obstacle_2d:size=20", "-a", "npgs", limit, "--out", "z.npz")
     assert done.exit_code == 1
     happened, _, to_do = status.value.partition("; ")
@@ -218,7 +218,7 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
         assert str(saved["status"]) == status.name
 
 
-# --- pictures --------------------------------------------------------------------------------------------------
+# --- figures ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.few(1)
@@ -235,7 +235,7 @@ def test_every_scene_has_a_picture(scene: str) -> None:
 
 
 def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where matplotlib is missing, --plot is refused with the command to install it, before anything is solved."""
+    """Without matplotlib, --plot ends with the command to install it, before any solve."""
     for module in ("matplotlib", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.setattr("lcp_plugin.api.solve", lambda *_, **__: pytest.fail("it was solved"))
@@ -251,7 +251,7 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
 
 
 def write_inputs() -> None:
-    """What the table below refers to."""
+    """Write the files of the table below."""
     BOX.save("box.npz")
     ZERO_DIAGONAL.save("zero.npz")
     np.savez("qp.npz", P_data=np.ones(1), q=np.ones(1), A_data=np.ones(1))
@@ -345,7 +345,7 @@ BAD_INPUT = [
 def test_bad_input_is_one_line_and_exit_code_two(
     arguments: str, pattern: str, folder: Path
 ) -> None:
-    """A mistake costs one readable line on stderr that names it, exit code 2, and leaves every file as it was."""
+    """A mistake gives one readable line on stderr and exit code 2, and changes no file."""
     write_inputs()
     before = {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()}
     done = lcp_plugin(*arguments.split())
@@ -381,7 +381,7 @@ def test_wrong_grammar_is_exit_code_two(arguments: str, words: str) -> None:
 
 
 def test_repeated_option_is_refused() -> None:
-    """One option given twice, in whatever spelling, is a contradiction and no silent choice."""
+    """An option that is given twice, in any spelling, is an error."""
     for arguments in ("--relaxation 1.5 -o relaxation=1.2", "-o sweep=forward -o sweep=backward"):
         done = lcp_plugin("solve", "half_active:n=4", "-a", "psor", *arguments.split())
         assert done.exit_code == 2
@@ -421,7 +421,7 @@ def test_failing_write_is_told_and_leaves_nothing(
 
 
 def test_compare_prints_and_saves_error_against_time() -> None:
-    """A line per algorithm and reference; the CSV holds every point, the picture is one."""
+    """The command prints a line per algorithm and reference, and writes all points to CSV and a figure."""
     words = "compare obstacle-2d --size 8 -a npsor -a psor --reference CLARABEL --repeats 1"
     done = lcp_plugin(*words.split(), "--plot", "out.png", "--out", "out.csv")
     assert done.exit_code == 0, done.output
@@ -477,7 +477,7 @@ def test_list_shows_everything_there_is() -> None:
     [("daqp", "iter_limit=50"), ("piqp", "max_iter=50"), ("clarabel", "max_iter=50")],
 )
 def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
-    """`solve FILE -a ENGINE` finds the planted minimum, with its own options, and refuses those of others."""
+    """`solve FILE -a ENGINE` finds the known minimum with options of the engine, and rejects others."""
     matrices = {"P": sp.csc_array([[2.0, 0.0], [0.0, 2.0]]), "A": sp.csc_array([[1.0, 1.0]])}
     parts = {
         f"{key}_{part}": getattr(one, part)
@@ -515,7 +515,7 @@ BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what i
 @pytest.mark.full
 @pytest.mark.parametrize("arguments", ["solve half_active:n=4", "list"])
 def test_reader_that_has_gone(arguments: str) -> None:
-    """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
+    """If the reader of the pipe has ended, as after ``| head -1``, the command ends silently."""
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
@@ -534,7 +534,7 @@ def test_reader_that_has_gone(arguments: str) -> None:
 def test_ctrl_c_prints_the_best_so_far() -> None:
     """Ctrl-C in a long run ends it with INTERRUPTED, the result of the best iterate, --out written, exit code 1.
 
-    The terminal's progress line says when the run is under way, so that nothing here depends on a clock.
+    The terminal's progress line shows that the run has started, so that the test does not depend on a clock.
     """
     pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
     ours, theirs = pty.openpty()
@@ -548,7 +548,7 @@ def test_ctrl_c_prints_the_best_so_far() -> None:
     try:
         shown = b""
         give_up = time.monotonic() + 120.0
-        with suppress(OSError):  # the process has ended: what it said is shown
+        with suppress(OSError):  # if the process has ended, its output is shown
             while b"iteration" not in shown and time.monotonic() < give_up:
                 shown += os.read(ours, 4096)
         assert b"npgs: iteration" in shown, shown.decode()

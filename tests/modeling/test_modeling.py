@@ -1,4 +1,4 @@
-"""Complementarity as cvxpy users write it: states, values, duals, copies, refusals."""
+"""Complementarity in cvxpy: statuses, values, duals, copies, errors."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_inner_inequalities_carry_the_duals_of_a_quadratic_program() -> None:
 
 
 def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem() -> None:
-    """At an upper bound F ≤ 0: box(x, l, u), x <= u with F <= 0, and bounds as attributes agree with the LCP."""
+    """F ≤ 0 at an upper bound: box(x, l, u), x <= u with F <= 0, and attributes agree with the LCP."""
     lower, upper = np.array([-1.0, -np.inf, 0.0]), np.array([0.25, np.inf, 0.25])
     expected = solve(LCP(M, Q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
     assert expected.z[0] == 0.25
@@ -117,7 +117,7 @@ def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
 def test_verbose_prints_the_run_and_speaks_through_the_logger_of_cvxpy(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A run is printed, and its story goes where cvxpy's own messages go; nothing is said without verbose."""
+    """With verbose the run is printed, and its summary goes to cvxpy's logger; without it, nothing."""
     told: list[str] = []
     monkeypatch.setattr(cp.settings.LOGGER, "info", lambda message, *_: told.append(message))
     x = cp.Variable(nonneg=True)
@@ -169,7 +169,7 @@ def test_two_affine_sides_get_a_slack() -> None:
 
 
 def test_parameters_dpp_or_not() -> None:
-    """Parameters in q and in M, also as a product of two, are read anew at every solve."""
+    """Parameters in q and in M, also as a product of two, are evaluated at every solve."""
     a, b, c = cp.Parameter(), cp.Parameter(), cp.Parameter(3)
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, (a * b) * (M @ x) + c >= 0)])
@@ -215,7 +215,7 @@ def test_copies_of_a_model_are_models() -> None:
 
 
 def test_a_model_is_freed_without_the_collector() -> None:
-    """Its arrays are as large as the problem's: a cycle of references would keep them until a collection."""
+    """A model is freed without garbage collection, because it has no reference cycles."""
     gc.collect()
     gc.disable()
     try:
@@ -223,7 +223,7 @@ def test_a_model_is_freed_without_the_collector() -> None:
         problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x - 1 >= 0)])
         problem.solve(method="LCP")
         del problem, x
-        # type(…), because isinstance(…) asks dead weak proxies of other packages
+        # type(…), because isinstance(…) would access dead weak proxies of other packages
         assert not [one for one in gc.get_objects() if type(one) is Model]
     finally:
         gc.enable()
@@ -267,7 +267,7 @@ def test_a_proved_lack_of_solutions_is_a_status_with_its_proof() -> None:
 
 
 def test_plain_solve_names_the_method() -> None:
-    """problem.solve() without the method is refused by cvxpy with a message that names the method."""
+    """A DCPError of cvxpy is raised for problem.solve() without a method, and the message names the method."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
     with pytest.raises(cp.error.DCPError, match='method="LCP"'):
@@ -310,7 +310,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_models_beyond_complementarity_are_refused(case: str) -> None:
-    """What no complementarity problem can state is refused, naming the culprit and the remedy."""
+    """Models that are not complementarity problems raise errors with the constraint and the remedy."""
     make, pattern = REFUSED[case]
     x = cp.Variable(3)
     with pytest.raises(UnsupportedModel, match=pattern):
@@ -319,7 +319,7 @@ def test_models_beyond_complementarity_are_refused(case: str) -> None:
 
 @pytest.mark.parametrize("goal", [lambda x: 0, lambda x: 0 * cp.sum(x)])
 def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) -> None:
-    """Minimize(0) beside what no LCP states: the search that any other objective gets; LCP.from_cvxpy refuses it."""
+    """Rows and bounds without a pair start the search for any objective; LCP.from_cvxpy raises an error."""
     x, z, bounded = cp.Variable(2), cp.Variable(2), cp.Variable(nonneg=True)
     rows = np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
     pair = complements(x >= 0, rows >= 0)
@@ -337,7 +337,7 @@ def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) 
 
 
 def test_an_objective_states_no_single_lcp() -> None:
-    """LCP.from_cvxpy refuses an objective beside complementarity, and names the call that takes it."""
+    """LCP.from_cvxpy rejects an objective with complementarity, and the message names solve."""
     x = cp.Variable(3, name="x")
     with pytest.raises(
         UnsupportedModel, match=r"objective Sum\(x.* best of all solutions.*solve\(method=\"LCP\"\)"
@@ -355,7 +355,7 @@ def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
 
 @pytest.mark.full
 def test_the_method_is_known_after_a_modeling_name() -> None:
-    """The first use of a name for models registers method="LCP", and nothing of ours stays with imports."""
+    """The first use of a name for models registers method="LCP", and no import hook remains."""
     code = """
 import sys
 before = list(sys.meta_path)
@@ -411,7 +411,7 @@ def test_total_variation_by_its_dual_box() -> None:
 
 @pytest.mark.parametrize("swap", [False, True])
 def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
-    """Where F is itself a multiple of one unknown, both orders mean the same, in every form."""
+    """If F is a multiple of one unknown, both orders of the arguments are equivalent in every form."""
     lower, upper = np.array([0.0, -1.0, 0.5]), np.array([1.0, np.inf, 0.75])
     d, q = np.array([2.0, 3.0, 4.0]), np.array([-1.0, 6.0, -8.0])
     expected = solve(LCP(np.diag(d), q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
@@ -441,7 +441,7 @@ def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
 
 
 def test_violation_is_the_natural_residual_of_any_form() -> None:
-    """At any values the violation is ‖x − mid(l, u, x − F)‖, for attributes, slices and both orders."""
+    """The violation is ‖x − mid(l, u, x − F)‖ at any values, for attributes, slices and both orders."""
     x = cp.Variable(3, nonneg=True)
     x.value = np.array([0.5, 0.0, 2.0])
     F = M @ x + Q
@@ -481,7 +481,7 @@ def defined_below_its_bound() -> Any:
     ],
 )
 def test_bounds_that_no_pair_states_hold(make: Any, status: str) -> None:
-    """The answer keeps them, or there is none; a single LCP cannot say so, and from_cvxpy refuses it by the entry."""
+    """Solutions satisfy bounds without a pair, or none exists; from_cvxpy names the entry."""
     problem = cp.Problem(cp.Minimize(0), make())
     problem.solve(method="LCP")
     assert problem.status == status
@@ -523,7 +523,7 @@ def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_bounds_implied_from_above_are_recognised(sign: float) -> None:
-    """At upper bounds w ≤ 0 is what the pair implies; the opposite sign is not, and the answer keeps it here."""
+    """The pair implies w ≤ 0 at upper bounds; the opposite sign is not implied, but satisfied here."""
     x = cp.Variable(2, bounds=[-np.inf, 0.0])
     w = cp.Variable(2, nonpos=sign > 0.0, nonneg=sign < 0.0, name="w")
     constraints = [complements(x, w), w == 2 * x + [3.0, 1.0]]
@@ -577,7 +577,7 @@ def test_pairing_does_not_depend_on_the_order_of_constraints() -> None:
 
 @pytest.mark.parametrize("other", [lambda x: x - 1, lambda x: -x + 1])
 def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
-    """complements(x, F) with x without bounds means F == 0: said where the model is solved, in the caller's line."""
+    """A pair complements(x, F) without bounds of x means F == 0, and a warning refers to the caller's line."""
     x = cp.Variable(2, name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(x, other(x))])
     with pytest.warns(
@@ -600,7 +600,7 @@ def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
     ],
 )
 def test_what_is_meant_is_not_warned_of(state: Any) -> None:
-    """A free variable beside == 0, a box or a bound raises no warning, nor do bounds that are stated as infinite."""
+    """A free variable with == 0, a box, a bound or infinite bounds raise no warning."""
     x = cp.Variable(2)
     assert cp.Problem(cp.Minimize(0), [state(x)]).solve(method="LCP") == 0.0
     free = cp.Variable(2, bounds=[-np.inf, np.inf])
@@ -608,7 +608,7 @@ def test_what_is_meant_is_not_warned_of(state: Any) -> None:
 
 
 def test_an_inequality_opposite_two_bounds_is_refused() -> None:
-    """F >= 0 opposite a box would be violated at the upper bound: refused with what to write instead."""
+    """F >= 0 with a box would be violated at the upper bound; the error recommends F."""
     x = cp.Variable(2)
     with pytest.raises(UnsupportedModel, match="F instead of F >= 0"):
         model(complements(box(x, 0, 1), x - 3 >= 0))
@@ -639,7 +639,7 @@ def test_order_and_sign_of_equations_do_not_matter() -> None:
 
 
 def test_a_bound_is_a_number_or_a_parameter() -> None:
-    """A variable, a text, NaN or a complex number as a bound is refused when the model is built."""
+    """A variable, a text, NaN or a complex number as a bound raises an error when the model is built."""
     x, y = cp.Variable(2), cp.Variable(value=0.5)
     for wrong in (y, "a", np.nan, 1j):
         with pytest.raises(UnsupportedModel, match="bound"):
@@ -647,7 +647,7 @@ def test_a_bound_is_a_number_or_a_parameter() -> None:
 
 
 def test_parameters_of_a_box_belong_to_the_problem() -> None:
-    """A bound may be a parameter: it is among problem.parameters() and read anew at every solve."""
+    """A parameter as a bound is among problem.parameters() and is evaluated at every solve."""
     x, low = cp.Variable(2), cp.Parameter(value=-1.0)
     problem = cp.Problem(cp.Minimize(0), [complements(box(x, low, 2), x + 5)])
     assert [parameter.id for parameter in problem.parameters()] == [low.id]
@@ -685,7 +685,7 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
     ],
 )
 def test_misuse_is_told(act: Any, pattern: str) -> None:
-    """Methods, flags and objects that mean nothing here are refused in words."""
+    """Unsupported methods, flags and objects raise errors with a message."""
     x = cp.Variable(3)
     x.value = np.zeros(3)
     with pytest.raises(UnsupportedModel, match=pattern):

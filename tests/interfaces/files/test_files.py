@@ -1,4 +1,4 @@
-"""Files: what is saved comes back bit for bit, what is damaged is refused, and a failed write leaves no trace."""
+"""Files: bit-identical round trips, errors for corrupt files, and no trace of a failed write."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ BELOW_1E20 = st.floats(-9e19, 9e19)
 def test_round_trip_of_any_numbers(
     data: st.DataObject, n: int, suffix: str, tmp_path: Path
 ) -> None:
-    """Whatever doubles a problem holds, both forms give them back; only the sign of a zero may be lost in text."""
+    """Both formats preserve all doubles; only the sign of a zero may be lost in text."""
     entries = data.draw(st.lists(FINITE, min_size=n * n, max_size=n * n))
     q = data.draw(st.lists(FINITE, min_size=n, max_size=n))
     low = data.draw(st.lists(st.one_of(st.just(-INF), BELOW_1E20), min_size=n, max_size=n))
@@ -96,7 +96,7 @@ def test_round_trip_of_any_numbers(
 
 @pytest.mark.parametrize("name", ["a.mat", "deep/M.mtx", "problem.txt", "half.npy"])
 def test_a_file_of_another_kind_is_not_made_a_folder(name: str, tmp_path: Path) -> None:
-    """What looks like a file that nobody here writes is refused with what to write instead; nothing appears."""
+    """An unknown file extension raises an error that names the alternatives, and writes nothing."""
     stem = Path(name).stem
     with pytest.raises(
         UnreadableFile,
@@ -106,7 +106,7 @@ def test_a_file_of_another_kind_is_not_made_a_folder(name: str, tmp_path: Path) 
     assert list(tmp_path.iterdir()) == []
 
 
-# --- the layouts of others ---------------------------------------------------------------------------------------
+# --- third-party layouts -----------------------------------------------------------------------------------------
 
 
 def test_documented_keys_are_enough(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_huge_bounds_that_exclude_zero_come_back(
 
 @pytest.mark.parametrize("given_path", ["run1_", "run1_M.mtx"])
 def test_prefix(given_path: str, tmp_path: Path) -> None:
-    """Several problems may lie in one folder behind prefixes; the prefix, or the matrix file, names one of them."""
+    """Several problems may share a folder with prefixes; the prefix or the matrix file selects one."""
     PROBLEM.save(tmp_path)
     for file in tmp_path.glob("*.mtx"):
         file.rename(tmp_path / f"run1_{file.name}")
@@ -190,7 +190,7 @@ def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
     )
 
 
-# --- refused files -----------------------------------------------------------------------------------------------
+# --- rejected files ----------------------------------------------------------------------------------------------
 
 NO_CSR = "no valid CSR matrix|damaged sparse array|must hold integers"
 NO_ARRAYS: dict[str, Any] = dict.fromkeys(("data", "indices", "indptr", "shape"))
@@ -236,7 +236,7 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("changes", "pattern"), WRONG_KEYS.values(), ids=WRONG_KEYS.keys())
 def test_wrong_content_is_refused(changes: dict[str, Any], pattern: str, tmp_path: Path) -> None:
-    """A file whose arrays state no problem is UnreadableFile, with the name of the file and what is wrong in it."""
+    """A file with inconsistent arrays raises UnreadableFile with the file's name and the reason."""
     path = npz(tmp_path / "wrong.npz", **changes)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
         LCP.load(path)
@@ -268,7 +268,7 @@ NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
 
 @pytest.mark.parametrize(("content", "pattern"), NO_ARCHIVES.values(), ids=NO_ARCHIVES.keys())
 def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> None:
-    """A file that is no .npz archive, whatever it is, is UnreadableFile; nobody is advised to load it unsafely."""
+    """A file that is not an .npz archive raises UnreadableFile, without advice to load it unsafely."""
     (tmp_path / "p.npz").write_bytes(content)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
         LCP.load(tmp_path / "p.npz")
@@ -287,7 +287,7 @@ class Trap:
 
 @pytest.mark.parametrize("key", ["q", "data", "shape", "lower", "P_data", "unknown"])
 def test_pickles_are_never_read(key: str, tmp_path: Path) -> None:
-    """A file whose pickled array would run code when read is refused, or read around; the code never runs."""
+    """A pickled array raises an error, or is skipped, and its code never runs."""
     mark = tmp_path / "mark"
     path = npz(tmp_path / "p.npz", **{key: np.array([Trap(mark)], dtype=object)})
     assert b"mark" in path.read_bytes()
@@ -299,7 +299,7 @@ def test_pickles_are_never_read(key: str, tmp_path: Path) -> None:
     assert not mark.exists()
 
 
-# --- damaged files -----------------------------------------------------------------------------------------------
+# --- corrupt files -----------------------------------------------------------------------------------------------
 
 
 def archive(is_compressed: bool) -> bytes:
@@ -341,7 +341,7 @@ print("finished")
 
 @pytest.mark.full
 def test_damaged_matrix_market_files_are_refused(tmp_path: Path) -> None:
-    """Text files cut off anywhere or with wrong bytes are refused or read, and the process survives each of them."""
+    """Text files that are cut off or have wrong bytes raise an error or load, without a crash."""
     PROBLEM.save(tmp_path / "folder")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", MATRIX_MARKET_SCRIPT, tmp_path / "folder"],
@@ -383,7 +383,7 @@ WRONG_MATRIX_MARKET = {
     ("content", "pattern"), WRONG_MATRIX_MARKET.values(), ids=WRONG_MATRIX_MARKET.keys()
 )
 def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_path: Path) -> None:
-    """A text that states no matrix is UnreadableFile with the file's name, in words and not in Python's."""
+    """A text that is not a matrix raises UnreadableFile with the file's name and a clear message."""
     PROBLEM.save(tmp_path)
     (tmp_path / "M.mtx").write_text(content)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
@@ -412,7 +412,7 @@ ENORMOUS = {
 )
 @pytest.mark.parametrize("what", ENORMOUS)
 def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: Path) -> None:
-    """A file of a few bytes that announces 3e8 rows is refused before memory is taken for them."""
+    """A file of a few bytes that declares 3e8 rows raises an error before memory is allocated."""
     PROBLEM.save(tmp_path)
     for name, content in ENORMOUS[what].items():
         (tmp_path / f"{name}.mtx").write_text(content)
@@ -441,7 +441,7 @@ def no_space(file: Any, *_: object, **__: object) -> None:
 
 
 def test_failed_archive_keeps_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where overwriting fails, the file that was there is still there, bit for bit."""
+    """If overwriting fails, the old file remains bit for bit."""
     PROBLEM.save(tmp_path / "p.npz")
     before = files_in(tmp_path)
     monkeypatch.setattr(np, "savez_compressed", no_space)
@@ -454,7 +454,7 @@ def test_failed_archive_keeps_the_old_one(tmp_path: Path, monkeypatch: pytest.Mo
 def test_failed_folder_keeps_the_old_one(
     failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where writing any one of the four files fails, all four old ones remain: never a new M with an old q."""
+    """If writing one of the four files fails, all old files remain: never a new M with an old q."""
     PROBLEM.save(tmp_path / "folder")
     before = files_in(tmp_path)
     write, calls = scipy.io.mmwrite, []
@@ -480,7 +480,7 @@ def test_failed_folder_keeps_the_old_one(
     ],
 )
 def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -> None:
-    """A target in a missing folder, below a file or in place of a folder is refused; nothing appears."""
+    """A target in a missing folder, below a file or instead of a folder raises an error; nothing is written."""
     (tmp_path / "file").write_bytes(b"precious")
     (tmp_path / "taken.npz").mkdir()
     with pytest.raises(UnreadableFile, match=pattern):
@@ -490,7 +490,7 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
 
 
 def test_quadratic_programs_are_refused_in_words(tmp_path: Path) -> None:
-    """A file in the layout of the convex QPs is refused as what it is, not for the keys that it lacks."""
+    """A file of a quadratic program raises an error that names the class, not the missing keys."""
     P = sp.csc_array(np.eye(2))
     content = {
         f"{name}_{key}": getattr(P, key)

@@ -1,4 +1,4 @@
-"""What .nl files state: values, derivatives, problems, answers and duals, against evaluations that share no code."""
+"""Models of .nl files: values, derivatives, solutions and duals, compared with independent evaluations."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ IN_PYTHON |= {
     "neg": lambda a: -a,
     "sum": lambda *a: sum(a),
 }
-STEP = 1e-30  # of complex differentiation: no subtraction, hence no rounding of one
+STEP = 1e-30  # of complex differentiation, which has no subtraction and so no cancellation
 
 #: A tree: ("+", tree, tree), ("x", 3) a variable or a defined variable, or a number.
 Tree = Any
@@ -93,7 +93,7 @@ def content_of(
     is_maximized: bool = False,
     **own: Any,
 ) -> NLContent:
-    """The content of a file; rows are equations with right-hand sides 0, variables free, where nothing else is said."""
+    """Return the content of a file; by default rows are equalities to 0, and variables are free."""
     m, d, objectives = len(rows), len(defined), [] if objective is None else [objective]
 
     def matrix(given: Any, height: int, width: int = n) -> sp.csr_array:
@@ -179,7 +179,7 @@ def program_of(content: NLContent) -> Program:
 def require_same_derivatives(
     rows: list[Tree], defined: list[Tree], linear: np.ndarray, x: np.ndarray
 ) -> None:
-    """F and F′ are what complex numbers and complex differentiation give."""
+    """Compare F and F′ with complex arithmetic and complex differentiation."""
     program = program_of(
         content_of(x.size, rows, defined=defined, defined_linear=linear if defined else None)
     )
@@ -228,7 +228,7 @@ def trees(leaves: Any = LEAVES) -> Any:
 
 @st.composite
 def systems(draw: Any) -> tuple[list[Tree], list[Tree], np.ndarray, np.ndarray]:
-    """Rows, defined variables, each of which uses those before it, with their linear terms, and a point."""
+    """Draw rows, defined variables in order of dependence, their linear terms, and a point."""
     defined: list[Tree] = []
     for k in range(draw(st.integers(0, 3))):
         defined.append(
@@ -251,7 +251,7 @@ def systems(draw: Any) -> tuple[list[Tree], list[Tree], np.ndarray, np.ndarray]:
 
 @given(systems())
 def test_values_and_derivatives_are_those_of_the_trees(system: Any) -> None:
-    """Whatever trees and defined variables say, F and F′ are what Python's complex numbers make of them."""
+    """For any trees and defined variables, F and F′ agree with Python's complex arithmetic."""
     require_same_derivatives(*system)
 
 
@@ -285,7 +285,7 @@ def stocks(n: int) -> tuple[list[Tree], list[Tree], np.ndarray]:
 
 
 def test_long_chains_of_affine_defined_variables_stay_affine() -> None:
-    """What would fill the matrix is put in as an unknown with an equation: the LCP stays one, and sparse."""
+    """Defined variables that would fill the matrix become unknowns with equations: a sparse LCP."""
     rows, defined, M = stocks(300)
     model = model_of(paired(content_of(300, rows, defined=defined)))
     assert isinstance(model.problem, LCP)
@@ -297,7 +297,7 @@ def test_long_chains_of_affine_defined_variables_stay_affine() -> None:
 
 
 def test_programs_put_affine_defined_variables_in() -> None:
-    """A program has no unknowns but its variables: rows and objective are what the defined variables say."""
+    """A program has only its variables as unknowns; defined variables are substituted."""
     rows, defined, M = stocks(100)
     content = content_of(
         100,
@@ -455,7 +455,7 @@ def test_quadratic_objectives_are_recognised(kind: str, sign: float) -> None:
 
 
 def refusals() -> Iterator[tuple[str, NLContent, str]]:
-    """What is not taken: a name, the content, and what the message says."""
+    """Yield unsupported models: a name, the content, and a part of the message."""
     x, y = X[:2]
     yield (
         "integers",
@@ -527,7 +527,7 @@ def one_equation() -> dict[str, Any]:
     ("content", "words"), [pytest.param(*row[1:], id=row[0]) for row in refusals()]
 )
 def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
-    """Each refusal names the row or the variable, and what is wrong with it."""
+    """Each error names the row or the variable, and the reason."""
     with pytest.raises(UnsupportedModel, match=words):
         model_of(content)
 
@@ -575,7 +575,7 @@ def test_statuses_tell_the_truth() -> None:
 
 @pytest.mark.parametrize("kind", ["affine", "smooth", "program"])
 def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
-    """Rows are evaluated once more as they stand in the file: another number in one of them, and nothing is solved."""
+    """Rows are evaluated again from the file: if a number in a row differs, the status is not SOLVED."""
     M, q, _ = random_pairs()
     rows = [("+", value, ("sin", X[0])) if kind == "smooth" else value for value in q]
     content = program("products") if kind == "program" else paired(content_of(6, rows, linear=M))
@@ -592,7 +592,7 @@ def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 @pytest.mark.parametrize("kind", ["pairs", "program"])
 def test_an_answer_is_contradicted_in_any_unit_of_the_rows(kind: str, unit: float) -> None:
-    """A number in the trees that is another by a thousandth of the row's terms is seen, in any unit of the rows."""
+    """A change in the trees by a thousandth of the row's terms is detected at any scale of the rows."""
     M, q, _ = random_pairs()
     content = content_of(6, (unit * q).tolist(), linear=unit * M)
     if kind == "pairs":
@@ -617,7 +617,7 @@ def test_an_answer_is_contradicted_in_any_unit_of_the_rows(kind: str, unit: floa
 
 
 def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
-    """A fixed variable is its value, also as an exponent; one that nothing holds stays at its start."""
+    """A fixed variable is its value, also as an exponent; an unused variable stays at its start."""
     rows = [("-", ("^", X[0], X[1]), 9.0), 0.0]
     content = replace(
         paired(content_of(3, [*rows, 0.0])),
@@ -634,7 +634,7 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
 
 
 def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
-    """Of v = 3 x₁ + x₀ with x₁ = 2, and v = 10: x₀ = 4."""
+    """With v = 3 x₁ + x₀, x₁ = 2 and v = 10, x₀ is 4."""
     content = content_of(
         2, [("-", ("x", 2), 10.0)], defined=[X[0]], defined_linear=[[0.0, 3.0, 0.0]]
     )
@@ -643,7 +643,7 @@ def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
 
 
 def beside_pairs(kind: str, at: float) -> NLContent:
-    """0 ≤ x₀ ⟂ x₀ − 2 ≥ 0, hence x₀ = 2, and beside it something that asks for x₀ ≤ at."""
+    """Return 0 ≤ x₀ ⟂ x₀ − 2 ≥ 0, whose solution is x₀ = 2, with a constraint equivalent to x₀ ≤ at."""
     one = replace(
         paired(content_of(2, [("-", X[0], 2.0), ("exp", X[0])])), partners=np.array([0, -1])
     )
@@ -683,7 +683,7 @@ def test_a_bound_that_its_complementarity_does_not_state_belongs_to_it(tmp_path:
 def test_what_stands_beside_complementarities_is_held_against_the_answer(
     kind: str, tmp_path: Path
 ) -> None:
-    """An inequality, a bound of a variable without a pair: solved if it holds, else infeasible, in words; no LCP."""
+    """An inequality or bound without a pair gives SOLVED if it holds, else infeasible with a message."""
     holds = model_of(beside_pairs(kind, 3.0)).solve()
     assert (holds.status, holds.x[0]) == (Status.SOLVED, pytest.approx(2.0))
     fails = model_of(beside_pairs(kind, 1.0)).solve()
@@ -702,7 +702,7 @@ def test_what_stands_beside_complementarities_is_held_against_the_answer(
 
 
 def test_a_row_that_a_fixed_variable_leaves_constant_is_held_against_the_answer() -> None:
-    """0 ≤ v ⟂ 1 with v = x − 1 and 0 ≤ x ⟂ x − 1: one equation too many, and v = 0; with x − 2 there is no solution."""
+    """The pairs 0 ≤ v ⟂ 1, v = x − 1 and 0 ≤ x ⟂ x − 1 hold with v = 0; with x − 2 they are infeasible."""
     for root, status in ((1.0, Status.SOLVED), (2.0, Status.NO_SOLUTION)):
         rows = [1.0, ("+", ("-", X[0], X[1]), 1.0), ("-", X[1], root)]
         content = replace(
@@ -733,7 +733,7 @@ def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(
 
 
 def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
-    """LCP.load gives the LCP of an .nl file; of a file that states something else it says what, and who takes it."""
+    """LCP.load reads affine complementarity files; for others the error names the class and read_nl."""
     M, q, _ = random_pairs()
     write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
     np.testing.assert_array_equal(LCP.load(tmp_path / "m.nl").csr.toarray(), M)

@@ -45,7 +45,7 @@ INF = np.inf
 
 
 def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, sp.csr_array]:
-    """A box problem on a band that is not symmetric, and a propagator on another; M is an M-matrix where asked for."""
+    """Return a box problem on a nonsymmetric band and a propagator; with `z`, M is an M-matrix."""
     rng = np.random.default_rng(seed)
 
     def banded(below: int, above: int) -> sp.csr_array:
@@ -76,7 +76,7 @@ def marched(problem: LCP, propagator: sp.csr_array, k: int, seed: int, **options
 
 
 def stacked(done: March) -> Derivative:
-    """The derivative of the whole march as one problem: all steps below each other, M on the diagonal, C below it."""
+    """Return the derivative of the march as one problem: M in diagonal blocks, C below."""
     k, problem = len(done), done.problem
     M = sp.csr_array(
         sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.propagator)
@@ -130,7 +130,7 @@ def change_of(done: March, seed: int) -> dict[str, Any]:
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
-    """Forwards: dz of all steps is that of the steps stacked into one problem, solved without a march."""
+    """Forward derivatives of all steps equal the derivatives of one stacked problem."""
     done = CASES[case]()
     k, n, change = len(done), done.problem.n, change_of(done, 7)
     dq = np.array(change["dforcing"])
@@ -157,7 +157,7 @@ def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
-    """⟨g, dz⟩ is what the gradients by M, forcing, propagator, z0 and bounds say, for all steps and for the last."""
+    """The product ⟨g, dz⟩ equals the product of gradients and changes, for all steps and for the last step."""
     done = CASES[case]()
     found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
     change["dM"] = sp.csr_array(
@@ -183,7 +183,7 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
-    """Each step's change, in fractions from exact data to exact dz, is what jvp says to rounding."""
+    """The exact change of each step, in rationals, agrees with jvp to rounding error."""
     rng = np.random.default_rng(seed)
     n, k = 4, 3
     M = sp.csr_array(np.tril(np.triu(rng.integers(-3, 4, (n, n)), -1), 1) + 8 * np.eye(n))
@@ -236,7 +236,7 @@ def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
 
 
 def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
-    """A row with z = lower and w = 0: changes are one-sided, gradients those of the piece that holds it."""
+    """A row with z = lower and w = 0 has one-sided changes, and gradients with the row fixed."""
     rod = LCP(sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40)), np.zeros(40))
     forcing = np.zeros((3, 40))
     forcing[:, :10] = -1.0
@@ -278,7 +278,7 @@ def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
 
 
 def test_what_has_no_derivative() -> None:
-    """A g of another shape; a march that was not solved to its end; what is no result at all."""
+    """A wrong shape of g, an unsolved march, and other objects raise errors."""
     with pytest.raises(
         InvalidProblem, match=r"g must be a finite array of shape \(4, 5\), or \(5,\) for the last"
     ):
@@ -296,7 +296,7 @@ def test_what_has_no_derivative() -> None:
 
 
 def test_a_march_without_steps_has_a_derivative() -> None:
-    """Of no steps at all: no changes, and gradients that are 0."""
+    """The derivative without steps has no changes, and its gradients are 0."""
     found = derivative(march(LCP(np.eye(3), np.zeros(3)), np.zeros((0, 3))))
     assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
     assert not found.vjp(np.zeros((0, 3))).z0.any()
@@ -377,7 +377,7 @@ def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
 
 
 def test_what_marches_of_several_matrices_refuse() -> None:
-    """Other sizes, other numbers of marches, what is no LCP: in words, before the first step."""
+    """Different sizes, different numbers of marches and other classes raise errors before the first step."""
     one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
     forcing = np.zeros((2, 3))
     with pytest.raises(
@@ -396,7 +396,7 @@ def test_what_marches_of_several_matrices_refuse() -> None:
 
 
 def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
-    """One that overflows, and one that is not solved: each says so, the others reach their end."""
+    """Marches that overflow or are not solved report it, and other marches reach their end."""
     rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
     forcing = np.full((3, 4, 6), -1.0)
     forcing[1, 2:] = -1.7e308
@@ -455,7 +455,7 @@ def test_damped_crank_nicolson_is_of_order_two() -> None:
 STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
 
 
-# --- A step of a march begins with what ended the one before ---
+# --- The next step starts with the algorithm that finished the previous step ---
 
 SMALL = {
     "heston": lambda: marches.heston(60, 24, 6)[0],
@@ -486,7 +486,7 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
 
 
 def test_time_that_runs_out_keeps_the_steps_before() -> None:
-    """With max_seconds a march ends with a step that says so, and all before it are SOLVED."""
+    """A march with max_seconds ends with MAX_SECONDS, and all earlier steps are SOLVED."""
     steps = marches.basket(60, 400)
     done = marched_beginnings(steps, max_seconds=0.2)
     assert 0 < len(done) < len(steps.forcing)
@@ -509,18 +509,18 @@ def test_ctrl_c_keeps_the_steps_before() -> None:
 
 
 def test_a_put_in_heston_s_model_has_its_published_value() -> None:
-    """On a moderate grid the values of the literature are met to one per cent of the strike's half."""
+    """The published values are reached to one percent of half the strike on a moderate grid."""
     steps, spots, variances = marches.heston(79, 33, 20)
     z = marched_beginnings(steps).z[-1].reshape(variances.size, spots.size)
     at = [np.interp(marches.HESTON_VARIANCE, variances, column) for column in z.T]
     assert np.abs(np.interp(marches.HESTON_SPOTS, spots, at) - marches.HESTON_VALUES).max() < 0.03
 
 
-# --- A march is its steps one by one ---
+# --- A march equals single steps ---
 
 
 def test_a_march_is_its_steps_one_by_one() -> None:
-    """On a narrow band, and where another method solves each step: the same z bit for bit, and the same status."""
+    """A march has the z, bit for bit, and the status of single solves, with every algorithm."""
     scene = gallery.build("american_put_march", size=101, steps=25)
     assert scene.advance is not None
     forcing = np.broadcast_to(scene.advance(np.zeros(101)), (25, 101))
@@ -561,7 +561,7 @@ def test_a_march_has_a_propagator_and_forces_that_change() -> None:
 
 
 def test_a_march_takes_what_a_solve_takes() -> None:
-    """Other options, a callback, a measure and a limit in seconds are those of `solve`, step by step and for all."""
+    """Options, a callback, an error measure and a limit in seconds have the meaning of `solve`."""
     scene = gallery.build("american_put_march", size=31, steps=4)
     forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
     plain = march(scene.problem, forcing, z0=scene.problem.lower)
@@ -595,7 +595,7 @@ def test_a_march_takes_what_a_solve_takes() -> None:
 
 
 def test_a_march_ends_where_a_step_is_not_solved() -> None:
-    """The steps after it would start from nothing; what cannot be taken in one loop is taken by itself."""
+    """A march ends at an unsolved step; steps outside of the compiled loop are solved one by one."""
     problem = LCP(
         sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0
     )
@@ -633,7 +633,7 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
     ],
 )
 def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
-    """Data of another shape, or not finite, in words and before the first step."""
+    """Data of another shape, or not finite, raise errors before the first step."""
     with pytest.raises(InvalidProblem, match=message):
         march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((1, 3)), **given})
     with pytest.raises(
@@ -643,7 +643,7 @@ def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
 
 
 def test_a_march_keeps_what_it_has() -> None:
-    """A q that overflows on the way ends it and says so; the first step's is refused."""
+    """An overflowing q ends a march with an error in `error`; in the first step it is raised."""
     steps = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, propagator=-1e200)
     assert not steps.all_solved
     assert 1 <= len(steps) < 3

@@ -1,4 +1,4 @@
-"""trace(): every piece of a path is right, and what cannot go on says so."""
+"""trace(): every segment of a path is right, and a path that cannot continue reports the reason."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ INF = np.inf
 
 
 def assert_pieces_join(path: Path) -> None:
-    """Each piece begins where the one before ends, in place and, but for jumps, in value."""
+    """Require that each segment begins where the previous one ends, in θ and, except at jumps, in value."""
     for one, other in itertools.pairwise(path.pieces):
         if other.begin in (*path.jumps, *path.segments):
             continue
@@ -54,7 +54,7 @@ def random_lcp(rng: np.random.Generator, n: int, rank: int, skew: float) -> tupl
 
 @pytest.mark.parametrize("seed", range(12))
 def test_small_paths_are_exact(seed: int) -> None:
-    """At n ≤ 5 the solution by exact enumeration lies on the path, at breakpoints, middles and elsewhere."""
+    """Solutions by exact enumeration for n ≤ 5 are on the path, at breakpoints and between them."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 6))
     B = rng.integers(-2, 3, (n, n)).astype(float)
@@ -89,7 +89,7 @@ def test_monotone_paths_meet_solves(seed: int) -> None:
             solve(problem.with_q(problem.q + theta * dq)).require_solved(),
         )
         assert point.is_solved
-        # Of several solutions of a monotone problem (M + Mᵀ) z is the same.
+        # All solutions of a monotone problem have the same (M + Mᵀ) z.
         symmetric = problem.M + problem.M.T
         assert np.abs(symmetric @ (point.z - answer.z)).max() <= 1e-6 * (
             1.0 + np.abs(answer.z).max()
@@ -143,7 +143,7 @@ def test_frontier_is_that_of_all_sets_of_assets() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_linear_programs_move_along_faces(seed: int) -> None:
-    """Of a linear program, M of which is singular everywhere, the path follows values of right-hand sides and costs."""
+    """Paths of linear programs with singular M follow right-hand sides and costs."""
     rng = np.random.default_rng(seed)
     n, m = 8, 5
     G, h = rng.integers(-2, 4, (m, n)).astype(float), rng.integers(3, 9, m).astype(float)
@@ -176,14 +176,14 @@ def test_infeasible_from_somewhere_on_comes_with_the_proof() -> None:
 
 
 def test_unbounded_from_somewhere_on_comes_with_the_proof() -> None:
-    """A path ends where the objective begins to fall without end."""
+    """A path ends where the objective becomes unbounded below."""
     path = trace(QuadraticProgram(None, [1], lower=0), {"c": [-1]}, 0, 2)
     assert path.status is Status.UNBOUNDED
     assert path.reached == pytest.approx(1.0, abs=1e-12)
 
 
 def test_no_solution_at_the_start() -> None:
-    """Without a solution at the start there is no path, and the status is that of the start."""
+    """A path without a solution at the start is empty, and has the status of the start."""
     path = trace(
         QuadraticProgram(np.eye(1), [0], lower=1, upper=2, A=[[1]], b=[3]), {"c": [1]}, 0, 1
     )
@@ -193,7 +193,7 @@ def test_no_solution_at_the_start() -> None:
 
 
 def test_a_solution_that_jumps_is_said_to() -> None:
-    """Where M is not monotone a path turns back; beyond the turn the solution has jumped, and is right again."""
+    """If M is not monotone a path may turn back: the solution jumps, and is right beyond the jump."""
     path = trace(LCP([[-1]], [2], upper=1), {"q": [-1]}, 0, 3)
     assert path.jumps == pytest.approx([2.0])
     assert path.at(1.9).z == pytest.approx([0.0])
@@ -272,7 +272,7 @@ REFUSED = [
 def test_what_cannot_be_traced_is_refused_in_words(
     problem: Any, along: Any, stop: float, error: type[Exception], words: str
 ) -> None:
-    """Each refusal says what was given and what to write."""
+    """Each error contains the argument and the remedy."""
     with pytest.raises(error, match=words):
         trace(problem, along, float("l1" in along), stop)
 
@@ -291,11 +291,11 @@ def test_a_path_is_shown_in_words_tables_and_pictures() -> None:
         path.plot(rows=[2])
 
 
-# --- what rounding, units and crossing bounds leave -----------------------------------------------------------
+# --- rounding, scaling and crossing bounds --------------------------------------------------------------------
 
 
 def short_lcp(seed: int) -> tuple[LCP, np.ndarray] | None:
-    """Return a strictly monotone LCP of one decimal with the direction of q, or None where it came out another."""
+    """Return a strictly monotone LCP with one decimal and the direction of q, or None if not monotone."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 4))
     B, K = (np.round(rng.standard_normal((n, n)), 1) for _ in range(2))
@@ -306,7 +306,7 @@ def short_lcp(seed: int) -> tuple[LCP, np.ndarray] | None:
 
 @pytest.mark.full
 def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
-    """Where z and w both vanish but for rounding the path is right; of data of one decimal a fifth was refused."""
+    """A path is right if z and w both vanish up to rounding; a fifth of these once ended STALLED."""
     path = trace(LCP([[5.0]], [-1.0]), {"q": [-3.0]}, 1.5, -1.0).require_solved()
     assert path.at(path.breakpoints[1]).is_solved
     assert all(point.is_solved for point in path.points)
@@ -318,7 +318,7 @@ def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("share", [1e-3, 1e-5, 1e-7])
 def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
-    """A piece moved, turned or drawn out by a little is refused, also where numbers vanish at its ends."""
+    """A segment that is shifted, turned or extended a little is not SOLVED, even near zeros."""
     rng, refused, planted = np.random.default_rng(1), 0, 0
     for seed in range(60):
         if (stated := short_lcp(seed)) is None:
@@ -333,7 +333,7 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
             {"z0": piece.z0 + moved},
             {"z1": piece.z1 + moved},
             {"end": piece.end - share * 2.5},
-        )[: 3 if share > 1e-6 else 2]:  # pieces are judged 1e-6 of their length inside their ends
+        )[: 3 if share > 1e-6 else 2]:  # segments are checked 1e-6 of their length inside
             wrong = dataclasses.replace(piece, **change)
             ends = (theta for theta in (wrong.begin, wrong.end) if theta >= path.stop)
             off = (
@@ -350,7 +350,7 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
 
 
 def test_solved_is_said_of_the_whole_way_alone() -> None:
-    """A path that did not come to stop is not SOLVED, and says so."""
+    """A path that did not reach stop is not SOLVED, and the explanation reports where it ended."""
     path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
     cut = Path(path.family, 0.0, 6.0)
     cut.pieces, cut.reached = path.pieces[:1], 3.5
@@ -382,7 +382,7 @@ def test_a_path_ends_where_bounds_cross(problem: Any, along: Any) -> None:
 
 @pytest.mark.parametrize("size", [1.0, 1e7, 1e9, 1e12])
 def test_units_of_cost_and_of_columns_end_no_path(size: float) -> None:
-    """Pivots are judged in units that rows and columns share: costs and columns of any size have their paths."""
+    """Pivots are scaled by rows and columns: paths exist for costs and columns of any size."""
     rng = np.random.default_rng(0)
     B = rng.standard_normal((7, 7))
     units = np.where(np.arange(7) % 2, size, 1.0)
@@ -414,7 +414,7 @@ def test_units_of_cost_and_of_columns_end_no_path(size: float) -> None:
 
 
 def assert_on_the_path(path: Path, solved: Any) -> None:
-    """At every breakpoint, just beside it, and in the middle of each piece the path has the value of a solve."""
+    """Require the value of a solve at breakpoints, next to them, and in the middle of segments."""
     for piece in path.pieces:
         length = piece.end - piece.begin
         for theta in piece.begin + length * np.array([0.0, 1e-3, 0.5, 1.0 - 1e-3, 1.0]):
@@ -426,7 +426,7 @@ def assert_on_the_path(path: Path, solved: Any) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_between_pieces_there_is_no_gap(seed: int) -> None:
-    """Each piece begins where the one before ends, and at θ in and around every joint the path is that of solves."""
+    """Segments join without gaps, and at θ around every joint the path agrees with single solves."""
     rng = np.random.default_rng(seed)
     B, n = rng.standard_normal((6, 6)), 6
     program = QuadraticProgram(
@@ -447,7 +447,7 @@ def test_between_pieces_there_is_no_gap(seed: int) -> None:
 
 
 def test_a_parameter_far_from_zero_has_its_pieces() -> None:
-    """From 1e9 to 1e9 + 1 the path of an M-matrix has the pieces that single solves have."""
+    """The path of an M-matrix from 1e9 to 1e9 + 1 has the segments of single solves."""
     rng, n, base = np.random.default_rng(0), 8, 1e9
     M = 3.0 * np.eye(n) - np.diag(np.ones(n - 1), 1) - np.diag(np.ones(n - 1), -1)
     dq = rng.choice([-4.0, -2.0, -1.0, 1.0, 2.0, 4.0], n)  # so that q + θ dq is exact

@@ -27,11 +27,12 @@ HALF_SPACES = (
     np.array([[3.0, 1.0], [1.0, 4.0]]),
     np.array([10.0, 10]),
 )
-NEAREST = [30 / 11, 20 / 11]  # of these, whatever is far away
+NEAREST = [30 / 11, 20 / 11]  # the solution, for any value of the distant bounds
 FAR = [1e20, 9.999999999999999e19, 1e30, np.inf]
 
 
-# --- Limits that say nothing -----------------------------------------------------------------------------------------
+# --- Right-hand sides and bounds of 1e20
+# ---------------------------------------------------------------------------
 
 
 def by_bounds(far: float) -> Any:
@@ -81,7 +82,7 @@ def by_cvxpy(far: float) -> Any:
     "answer", [by_bounds, by_rows, by_other_vectors, by_batch, by_qpsolvers, by_cvxpy]
 )
 def test_limits_of_1e20_say_nothing(answer: Callable[[float], Any], far: float) -> None:
-    """By every way in, an upper limit of 1e20 and beyond is none, as ∞ is, and so is a lower one of −1e20."""
+    """An upper limit of 1e20 and beyond means none in every interface, as a lower one of −1e20 does."""
     np.testing.assert_allclose(answer(far), NEAREST, rtol=1e-9)
 
 
@@ -119,7 +120,7 @@ RIGHT = {
 
 @pytest.mark.parametrize("name", RIGHT)
 def test_numbers_that_users_write(name: str) -> None:
-    """The optimum, by hand, and no violation, whatever one limit or coefficient is."""
+    """The optimum is right, and no constraint is violated, for extreme limits or coefficients."""
     program, value = RIGHT[name]
     result = solve(program)
     x = result.solution.x
@@ -130,7 +131,7 @@ def test_numbers_that_users_write(name: str) -> None:
 
 
 def test_a_small_cost_of_a_free_unknown_is_unbounded() -> None:
-    """Of x₁ + 1e-10 x₂ with x₁ = 1, however small the cost of x₂ is relative to that of x₁."""
+    """The cost x₁ + 1e-10 x₂ with x₁ = 1 is unbounded, however small the relative cost of x₂ is."""
     assert (
         solve(QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0])).status
         is Status.UNBOUNDED
@@ -183,7 +184,7 @@ FELL = {
 
 @pytest.mark.parametrize("name", FELL)
 def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
-    """Objectives off by half and more, with multipliers, idle unknowns and slacks of sizes that excuse nothing."""
+    """Wrong objectives with large multipliers, idle unknowns and slacks do not pass the criterion."""
     program, x, multipliers = FELL[name]
     y = np.array(multipliers[: program.constraints.right.size], np.float64)
     errors = Errors.of(program, np.array(x, np.float64), y)
@@ -193,7 +194,7 @@ def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("limit", [1e9, 1e11, 1e12, 1e14, 1e17])
 def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
-    """P d = 0 exactly and a far row alone holds x along d: the value is right to 1e-6, by fractions, or is none."""
+    """With P d = 0 and only a loose row to bound x along d, the value is right to 1e-6, or not SOLVED."""
     P, c = [[2.691650390625, 0.41015625], [0.41015625, 0.0625]], [-0.984375, -0.171875]
     G = [[-1.296875, 0.015625], [-0.03125, -0.296875]]
     for algorithm in ("auto", "piqp", "daqp", "interior_point"):
@@ -203,7 +204,7 @@ def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
 
 
 def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
-    """At x = 1e41 along P d = 0, xᵀP x is rounding: an optimum of −2.667 is not found there."""
+    """The term xᵀP x is rounding error at x = 1e41 along P d = 0, where an optimum of −2.667 must not pass."""
     P = [
         [8.0, 10.0, -4.0, -6.0],
         [10.0, 13.0, -3.0, -9.0],
@@ -220,7 +221,7 @@ def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
 @pytest.mark.parametrize("norm", [cp.norm1, cp.norm_inf], ids=["1", "infinity"])
 @pytest.mark.parametrize("n", [1, 2, 10, 20])
 def test_a_fit_without_an_error_is_solved(n: int, norm: Any) -> None:
-    """The minimum of ‖A x − b‖ is 0, and no x of doubles has it; x is that of the linear system."""
+    """A fit with minimum 0 that no double attains is solved, with the x of the linear system."""
     draw = np.random.default_rng(n)
     A, x = draw.normal(size=(n, n)), cp.Variable(n)
     b = np.array([0.3]) if n == 1 else draw.normal(size=n)
@@ -274,7 +275,7 @@ def test_an_objective_is_right_where_its_terms_cancel() -> None:
 
 
 def wrong_by(data: tuple[Any, ...], x: Any) -> float:
-    """By how much ½ xᵀP x + cᵀx misses the least value next to Σ |c_j x_j| + |xᵀP x|, by all cases in fractions."""
+    """Return the relative error of the objective, by enumeration with rationals."""
     P, c, G, h = data
     n, point = len(c), exact(x)
     program = ExactProgram(P, c, G, h, np.zeros((0, n)), [], [-np.inf] * n, [np.inf] * n)
@@ -296,14 +297,14 @@ NEARLY_SINGULAR = (
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 @pytest.mark.parametrize("algorithm", ["auto", "daqp", "piqp", "clarabel"])
 def test_products_that_cancel_hide_no_cost(algorithm: str, kind: Any) -> None:
-    """c₁ is all that is left of its component, 7e-8 of its terms, and 2 % of the objective: it is SOLVED beyond."""
+    """Cost c₁ is 7e-8 of the terms of its component, and 2 % of the objective, which must be right."""
     P, c, G, h = NEARLY_SINGULAR
     result = solve(QuadraticProgram(kind(P), c, kind(G), h), algorithm)
     assert wrong_by(NEARLY_SINGULAR, result.x) <= 1e-6 or not result.is_solved
 
 
 def nearly_singular(rng: Generator) -> tuple[Any, ...]:
-    """P of integers, of low rank, and 1e-6 to 1e-13 on its diagonal; costs of several sizes; far rows."""
+    """Draw an integer P of low rank plus 1e-6 to 1e-13 on its diagonal, with costs and loose rows."""
     n, m, least = int(rng.integers(2, 5)), int(rng.integers(0, 4)), 10.0 ** -rng.integers(6, 14)
     B = rng.integers(-3, 4, (int(rng.integers(1, n)), n)) * (rng.random((1, n)) < 0.7)
     P = B.T @ B + np.diag(least * 10.0 ** rng.integers(-2, 3, n) ** (rng.random() < 0.5))
@@ -342,10 +343,10 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
 def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
     draw: Callable[[Generator], Any], tolerance: float, draws: Callable[[int], range]
 ) -> None:
-    """The objective is right to ten times the tolerance wherever SOLVED is said, and it is in most draws.
+    """The objective of SOLVED results is right to ten times the tolerance, and most draws are SOLVED.
 
-    Of rows that x misses by no more than the tolerance the limits are those that x keeps: along far rows so little
-    may be worth as much as the objective.
+    If x violates a row by at most the tolerance, the reference uses the right-hand side that x satisfies, because
+    so small a violation of a loose row may change the objective considerably.
     """
     rng, results = np.random.default_rng(3), []
     for _ in draws(1000):
@@ -418,7 +419,7 @@ def test_constructed_points_are_refused(name: str, kind: Any) -> None:
 
 
 def test_documented_limits_of_the_test() -> None:
-    """A row off by 9e-10 of its terms passes, and so does a program within 1e-11 of a bounded one."""
+    """A row violated by 9e-10 of its terms passes, as does a program within 1e-11 of a bounded one."""
     row = QuadraticProgram(np.diag([1.0, 0.0]), [0, 0], [[0, 1], [-1, -1e11]], [1, -1e11 - 50])
     assert Errors.of(row, np.array([0, 1 + 9e-10]), np.zeros(2)).meet(1e-6)
     nearly = QuadraticProgram(None, [1, -(1 + 1e-11)], [[-1, 1]], [-1])
@@ -443,7 +444,7 @@ def test_an_exact_minimizer_is_optimal_although_products_cancel() -> None:
 
 @pytest.mark.parametrize("value", [1e160, 1e308, np.nan, np.inf])
 def test_no_number_is_no_answer(value: float) -> None:
-    """NaN, ∞ and what overflows are rejected as x and as multipliers."""
+    """NaN, ∞ and overflowing values are rejected as x and as multipliers."""
     program = QuadraticProgram(np.eye(2), [-1, -2], [[1, 1]], [1])
     for x, y in (([value, 1.0], [1.0]), ([0.0, 1.0], [value])):
         assert not Errors.of(program, np.array(x), np.array(y)).meet(1e-6)
@@ -474,7 +475,7 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[[int], r
 
 
 def test_one_function_tests_one_program_and_many() -> None:
-    """Of programs that stand in one, each has the measures of plain sums that it has alone."""
+    """The measures of programs in a block-diagonal program equal the measures of each program."""
     rng = np.random.default_rng(3)
     P, C = rng.normal(size=(7, 4, 4)), rng.normal(size=(7, 5, 4)) * (rng.random((7, 5, 4)) < 0.7)
     P = P @ P.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Measure applications, compare two tables, and say what a summary needs."""
+"""Measure applications, compare two tables, and print the lines of a summary."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ MORE_WORK, LARGER_ERROR, NO_ERROR = (
     1.1,
     10.0,
     1e-12,
-)  # what fails; errors below the last are rounding
+)  # failure levels; errors below the last are at rounding level
 FEW_PASSES = 5.0  # a pivot more or less is a matter of rounding: another processor's
-FAR_BEHIND = 3.0  # times the work of the best named method: nobody's choice, and often chaotic, so not compared
-CHAOTIC = 100.0  # times that: of auto in other units; paths of pivots there depend on the processor's rounding
+FAR_BEHIND = 3.0  # times the best named method's work: often chaotic, so not compared
+CHAOTIC = 100.0  # times that, for auto on scaled problems: pivots depend on rounding
 FALSE_FROM = 1e-3  # SOLVED with such an error is false
 TARGET = 1.5  # times the work of the best named method
 
-# A run ends here: no clock is asked.
+# A run ends here; limits are steps, not seconds.
 STEPS = {"auto": 10_000, "npsor": 2000, "psor": 2000, "multigrid": 150, "newton": 150, "interior_point": 100,
          "banded": 100}  # fmt: skip
 ROWS = {
@@ -55,7 +55,7 @@ BAND = 60  # rows from the diagonal, beyond 200 rows
 
 
 class Key(NamedTuple):
-    """What a row is about."""
+    """Problem, method and scaling of a row."""
 
     problem: str
     method: str
@@ -96,7 +96,7 @@ Table = dict[Key, Measured]
 
 
 class Case:
-    """One size of an application, with its answer."""
+    """One size of an application, and its reference solution."""
 
     def __init__(self, name: str, arguments: Mapping[str, Any]) -> None:
         self.function = name
@@ -113,7 +113,7 @@ class Case:
 
     @staticmethod
     def name_of(name: str, arguments: Mapping[str, Any]) -> str:
-        """Return what a table calls the case."""
+        """Return the name of the case in a table."""
         return " ".join([name, *(f"{key}={value}" for key, value in arguments.items())])
 
     @property
@@ -138,7 +138,7 @@ class Case:
         return problem, c
 
     def error(self, z: Any, starts: Iterable[Any]) -> float:
-        """Return the error of z, in own units, beside the independent answer, which is looked for from these points."""
+        """Return the error of unscaled z relative to the reference solution, found from these starts."""
         if self.stated.error is not None:
             return self.stated.error(z)
         found, exact = self.stated.determined(z), self.stated.determined(self.reference(starts))
@@ -169,7 +169,7 @@ class Case:
         return self.n <= ROWS.get(method, np.inf) and M.nnz <= PLACES.get(method, np.inf)
 
     def run(self, method: str, units: str) -> tuple[Any, Any] | None:
-        """Return the result and z in own units, None where the method refuses the problem."""
+        """Return the result and unscaled z, or None if the method rejects the problem."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
@@ -184,7 +184,7 @@ class Case:
         return result, np.ldexp(result.z, c)
 
     def measure(self, wanted: Iterable[tuple[str, str]]) -> Iterator[tuple[Key, Measured]]:
-        """Yield a row for each (method, units): of named ones where they solve, in other units where falsely."""
+        """Yield a row per (method, scaling): named methods if they solve, and false results on scaled data."""
         runs = {}
         for method, units in wanted:
             if method == "auto" or self.suits(method):
@@ -222,7 +222,7 @@ def cases(*, full: bool, names: Iterable[str] = ()) -> Iterator[Case]:
 
 
 def all_runs(*, full: bool) -> Iterator[tuple[str, str]]:
-    """Yield what is tried for a table: named methods in other units where that is quick."""
+    """Yield the methods and scalings of a table; named methods on scaled data only if this is quick."""
     yield from (("auto", units) for units in UNITS)
     yield from ((method, "own") for method in NAMED)
     if not full:
@@ -249,7 +249,7 @@ def read(text: str) -> Table:
 
 
 def written(table: Table) -> str:
-    """Return the file of a table, a line a row."""
+    """Return the file of a table, a line per row."""
     lines = [",".join(COLUMNS)]
     lines += [
         f"{','.join(key)},{row.n},{row.status},{row.work:g},{row.error:.1e}"
@@ -309,16 +309,16 @@ def _differ(a: Measured, b: Measured) -> bool:
 
 
 class Standing(NamedTuple):
-    """auto beside the best named method on one problem, in its own units."""
+    """Comparison of auto with the best named method on one unscaled problem."""
 
     problem: str
     auto: Measured
     best: str | None
-    ratio: float  # of work; ∞ where auto leaves unsolved what a method solves
+    ratio: float  # of work; ∞ if auto does not solve a problem that a named method solves
 
 
 def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
-    """Return the named method of least work on each problem that one solves in its own units, and that work.
+    """Return the named method of least work on each solved unscaled problem, and this work.
 
     The work of external solvers is not counted: they are left out.
     """
@@ -334,7 +334,7 @@ def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
 
 
 def standings(table: Table) -> list[Standing]:
-    """Return how auto stands on each problem."""
+    """Return the comparison of auto with named methods on each problem."""
     found, named = [], best_of_named(table)
     for key, auto in table.items():
         if (key.method, key.units) == ("auto", "own"):
@@ -345,7 +345,7 @@ def standings(table: Table) -> list[Standing]:
 
 
 def summary(table: Table) -> Iterator[str]:
-    """Yield what the table says of auto."""
+    """Yield the lines of a summary of auto."""
     worst: dict[str, float] = {}
     found = standings(table)
     for one in found:

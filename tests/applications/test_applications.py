@@ -1,4 +1,4 @@
-"""What applications cost and how wrong their answers are is no worse than the table in the repository says."""
+"""The work and the errors of applications are not worse than in the stored table."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .table import (
 
 
 def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
-    """Measure one application, or what the table has of it; return its rows that became worse, with what to do."""
+    """Measure one application, or its rows in the table; return rows that became worse, with advice."""
     table = read(path_of(full=full).read_text(encoding="utf-8"))
     entry, new = entries()[name], {}
     for arguments in entry.full if full else entry.small:
@@ -58,7 +58,7 @@ def test_small_applications_cost_no_more_than_the_table_says(
 ) -> None:
     """Status, counted work and error of auto in all units and of the best named methods.
 
-    In the full suite named methods are asked in other units, too: none more is falsely SOLVED.
+    The full suite also runs named methods on scaled problems: no further result may be falsely SOLVED.
     """
     everything = bool(pytestconfig.getoption("--full"))
     assert not (lines := worse(full=False, name=name, everything=everything)), "\n".join(lines)
@@ -73,7 +73,7 @@ def test_large_applications_cost_no_more_than_the_table_says(name: str) -> None:
 
 @pytest.mark.parametrize("full", [False, True])
 def test_every_application_has_its_rows(full: bool) -> None:
-    """Both tables have auto's rows of each case in all units, no other problem, and read back what they say."""
+    """Both tables have auto's rows of each case and scaling, no other problem, and survive a round trip."""
     text = path_of(full=full).read_text(encoding="utf-8")
     table = read(text)
     assert written(table) == text
@@ -90,7 +90,7 @@ def test_every_application_has_its_rows(full: bool) -> None:
 
 @pytest.mark.parametrize("name", entries())
 def test_every_application_has_a_source(name: str) -> None:
-    """The docstring says what it is and where that stands."""
+    """The docstring describes the application and cites its source."""
     assert re.search(r"; .*\(\d{4}\)|Kumar, Deepmala, Das", entries()[name].build.__doc__ or "")
 
 
@@ -107,7 +107,7 @@ BEFORE = Measured(900, "SOLVED", 100.0, 1e-9)
     ],
 )  # fmt: skip
 def test_what_is_worse_is_told_and_nothing_else(after: Measured | None, told: str) -> None:
-    """Ten per cent more work, an error ten times as large, a worse status; old → new; what is better passes."""
+    """Regressions are 10 % more work, ten times the error, or a worse status, and nothing else."""
     lines = regressions({KEY: BEFORE}, {} if after is None else {KEY: after})
     assert len(lines) == bool(told)
     assert all(told in line and "→" in line and KEY.problem in line for line in lines)
@@ -128,7 +128,7 @@ def test_rounding_and_improvements_are_no_regressions() -> None:
 
 
 def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
-    """Who needs more than three times the best one's work may need more; a new false answer fails, whosever it is."""
+    """A method above three times the best work may need more; a new false result of any method fails."""
     psor, newton = KEY._replace(method="psor"), KEY._replace(method="newton")
     old = {psor: BEFORE, newton: replace(BEFORE, work=301.0)}
     assert best_of_named(old) == {KEY.problem: ("psor", 100.0)}
@@ -140,7 +140,7 @@ def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
 
 
 def test_paths_that_depend_on_rounding_are_not_compared_by_work() -> None:
-    """In other units, where auto needs a hundred times the best named method's work: by status and error alone."""
+    """Scaled problems with a hundred times the best named work are compared by status and error only."""
     psor, rows = KEY._replace(method="psor"), KEY._replace(units="rows")
     for work, count in ((9e3, 1), (2e4, 0)):
         old = {psor: BEFORE, rows: replace(BEFORE, work=work)}
@@ -162,7 +162,7 @@ def test_the_summary_names_where_auto_is_behind() -> None:
 
 
 def test_units_are_exact() -> None:
-    """A problem in other units is the same problem: its own answer, moved, has w that is moved to the last bit."""
+    """A scaled problem is equivalent: w at the scaled z is scaled exactly."""
     case = Case("circuit", {"n": 30})
     for units in UNITS[1:]:
         problem, c = case.in_units(units)
@@ -173,7 +173,7 @@ def test_units_are_exact() -> None:
 
 
 def test_references_are_checked() -> None:
-    """A wrong answer is no reference; active sets find one from any start, and say so where there is none."""
+    """A wrong reference raises NoReference; active sets find one from any start, if it exists."""
     M = sp.csr_array(np.array([[2.0, -1.0], [-1.0, 2.0]]))
     problem = (M, np.array([-1.0, 5.0]), np.zeros(2), np.full(2, np.inf))
     np.testing.assert_array_equal(active_sets(problem, [np.array([0.0, 9.0])]), [0.5, 0.0])
@@ -186,7 +186,7 @@ def test_references_are_checked() -> None:
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """What ``python tests/applications`` does with these arguments."""
+    """Run ``python tests/applications`` with these arguments."""
     return subprocess.run(
         [sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True
     )
@@ -194,7 +194,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.full
 def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
-    """Nothing changed since the table was written: a summary alone, and with --dry-run the file stays as it is."""
+    """The command with --dry-run on an unchanged application prints a summary and keeps the file."""
     file = path_of(full=False)
     before = file.read_bytes()
     done = command("paper", "--dry-run")
@@ -210,7 +210,7 @@ def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
     [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")],
 )
 def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
-    """A wrong name or commit: exit code 2, and what is wrong in words."""
+    """A wrong name or commit gives exit code 2 and a message without traceback."""
     done = command(*arguments.split())
     assert done.returncode == 2
     assert re.search(told, done.stderr)

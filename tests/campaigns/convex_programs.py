@@ -1,13 +1,13 @@
 """Convex programs as test sets have them: graded, redundant, degenerate, structured, of 5 to 2000 unknowns.
 
-Answers come first: x and its multipliers are planted, then c, h and b are computed; but for two kinds of
-duals, which are judged by their conditions alone. Each program is solved both ways, by ``solve_program`` and
-by ``solve(lcp_from_qp(program))`` with ``recover``. Counted are
+The solutions come first: x and its multipliers are chosen, and then c, h and b are computed from them. Two families of
+duals are the exception, and are checked only by their optimality conditions. Each program is solved by
+``solve_program`` and by ``solve(lcp_from_qp(program))`` with ``recover``. The campaign counts
 
-- unsolved: not called optimal, of those that have a minimum; of the others, neither proved nor left "unknown";
-- wrong: called optimal where the objective is off by more than 1e-6 · (1 + |value|), where the conditions, measured
-  here, fail, or where there is no minimum; or disproved where there is one;
-- at odds: SOLVED as a complementarity problem and yet not optimal as a program, or the other way round.
+- unsolved: programs with a minimum that are not called optimal, and other programs without a proof.
+- wrong: programs called optimal although the objective is off by more than 1e-6 · (1 + |value|), or the conditions,
+  measured here, fail, or the program is infeasible or unbounded. Also solvable programs that are disproved.
+- at odds: programs SOLVED as a complementarity problem and not optimal as a program, or vice versa.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ INF = np.inf
 
 @dataclass
 class Recipe:
-    """What a family asks for; numbers are chances, or decimal exponents of sizes."""
+    """Parameters of a family; numbers are probabilities, or decimal exponents of sizes."""
 
     structures: tuple[str, ...] = ("sparse", "dense", "staircase", "block-angular")
     linear: float = 0.4  # chance of an LP
-    rank: float = 0.5  # of P, at most, beside n
+    rank: float = 0.5  # of P, at most, relative to n
     curvature: float = 0.0  # decimal exponent of P
     rows: float = 0.0  # decimal exponents, as large as ±
     columns: float = 0.0
-    redundant: float = 0.0  # equations that are sums of others, beside those that are there
+    redundant: float = 0.0  # equalities that are sums of others, relative to the independent ones
     digits: int = 16  # of their right-hand sides
     free: float = 0.2  # chance of a column without bounds
     tight: float = 0.5  # chance that a row, or a bound, is met
@@ -140,7 +140,7 @@ SOLVABLE = tuple(family for family, recipe in FAMILIES.items() if not recipe.spo
 def planted(
     family: str, rng: np.random.Generator, largest: int = 2000
 ) -> tuple[QuadraticProgram, float]:
-    """Return a program of the family and its minimum, NaN where it has none or nobody knows it."""
+    """Return a program of the family and its minimum, NaN if it has none or if it is unknown."""
     recipe = FAMILIES[family]
     most = min(largest, recipe.largest)
     n = int(np.rint(5.0 * (most / 5.0) ** rng.random()))
@@ -186,7 +186,7 @@ def case(family: str, seed: int, k: int, largest: int = 2000) -> tuple[Quadratic
 def bounds(
     recipe: Recipe, x: Any, met: Any, below: Any, rng: np.random.Generator
 ) -> tuple[Any, Any]:
-    """Return bounds of x: at it where one is met, on the side that is said, on the other, far away or none."""
+    """Return bounds: active at x if `met`, on the side of `below`; otherwise distant or infinite."""
     n = x.size
     away = rng.integers(1, 4, n) if recipe.integers else rng.uniform(0.1, 3.0, n) * (1.0 + abs(x))
     away = np.where(rng.random(n) < recipe.far, 1e9, np.where(rng.random(n) < 0.5, INF, away))
@@ -265,7 +265,7 @@ def block_angular(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any
 
 
 def network(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, Any]:
-    """Flows along n arcs: what enters a node leaves it, one equation too many."""
+    """Return the node balances of flows along n arcs, with one redundant equality."""
     nodes = max(3, n // int(rng.integers(2, 6)))
     tail, head = rng.integers(0, nodes, (2, n))
     head = np.where(head == tail, (head + 1) % nodes, head)
@@ -277,7 +277,7 @@ def network(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, Any]
 
 
 def transport(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, Any]:
-    """From every place to every other: sums of rows and of columns."""
+    """Return sums of rows and of columns of a transport plan between all sources and targets."""
     sources = max(2, int(rng.integers(2, max(3, int(np.sqrt(n)) + 1))))
     targets = max(2, n // sources)
     ones = np.ones((1, targets))
@@ -291,7 +291,7 @@ def transport(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, An
 
 
 def group_sums(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, Any]:
-    """Each group has a sum, all of them have one, and parts of them at most something."""
+    """Return sums of groups, the sum of all groups, and inequalities for subsets."""
     group = np.sort(rng.integers(0, max(2, n // 8), n))
     A = sp.csr_array((np.ones(n), (group, np.arange(n))), shape=(group.max() + 1, n))
     A = sp.csr_array(A[np.flatnonzero(np.diff(A.indptr))])
@@ -388,7 +388,7 @@ def curvature(recipe: Recipe, n: int, rng: np.random.Generator, structure: str) 
 def finished(
     recipe: Recipe, data: tuple[Any, ...], value: float, rng: np.random.Generator
 ) -> tuple[QuadraticProgram, float]:
-    """Return the program in other units, or spoilt, and its value."""
+    """Return the scaled program, possibly made infeasible or unbounded, and its value."""
     P, c, G, h, A, b, lower, upper = data
     n = c.size
     if recipe.spoilt == "infeasible":
@@ -421,7 +421,7 @@ def finished(
             (recipe.columns, n),
         )
     )
-    if recipe.spoilt:  # sums of rows that rounding has bent may be met far out
+    if recipe.spoilt:  # sums of rounded rows may be feasible at large norm
         rows, equations, columns = (
             np.exp2(np.rint(np.log2(sizes))) for sizes in (rows, equations, columns)
         )
@@ -479,7 +479,7 @@ def holds(program: QuadraticProgram, answer: Any) -> bool:
 def said(
     program: QuadraticProgram, answer: Any, status: str, value: float, spoilt: str
 ) -> tuple[bool, bool]:
-    """Return whether what a way said of the program settles it, and whether it is wrong."""
+    """Return whether the status decides the program, and whether it is wrong."""
     if spoilt:
         return status == spoilt.upper(), status in (
             "SOLVED",
@@ -493,7 +493,7 @@ def said(
 
 
 def judged(family: str, program: QuadraticProgram, value: float) -> tuple[list[str], list[str]]:
-    """Return false statements about one program, as a program and as an LCP, and what is left unsolved."""
+    """Return wrong results for one program, as a program and as an LCP, and unsolved ones."""
     wrong, left, spoilt = list[str](), list[str](), FAMILIES[family].spoilt
     for way in ("QP", "LCP"):
         fresh = afresh(program)
@@ -523,7 +523,7 @@ def judged(family: str, program: QuadraticProgram, value: float) -> tuple[list[s
 
 
 def afresh(program: QuadraticProgram) -> QuadraticProgram:
-    """Return the program with nothing of what it knows by now."""
+    """Return the program with empty caches."""
     made = QuadraticProgram(
         program.P,
         program.c,

@@ -1,17 +1,18 @@
-"""Problems and programs that are infeasible or feasible by margins of 1e-16 … 1e-1, each told as it should be.
+"""Problems and programs that are infeasible or feasible by margins of 1e-16 … 1e-1.
 
-The
-margin is planted: a Farkas vector y and a z̄ that attains its contradiction; fractions written here and used nowhere
-else bound the smallest residual of any z from below (by y) and from above (by z̄). Claimed, at the default tolerance:
+The margin is known by construction: a Farkas vector y and a z̄ that attains its violation. Independent rational
+arithmetic bounds the smallest residual of any z from below (by y) and from above (by z̄). The campaign checks these
+claims at the default tolerance:
 
-- a margin of ten times the tolerance or more, and of rounding of q, is proved in 99 % by auto, with a proof that
-  verifies;
-- a margin below the tolerance is never infeasible, by any method;
-- no problem is SOLVED by one run and infeasible by another;
-- no proof claims a larger margin than z̄ has, or than the z that any method ends with;
-- a program with a margin of a hundredth of the tolerance or less is solved in 99 %.
+- auto proves 99 % of the margins of at least ten times the tolerance and the rounding error of q, and the proofs
+  verify.
+- No method calls a margin below the tolerance infeasible.
+- No problem is SOLVED by one run and infeasible by another.
+- No proof claims a larger margin than the residual of z̄, or of the z of any method.
+- 99 % of the programs with a margin of at most a hundredth of the tolerance are solved.
 
-Problems that z° solves but for the rounding of their data are drawn again: nothing is small beside such a reference.
+Problems that z° solves up to the rounding error of their data are drawn again, because their reference is too
+small.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ CLAIMED, SOLVED_BELOW = 0.99, 0.01
 
 
 class Margin(NamedTuple):
-    """Bounds of the smallest residual of any z, relative to that of z°; 0 where the constraints can be met."""
+    """Bounds of the smallest residual of any z, relative to the residual of z°; 0 if feasible."""
 
     low: float
     high: float
 
 
 class Planted(NamedTuple):
-    """A problem with what is known of it, and its margin."""
+    """A problem with its properties and its margin."""
 
     problem: LCP
     relative: Margin
-    is_linear: bool  # the linear constraints contradict, not only complementarity
+    is_linear: bool  # the linear constraints are inconsistent, without complementarity
     is_data: bool  # the margin is more than rounding of the largest number in q
 
 
@@ -58,7 +59,7 @@ class Planted(NamedTuple):
 
 
 def planted_lcp(rng: np.random.Generator) -> Planted:
-    """A problem whose smallest residual is known: w of every row in y misses its sign by the same d_i t at z̄."""
+    """Return a problem with known smallest residual: every w_i of y has the violation d_i t at z̄."""
     n = int(rng.integers(2, 9))
     is_whole = bool(rng.random() < 0.6)
     kinds = rng.choice(
@@ -118,7 +119,7 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
 
 
 def measured(problem: LCP, y: Any, z: Any) -> Planted:
-    """The exact margins that y and z̄ prove of the problem as it is stored."""
+    """Return the exact margins that y and z̄ prove for the stored problem."""
     references = exact_references(problem)
     d = [Fraction(float(v)) for v in divisors(problem)]
     exact_y = [Fraction(float(v)) for v in y]
@@ -135,12 +136,12 @@ def measured(problem: LCP, y: Any, z: Any) -> Planted:
 
 
 def divisors(problem: LCP) -> Any:
-    """What w is divided by in the residual that SOLVED speaks of."""
+    """Return the divisors of w in the residual of the stopping criterion."""
     return problem.residual_scale
 
 
 def is_data(problem: LCP, absolute: Fraction) -> bool:
-    """Whether a margin in the unit of z is more than rounding of the largest number in q; ten times, to be sure."""
+    """Return whether a margin exceeds ten times the rounding error of the largest number in q."""
     return float(absolute) > 10.0 * 2.0**-44 * float(
         np.abs(problem.q / problem.residual_scale).max()
     )
@@ -173,7 +174,7 @@ def exact_slack(problem: LCP, z: list[Fraction]) -> list[Fraction]:
 
 
 def exact_references(problem: LCP) -> list[Fraction]:
-    """What each row's residual is compared with: ‖r̂_P(z°)‖∞ of its component, in the unit of its z, exactly."""
+    """Return the exact reference of each row: ‖r̂_P(z°)‖∞ of its component."""
     z = [Fraction(float(v)) for v in np.clip(0.0, problem.lower, problem.upper)]
     at_zero = []
     for v, w, d, low, high in zip(
@@ -192,7 +193,7 @@ def exact_references(problem: LCP) -> list[Fraction]:
 
 
 def wrong_signs(problem: LCP, z: list[Fraction]) -> list[Fraction]:
-    """By how much each w has a sign that its row's bounds never permit."""
+    """Return the size of each w with a sign that the bounds of its row never permit."""
     w = exact_slack(problem, z)
     return [
         max(
@@ -237,7 +238,7 @@ def planted_program(rng: np.random.Generator) -> PlantedProgram:
     y = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)]) + 0.0
     y[0] = 1.0
     has_bounds = rng.random(n) < 0.5
-    push = np.where(has_bounds, rng.integers(-2, 3, n), 0.0)  # what the bounds' multipliers take up
+    push = np.where(has_bounds, rng.integers(-2, 3, n), 0.0)  # the multipliers of the bounds
     C[0] = push - y[1:] @ C[1:]
     x = rng.integers(-2, 3, n) + 0.0
     lower = np.where(has_bounds & (push >= 0.0), x, -np.inf)
@@ -269,7 +270,7 @@ def planted_program(rng: np.random.Generator) -> PlantedProgram:
 
 
 def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
-    """The margins that y and x̄ prove in the program's own units, in fractions."""
+    """Return the exact margins that y and x̄ prove, relative to the sizes of the program."""
     m = program.h.size
     C = np.vstack([np.asarray(program.G), np.asarray(program.A)])
     right = np.concatenate([program.h, program.b])
@@ -324,7 +325,7 @@ def runs(case: Planted, number: int) -> Iterator[tuple[str, Any]]:
 
 
 def violations(case: Planted, number: int) -> tuple[list[str], Status]:
-    """What contradicts the claims, and the status of auto; the number says what else runs."""
+    """Return violations of the claims, and the status of auto; `number` selects further runs."""
     bad, told, margin = [], Status.STALLED, case.relative
     seen: set[Status] = set()
     reached, claimed = np.inf, 0.0
@@ -386,7 +387,7 @@ def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
 
 
 def decade(margin: Margin, tolerance: float) -> str:
-    """Where a margin lies beside the tolerance."""
+    """Return the decade of a margin relative to the tolerance."""
     if margin.high <= SOLVED_BELOW * tolerance:
         return "≤ tolerance/100"
     if margin.high <= tolerance:
@@ -397,7 +398,7 @@ def decade(margin: Margin, tolerance: float) -> str:
 
 
 def one(seed: int, case: int) -> tuple[list[str], list[tuple[str, str, str]]]:
-    """What is wrong with a case, and its lines in the table."""
+    """Return the errors of a case, and its lines in the table."""
     rng = np.random.default_rng([seed, case])
     if case % 3 == 2:
         program = planted_program(rng)

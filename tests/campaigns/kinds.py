@@ -67,7 +67,7 @@ ALGORITHMS = (*REGISTRY,)
 
 
 class Finding(NamedTuple):
-    """What is wrong, and in words."""
+    """Fault and message."""
 
     what: str
     text: str
@@ -76,7 +76,8 @@ class Finding(NamedTuple):
 Found = Iterator[Finding]
 
 
-# --- One case of each kind ------------------------------------------------------------------------------------------
+# --- One case of each class
+# -----------------------------------------------------------------------------------------
 
 
 def delivered(problem: LCP, rng: Generator) -> LCP:
@@ -93,15 +94,15 @@ def delivered(problem: LCP, rng: Generator) -> LCP:
 
 
 def is_within(problem: LCP, z: np.ndarray, tolerance: float) -> bool:
-    """Whether z is what SOLVED means, exactly.
+    """Return whether z satisfies the definition of SOLVED exactly.
 
-    A problem without any solution may have such a z, where its rows differ in size by more than the tolerance.
+    Such a z may exist for a problem without a solution, if its rows differ in size by more than the tolerance.
     """
     return not ExactData(problem).is_lie(z.tolist(), tolerance)
 
 
 def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:
-    """Judge what each algorithm says about a problem of which the truth is known."""
+    """Yield false statuses of each algorithm on a problem whose solvability is known."""
     for name in algorithms:
         _, status, complaint = small_lcps.judged(problem, name, TOLERANCE, truth)
         if complaint == "false SOLVED" and is_within(
@@ -144,7 +145,7 @@ def extreme(rng: Generator, kind: str) -> Found:
 
 
 def related(rng: Generator, kind: str) -> Found:
-    """A small problem and a changed one: what is true of one is true of both."""
+    """Check a small problem and an equivalent one: their solvability agrees."""
     problem = small_lcps.random_problem(
         str(rng.choice([k for k in small_lcps.KINDS if k != "doubles"])), rng
     )
@@ -164,7 +165,7 @@ def related(rng: Generator, kind: str) -> Found:
 
 
 def random_options(name: str, rng: Generator) -> dict[str, Any]:
-    """Options of a named algorithm, in and out of the ranges of its theorems, but in those it takes."""
+    """Return random options of a named algorithm, also outside of the ranges of its theorems."""
     offered = {
         "sweep": lambda: str(rng.choice(SWEEPS)),
         "scaling": lambda: rng.choice([None, "auto", "diagonal"]),
@@ -188,10 +189,10 @@ def random_options(name: str, rng: Generator) -> dict[str, Any]:
 
 
 def optional(rng: Generator, name: str) -> Found:
-    """Any options, start, tolerance and units: no claim is false, no bound too small, whatever a run is asked for."""
+    """Check claims and error bounds for random options, starts, tolerances and scalings."""
     kind = str(rng.choice([k for k in small_lcps.KINDS if k != "badly scaled"]))
     problem = small_lcps.random_problem(kind, rng)
-    if rng.random() < 0.5:  # other units of each w and of z; a bound of 1e20 or more is none
+    if rng.random() < 0.5:  # scale each w and z; a bound of 1e20 or more is none
         spread = int(rng.choice([3, 30, 250]))
         problem = scaled(problem, np.exp2(rng.integers(-spread, spread + 1, problem.n)), np.exp2(np.full(
             problem.n, rng.integers(-spread, spread + 1)))).problem  # fmt: skip
@@ -232,7 +233,7 @@ def optional(rng: Generator, name: str) -> Found:
 
 
 def planted(rng: Generator, kind: str) -> Found:
-    """Seven to twelve unknowns with a planted solution; auto and another algorithm."""
+    """Check auto and another algorithm on seven to twelve unknowns with a known solution."""
     n = int(rng.integers(7, 13))
     M = small_lcps.KINDS[kind](n, rng)
     lower, upper = (
@@ -245,7 +246,7 @@ def planted(rng: Generator, kind: str) -> Found:
 
 
 def large(rng: Generator, kind: str) -> Found:
-    """A sparse H₊-matrix of 13 to 400 rows and a planted solution, which is the only one: claims, and error bounds."""
+    """Check claims and error bounds on sparse H₊-matrices of 13 to 400 rows with the unique solution."""
     n = int(rng.integers(13, 401))
     B = sp.random_array((n, n), density=min(1.0, rng.uniform(1.0, 6.0) / n), rng=rng, format="csr")
     B.data = rng.integers(-4, 5, B.nnz).astype(float)
@@ -301,19 +302,19 @@ def bounds(rng: Generator, kind: float | str) -> Found:
 
 
 def searched(rng: Generator, kind: str) -> Found:
-    """All solutions, feasibility and proofs of a problem against all patterns."""
+    """Check all solutions, feasibility and proofs of a problem against enumeration."""
     for line in search.violations(*search.random_problem(rng, 3))[0]:
         yield Finding(CLAIM, line)
 
 
 def guaranteed(rng: Generator, kind: str) -> Found:
-    """A guarantee against the run that it speaks of."""
+    """Check a guarantee against an actual run."""
     for line in guarantees.run_case(rng).violations:
         yield Finding(CLAIM, line)
 
 
 def programs(rng: Generator, kind: str) -> Found:
-    """A convex program with a planted answer, judged by its own conditions."""
+    """Check a convex program with a known solution by its optimality conditions."""
     case, value = convex_programs.planted(kind, rng, 12)
     before = bits(case.P, case.c, case.G, case.h, case.A, case.b, case.lower, case.upper)
     wrong, left = convex_programs.judged(kind, case, value)
@@ -345,7 +346,7 @@ def tiny_diagonals(rng: Generator, kind: str) -> Found:
 
 
 def component(rng: Generator, kind: str) -> Found:
-    """Problems of several components, each judged by itself."""
+    """Check problems of several components, component by component."""
     with warnings.catch_warnings(action="ignore"):  # of methods that M is not covered by
         told = module("components").judge(int(rng.integers(2**31)), int(rng.integers(10**6)))[0]
     for text in told:
@@ -363,14 +364,14 @@ def outlier(rng: Generator, kind: str) -> Found:
 
 
 def flow(rng: Generator, kind: str) -> Found:
-    """Convection and diffusion in any units."""
+    """Check convection and diffusion at any scale."""
     extremes = {"guard": 0.0, "error": 0.0}
     for text in module("flows").judged(rng, Counter(), extremes):
         yield Finding(SOLVED if text.startswith("FALSE") else CLAIM, text)
 
 
 def scaling(rng: Generator, kind: str) -> Found:
-    """The same problem in other units."""
+    """Check equivalent scaled problems."""
     judge = module("scaling")
     draw = judge.KINDS[int(rng.integers(len(judge.KINDS)))]
     told = judge.judged(draw, int(rng.integers(10**6)), kind, {"guard": 0.0, "ratio": 1.0})
@@ -436,7 +437,7 @@ def cvxpy_program(rng: Generator, kind: str) -> Found:
 
 
 def pyomo_model(rng: Generator, kind: str) -> Found:
-    """Models in Pyomo, judged by its own expressions."""
+    """Check Pyomo models by Pyomo's expressions."""
     judge = module("random_pyomo_models")
     yield from (Finding(CLAIM, text) for text in judge.faults_of(judge.planted(rng), rng))
 
@@ -479,7 +480,7 @@ def stored(problem: LCP) -> tuple[bytes, ...]:
 
 
 def files(rng: Generator, kind: str) -> Found:
-    """A saved problem comes back bit for bit; damaged, it is refused or is some problem."""
+    """Check that a saved problem is identical, and that corrupt files load or raise an error."""
     problem = small_lcps.random_problem(str(rng.choice(list(small_lcps.KINDS))), rng)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "p.npz") if kind == "npz" else Path(folder, "p")
@@ -506,7 +507,7 @@ def files(rng: Generator, kind: str) -> Found:
 
 
 def batches(rng: Generator, kind: str) -> Found:
-    """Many q with one prepared M, warm starts too: the bits of a problem stated anew."""
+    """Check many q with one prepared M, and warm starts: the bits of a new problem."""
     M = small_lcps.p_matrix(int(rng.integers(1, 6)), rng)
     Q = rng.integers(-6, 7, (len(M), 4)).astype(float)
     name = (
@@ -567,7 +568,7 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
 
 
 def order_of_a_round() -> list[tuple[str, Any]]:
-    """Every kind as often as its share says, in an order that mixes them."""
+    """Return every class as often as its share requires, in a mixed order."""
     kinds = [
         (name, kinds[k % len(kinds)])
         for name, (_, kinds, share) in ROUND.items()

@@ -1,4 +1,4 @@
-"""What is refused, and how: with the right error, in one sentence with the value, and without a trace."""
+"""Rejected arguments: the right error class, one sentence with the value, and no side effects."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ NEEDS_POSITIVE_DIAGONAL = [
 
 
 class Given:
-    """Fresh data for one refused call, and their state, to see that the call left them alone."""
+    """Fresh data for one rejected call, and their state, which the call must not change."""
 
     def __init__(self) -> None:
         self.M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
@@ -85,7 +85,7 @@ class Given:
 
 
 def assert_readable(message: str) -> None:
-    """One sentence for people: no traceback, no machine's view of an object, of a length that gets read."""
+    """Require one readable sentence of moderate length, without traceback and object addresses."""
     assert not re.search(
         r"Traceback|File \"|<class |<function |<bound | at 0x|gufunc|\w+Error\(", message
     ), message
@@ -306,7 +306,7 @@ POINTS = [
     ("error", "pattern", "call"), [*MATRICES, *OFFSETS, *BOUNDS, *RUNS, *POINTS]
 )
 def test_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
-    """A wrong argument is refused in a sentence that names it, and everything is as it was before the call."""
+    """A wrong argument raises an error that names the argument, and the call has no side effects."""
     assert_refused(error, pattern, call)
 
 
@@ -342,7 +342,7 @@ OPTION_ROWS = [
 
 
 def test_every_option_has_bad_values() -> None:
-    """No option of an algorithm in the manual's table is missing from the table of values to refuse."""
+    """Every option in the manual's table of algorithms has a list of invalid values here."""
     text = (Path(__file__).parents[2] / "examples" / "manual" / "algorithms.md").read_text(
         encoding="utf-8"
     )
@@ -352,14 +352,14 @@ def test_every_option_has_bad_values() -> None:
 
 @pytest.mark.parametrize(("name", "option", "value"), OPTION_ROWS)
 def test_option_out_of_range(name: str, option: str, value: Any) -> None:
-    """An option value that cannot be used is refused with algorithm, option and value, by solve and by the class."""
+    """An invalid option value raises an error with algorithm, option and value, in solve and the class."""
     pattern = rf"^{name}\b.*\b{option}\b.*{re.escape(repr(value))}"
     assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, name, **{option: value}))
     assert_refused(InvalidOption, pattern, lambda g: KINDS[name](**{option: value}))
 
 
 def test_numpy_numbers_are_numbers() -> None:
-    """NumPy's own integers and floats, zero limits and a zero tolerance are used, not refused."""
+    """NumPy integers and floats, zero limits and a zero tolerance are accepted."""
     given = Given()
     result = solve(
         given.problem,
@@ -379,7 +379,7 @@ def test_numpy_numbers_are_numbers() -> None:
     ).is_solved  # in a compiled loop
 
 
-# --- what an algorithm cannot run on -------------------------------------------------------------------------
+# --- matrices that an algorithm does not support ------------------------------------------------------------
 
 
 def with_diagonal(value: float | None) -> LCP:
@@ -407,7 +407,7 @@ def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
     ],
 )
 def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]) -> None:
-    """Where d/α + d + 2 ≤ 0 on a row, NP* is refused with the row, the diagonal and the pivot."""
+    """If d/α + d + 2 ≤ 0 in a row, NP* raises an error with the row, the diagonal and the pivot."""
     pattern = rf"^{name} needs d/α \+ d \+ 2 > 0.*M\[2, 2\] = {re.escape(str(value))} gives (-|0)"
     assert_refused(
         UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name, **options)
@@ -435,7 +435,7 @@ def test_advice_is_not_what_was_already_done() -> None:
 def test_diagonal_near_the_largest_double_is_no_obstacle(
     name: str, options: dict[str, Any]
 ) -> None:
-    """A diagonal of 1e308 or 1e-307 overflows nowhere: no warning, no refusal, the answer found."""
+    """A diagonal of 1e308 or 1e-307 does not overflow: no warning, no error, and the right solution."""
     result = solve(LCP([[1e308, 0.0], [0.0, 4.0]], [1e307, -1.0]), name, **options)
     assert result.is_solved
     assert solve(LCP([[1e-307, 0.0], [0.0, 4.0]], [1e-307, -1.0]), name, **options).is_solved
@@ -452,7 +452,7 @@ def test_diagonal_near_the_largest_double_is_no_obstacle(
     ],
 )
 def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
-    """Where the matrix to factorise is singular, npsplitting says so and what to choose instead."""
+    """If the matrix of npsplitting is singular, the error recommends another splitting."""
     assert_refused(
         UnsuitableMatrix,
         r"^npsplitting: .*is singular.*choose another splitting",
@@ -472,7 +472,7 @@ def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
 def test_modulus_methods_need_lower_bounds_only(
     name: str, lower: Any, upper: Any, interval: str
 ) -> None:
-    """A free row, or one with an upper bound, is refused by the modulus methods with row, bounds and alternative."""
+    """Modulus methods reject free rows and upper bounds with row, bounds and alternative."""
     assert_refused(
         UnsuitableProblem,
         rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$",
@@ -480,11 +480,11 @@ def test_modulus_methods_need_lower_bounds_only(
     )
 
 
-# --- the way it is refused -----------------------------------------------------------------------------------
+# --- error handling ------------------------------------------------------------------------------------------
 
 
 def test_nothing_runs_before_a_refusal() -> None:
-    """A refused solve has not called back: the refusal comes before the first iterate."""
+    """A rejected solve raises its error before the first iterate, without a callback."""
     seen: list[Sample] = []
     refusals: list[dict[str, Any]] = [
         {"algorithm": "psor", "relaxation": 0.0},
@@ -530,9 +530,10 @@ except LCPError as error:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
-    """A sparse array whose own arrays contradict each other is an InvalidProblem: no crash, no other matrix.
+    """A sparse array with inconsistent index arrays raises InvalidProblem, without a crash.
 
-    In a process of its own, because scipy's conversions read and write beyond the arrays of such a matrix.
+    The test runs in a separate process, because scipy's conversions access memory beyond the arrays of such a
+    matrix.
     """
     script = DAMAGE_SCRIPT.format(damage=damage)
     done = subprocess.run(
@@ -576,6 +577,6 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
 @pytest.mark.parametrize("what", TAKE)
 @pytest.mark.parametrize("kind", WRONG)
 def test_an_argument_of_a_wrong_kind_is_refused_in_words(what: str, kind: str) -> None:
-    """Whatever is handed over instead of what is needed ends in an LCPError, not in somebody else's TypeError."""
+    """An argument of a wrong type ends in an LCPError, not in a TypeError of another package."""
     with pytest.raises(LCPError):
         TAKE[what](Given().plain, WRONG[kind])

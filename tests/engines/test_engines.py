@@ -1,4 +1,4 @@
-"""Engines of others: what they are given, what is made of their points, and that nobody believes them."""
+"""External solvers: their input, the use of their points, and independent verification."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_program_without_rows_or_free_unknowns_is_answered(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENGINES)
 def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
-    """Rows that contradict, and an objective without end: the proofs verify exactly."""
+    """Inconsistent rows and an unbounded objective get proofs that verify exactly."""
     contradicting = solve(
         QuadraticProgram(None, [1, 1], [[1, 1], [-1, -1]], [1, -3], lower=-9, upper=9), name
     )
@@ -78,7 +78,7 @@ def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
 
 
 def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none() -> None:
-    """HiGHS is no solver of quadratic programs; where all unknowns are fixed nobody is asked."""
+    """HiGHS rejects quadratic programs; no engine runs if all unknowns are fixed."""
     with pytest.raises(
         UnsuitableProblem, match='highs solves linear programs, but P has nonzeros; take "piqp"'
     ):
@@ -116,7 +116,7 @@ def test_a_large_coefficient_excuses_no_other_term_of_its_row() -> None:
 
 
 def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
-    """An option goes through by its name; a wrong one is refused."""
+    """An option is passed by its name; a wrong option raises InvalidOption."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     assert np.abs(solve(program, "piqp", max_iter=60, eps_abs=1e-8).x - x).max() <= 1e-7
     for name in QUADRATIC:
@@ -133,7 +133,7 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
 
 
 def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
-    """Of rows that contradict, daqp hands back memory that it has not written to: none of that is a point."""
+    """For inconsistent rows daqp returns uninitialized memory, which is never used as a point."""
     program = QuadraticProgram(
         2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)]
     )
@@ -143,11 +143,11 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
 
 
 def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
-    """A limit of steps, a record, a callback; a start changes nothing; wrong values of options are refused."""
+    """Engines support a limit of steps, a record and a callback, ignore a start, and reject bad values."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)
-    assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may mend one step
-    assert short.iterations <= 4  # it is asked again in other units
+    assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may complete one step
+    assert short.iterations <= 4  # a second call uses another scaling
     seen = []
     watched = solve(
         program,
@@ -170,7 +170,7 @@ def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
 
 
 def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
-    """A point that an engine calls optimal, and is not, is no SOLVED; NaN does no harm."""
+    """A point that an engine falsely calls optimal is not SOLVED; NaN is harmless."""
 
     class Liar(Engine):
         name, solves, cost, reference = "liar", "nothing", "nothing", "nobody"
@@ -190,7 +190,7 @@ def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
 @pytest.mark.parametrize("name", QUADRATIC)
 @pytest.mark.parametrize("far", [1e9, 1e12, 1e15, 1e19])
 def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: float) -> None:
-    """Two rows and bounds of 1e9 … 1e19 beside a planted program: the planted answer."""
+    """Two rows and bounds of 1e9 … 1e19 do not change the known solution of a program."""
     program, x, value = planted_program(12, 9, 3, 12, 7)
     rng = np.random.default_rng(1)
     G = np.vstack([program.G, rng.normal(size=(2, x.size))])
@@ -234,7 +234,7 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
-    """An x that is wrong by 1e-4 with the right multipliers: the planted x to rounding."""
+    """An x with errors of 1e-4 and the right multipliers is polished to the known x."""
     program, x, _ = planted_program(12, 9, 3, 12, 2)
     statement = ProgramData(
         kind(program.P),

@@ -1,4 +1,4 @@
-"""Stiff and extreme data: the answer survives where it can, and where it cannot the status says so."""
+"""Stiff and extreme data: the solution is found if possible, and otherwise the status is correct."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def scaled_options(name: str) -> dict[str, Any]:
 
 
 def exact_residual(problem: LCP, z: np.ndarray) -> list[tuple[Fraction, Fraction]]:
-    """Row by row |r_i| and what rounding explains, k_i ε (|M||z| + |q|)_i / d_i and underflow, both exact."""
+    """Return per row |r_i| and its rounding bound, k_i ε (|M||z| + |q|)_i / d_i plus underflow, exactly."""
     M, found = problem.csr, []
     for i in range(problem.n):
         entries = range(M.indptr[i], M.indptr[i + 1])
@@ -73,7 +73,7 @@ UNITS = [1e-150, 1.0, 1e150]
 @pytest.mark.parametrize("z_unit", UNITS)
 @pytest.mark.parametrize("w_unit", UNITS)
 def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -> None:
-    """With z in 1e±150 and w in 1e±150 every algorithm finds the same solution in the same iterations, about."""
+    """Every algorithm finds the same solution in about the same iterations for z and w in 1e±150."""
     scene = gallery.half_active(n=100, block=5)
     plain = solve(scene.problem, name, **scaled_options(name))
     problem = LCP(scene.problem.csr * (w_unit / z_unit), scene.problem.q * w_unit)
@@ -86,7 +86,7 @@ def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -
 
 @EVERY_ALGORITHM
 def test_rows_of_any_size(name: str) -> None:
-    """Rows multiplied by 1e±100 leave solution and status as they are, where the method needs no monotone M."""
+    """Rows multiplied by 1e±100 do not change solution and status unless a method needs monotone M."""
     scene = gallery.half_active(n=100, block=5)
     rows = np.resize([1e100, 1.0, 1e-100], 100)
     problem = LCP(sp.diags_array(rows) @ scene.problem.csr, rows * scene.problem.q)
@@ -100,7 +100,7 @@ def test_rows_of_any_size(name: str) -> None:
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("exponent", [-700, -30, 30, 700])
 def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> None:
-    """With q multiplied by a power of two, iterations and work are the same and z is, exactly, that multiple."""
+    """A power of two times q leaves iterations and work unchanged, and z is exactly that multiple."""
     scene = gallery.obstacle_2d(size=10, shifted=True)
     plain = solve(scene.problem, name)
     problem = scene.problem
@@ -119,7 +119,7 @@ TINY = np.array([[4.0, -1.0], [-1.0, 4.0]])
 
 
 def edge_cases() -> dict[str, tuple[LCP, list[float] | None]]:
-    """Problems and starts at the edge of the number range; most are beyond what any algorithm can solve."""
+    """Return problems and starts at the edge of the number range; most of them cannot be solved."""
     huge, subnormal = 1e308, 5e-324
     return {
         "subnormal q": (LCP(TINY, [-1e-310, 1e-310]), None),
@@ -164,7 +164,7 @@ REFUSED += ("negative diagonal", "zero matrix", "huge box")
 def test_the_edge_of_the_number_range_is_never_silent(
     name: str, options: dict[str, Any], case: str
 ) -> None:
-    """Overflow and underflow end in a refusal, an honest status or the right z; no warning, no NaN in z."""
+    """Overflow and underflow give an error, a correct status or the right z, without warnings or NaN."""
     problem, z0 = EDGES[case]
     try:
         result = solve(problem, name, z0=z0, max_iterations=500, **options)
@@ -184,7 +184,7 @@ def test_the_edge_of_the_number_range_is_never_silent(
 
 @pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor"])
 def test_divergence_is_told(name: str) -> None:
-    """Where |z| grows beyond every range the status is DIVERGED, and the point returned is not the last one."""
+    """If |z| grows beyond every range, the status is DIVERGED, and the result is not the last point."""
     result = solve(LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), name)
     assert result.status is Status.DIVERGED
     assert abs(result.z).max() < 1e8
@@ -206,7 +206,7 @@ def test_q_without_negative_entries_needs_no_iteration(name: str, q: list[float]
 
 @EVERY_ALGORITHM
 def test_a_solution_degenerate_everywhere(name: str) -> None:
-    """With w* = 0 in every row, active or not, every algorithm still converges, and z is accurate."""
+    """Every algorithm converges to an accurate z if w* = 0 in every row, active or not."""
     scene = gallery.half_active(n=100, block=5)
     problem = LCP(scene.problem.csr, -(scene.problem.csr @ scene.exact))
     assert not problem.slack(scene.exact).any()
@@ -218,7 +218,7 @@ def test_a_solution_degenerate_everywhere(name: str) -> None:
 
 @EVERY_ALGORITHM
 def test_a_start_far_away(name: str) -> None:
-    """From z0 = 1e10 in every component the solution is found, and nothing is left of the start."""
+    """The solution is found from z0 = 1e10 in every component, without a trace of the start."""
     scene = gallery.half_active(n=100, block=5)
     result = solve(scene.problem, name, z0=np.full(100, 1e10))
     assert result.status is Status.SOLVED
@@ -229,14 +229,14 @@ def test_a_start_far_away(name: str) -> None:
 
 
 def inexact() -> LCP:
-    """A problem whose solution is no vector of doubles."""
+    """Return a problem whose solution is not representable in double precision."""
     scene = gallery.half_active(n=100, block=5)
     return LCP(scene.problem.csr / 3.0, scene.problem.q / 7.0)
 
 
 @EVERY_ALGORITHM
 def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
-    """With tolerance 0 the run ends by itself, soon, at PRECISION_LIMIT, or SOLVED at a residual of exactly 0."""
+    """A run with tolerance 0 soon ends at PRECISION_LIMIT, or SOLVED at a residual of exactly 0."""
     problem = inexact()
     at_default = solve(problem, name)
     result = solve(problem, name, tolerance=0.0)
@@ -251,7 +251,7 @@ def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
 
 @EVERY_ALGORITHM
 def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
-    """On H₊-matrices with ρ up to 1 − 1e-6 the status holds in rational arithmetic, whatever the error of z."""
+    """The status of H₊-matrices with ρ up to 1 − 1e-6 is correct in rational arithmetic."""
 
     @settings.get_profile("few")
     @given(solved_lcps(drawn_scaling.nearly_singular()))
@@ -263,7 +263,7 @@ def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
 
 
 def nearly_singular(bits: int) -> tuple[LCP, np.ndarray]:
-    """An H₊-matrix with ρ = 1 − 2⁻ᵇⁱᵗˢ, an answer of moderate size and a q that is tiny beside it."""
+    """Return an H₊-matrix with ρ = 1 − 2⁻ᵇⁱᵗˢ, a solution of moderate size and a tiny q."""
     rho = 1.0 - 2.0**-bits
     M, exact = np.array([[1.0, -rho], [-rho, 1.0]]), np.array([1.0, 2.0])
     return LCP(M, -(M @ exact)), exact
@@ -271,7 +271,7 @@ def nearly_singular(bits: int) -> tuple[LCP, np.ndarray]:
 
 @pytest.mark.parametrize(("name", "bits"), [("psor", 16), ("auto", 12)])
 def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits: int) -> None:
-    """Where PGS takes 10⁴ to 10⁵ sweeps, the automatic relaxation solves the problem in two thousand at most."""
+    """Automatic relaxation needs at most 2000 sweeps for problems that take PGS 10⁴ to 10⁵ sweeps."""
     problem, exact = nearly_singular(bits)
     result = solve(problem, name)
     assert result.status is Status.SOLVED
@@ -283,7 +283,7 @@ def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits:
 
 @EVERY_ALGORITHM
 def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> None:
-    """At ρ = 1 − 1e-6 most runs cannot converge; whatever they end with is honest and says how far it came."""
+    """Most runs cannot converge at ρ = 1 − 1e-6, and each run ends with a correct status."""
     problem, exact = nearly_singular(20)
     result = solve(problem, name, max_iterations=1000)
     assert_honest(result)
@@ -302,7 +302,7 @@ def ring(n: int, weight: float) -> LCP:
 @pytest.mark.parametrize("name", ["psor", "auto"])
 @pytest.mark.parametrize(("n", "weight"), [(3, 0.9), (3, 0.99), (9, 0.99), (100, 0.9), (100, 0.99)])
 def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> None:
-    """Where a large relaxation explodes within a sweep, the automatic one still converges, about as soon as PGS."""
+    """If a large relaxation diverges within a sweep, automatic relaxation converges about as fast as PGS."""
     problem = ring(n, weight)
     result, plain = solve(problem, name), solve(problem, "pgs")
     assert result.status is plain.status is Status.SOLVED
@@ -311,7 +311,7 @@ def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> 
 
 @pytest.mark.parametrize("name", ["pj", "mj"])
 def test_a_front_is_no_standstill(name: str) -> None:
-    """Where a front crosses 600 unknowns one a sweep, the run is not called STALLED before it converges."""
+    """If a front crosses 600 unknowns, one per sweep, the run is not called STALLED too early."""
     n = 600
     M = sp.diags_array([-np.ones(n - 1), np.ones(n)], offsets=[-1, 0])
     q = np.zeros(n)
@@ -324,7 +324,7 @@ def test_a_front_is_no_standstill(name: str) -> None:
 
 @pytest.mark.parametrize("name", ALL)
 def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
-    """Where partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
+    """If partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
     M = np.eye(5)
     M[0] = [
         1e308,
@@ -341,13 +341,13 @@ def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
 
 
 def test_nothing_is_measured_against_infinity() -> None:
-    """Where ‖r(z°)‖ itself overflows no residual is relative to it, and no z is SOLVED."""
+    """If ‖r(z°)‖ itself overflows, the relative residual is NaN and no z is SOLVED."""
     problem = LCP(sp.csr_array([[0.1, 1e5], [0.0, 1.0]]), [-1e308, -1e303])
     assert math.isnan(Certificate.of(problem, [0.0, 1.7e303]).relative_residual)
     assert solve(problem, "pgs", z0=[0.0, 1.7e303], max_iterations=10).status is not Status.SOLVED
 
 
 def test_rounding_as_large_as_the_problem_is_no_precision_limit() -> None:
-    """On an infeasible problem a start so far out that rounding explains its residual gets no 'accept z'."""
+    """A start of huge norm, whose residual is rounding error, gets no 'accept z' if infeasible."""
     result = solve(LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]), "pgs", z0=[1e17, 1e17])
     assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)

@@ -1,4 +1,4 @@
-"""Every kind of problem through every way in and out: each works, or is refused in the words of the table."""
+"""Every problem class through every interface: each combination works, or raises the table's error."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ OVER_CONES = (
     "cvxpy",
     "lcp-plugin solve",
 )
-# The classes of problems, in the order of README's table, and the ways that take each.
+# The problem classes, in the order of README's table, and the interfaces that accept each.
 KINDS = {
     "LCP": tuple(way for way in WAYS if way not in ("certify", "qpsolvers")),
     "NonlinearProblem": (
@@ -117,7 +117,7 @@ KINDS = {
 
 
 def confirm(answer: Any, sample: Sample) -> None:
-    """Everything that an answer has of its kind, and that it is the right one."""
+    """Check all attributes of a result of its class, and that the solution is right."""
     assert isinstance(answer, Answer)
     assert answer.status in sample.ends, answer
     assert answer.is_solved == (answer.status is Status.SOLVED)
@@ -150,7 +150,8 @@ def solved(sample: Sample, **wishes: Any) -> Any:
     return solve(sample.problem, **sample.start, **wishes)
 
 
-# --- Ways that take a kind -------------------------------------------------------------------------------------------
+# --- Interfaces that accept a class
+# ---------------------------------------------------------------------------------
 
 
 def by_solve(sample: Sample, folder: Path) -> None:
@@ -321,7 +322,7 @@ PYOMO_ENDS = {
 
 
 def nl_of(sample: Sample, folder: Path) -> Path:
-    """Return the problem as an .nl file: an LCP by our writer, whatever else by Pyomo's."""
+    """Return the problem as an .nl file: an LCP by our writer, other classes by Pyomo's."""
     import pyomo.environ as pe
 
     if sample.kind == "LCP":
@@ -363,7 +364,7 @@ def by_qpsolvers(sample: Sample, folder: Path) -> None:
 
 
 def files_of(sample: Sample, folder: Path) -> list[Path]:
-    """Return the problem in every format of files that holds it."""
+    """Return the problem in every file format that supports its class."""
     paths = [] if sample.in_pyomo is None else [nl_of(sample, folder)]
     if sample.kind == "LCP":
         for name in ("p.npz", "folder"):
@@ -475,7 +476,7 @@ def test_every_kind_and_every_way_has_its_row() -> None:
 
 
 def test_readme_shows_the_table_in_small() -> None:
-    """Its rows are the kinds, a mark stands where all ways of a column take the kind."""
+    """README's rows are the classes, with a mark if all interfaces of a column accept the class."""
     text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     head, _, *rows = next(
         part for part in text.split("\n\n") if part.startswith("| class |")
@@ -557,7 +558,7 @@ def test_every_option_of_solve_is_walked() -> None:
 @pytest.mark.parametrize("name", WISHES)
 @pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
 def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, capsys: Any) -> None:
-    """What an option promises happens; one that a kind does not take is refused by its name."""
+    """Each option has its documented effect; an unsupported option raises an error with its name."""
     known, wish = options_of(sample.kind), WISHES[name]
     is_taken = name in OF_SOLVE or name == "algorithm" if "options" in known else name in known
     is_start_x = name == "z0" and "z0" not in known and "x0" in known
@@ -585,7 +586,7 @@ def kinds_with_callback() -> list[Sample]:
 @pytest.mark.parametrize("sample", kinds_with_callback(), ids=repr)
 @pytest.mark.parametrize("how", ["a true value", "Ctrl-C"])
 def test_a_callback_ends_the_run(sample: Sample, how: str) -> None:
-    """By something true, or by Ctrl-C: INTERRUPTED, with what there is; or the answer, where it was there before."""
+    """A true return value, or Ctrl-C, ends the run with INTERRUPTED and the best point so far."""
     seen: list[Any] = []
 
     def callback(*given: Any) -> bool:
@@ -616,7 +617,7 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
 
 
 def one_of_each_kind() -> list[Any]:
-    """Return a problem of each kind that solve_batch takes."""
+    """Return a problem of each class that solve_batch accepts."""
     return list(
         {one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values()
     )
@@ -640,7 +641,7 @@ def test_time_ends_a_batch_of_several_kinds() -> None:
 
 
 def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was solved is kept, stacks of small problems first; those left are INTERRUPTED."""
+    """Solved problems are kept, stacks of small problems come first, the remaining are INTERRUPTED."""
     one, two, *_ = problems = one_of_each_kind()
 
     def interrupted(problem: Any, **wishes: Any) -> Any:
@@ -658,7 +659,7 @@ def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
-    """Its errors and its story name the reason."""
+    """The errors and the summary of a batch contain the reason for an invalid problem."""
     bent = QuadraticProgram([[-1.0]], [0.0])
     for answers in (solve_batch([one_of_each_kind()[0], bent]), solve_batch([[[np.nan]]], [[1.0]])):
         k = len(answers) - 1
@@ -669,7 +670,7 @@ def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
 
 
 def test_a_batch_names_what_is_no_problem() -> None:
-    """By its number, before anything is solved."""
+    """The error names the index of the item, before anything is solved."""
     with pytest.raises(LCPError, match=r"item 1 of the batch: solve_batch needs .* got int"):
         solve_batch([QuadraticProgram([[1.0]], [0.0]), 3])
 
@@ -679,7 +680,7 @@ def test_a_batch_names_what_is_no_problem() -> None:
     solve_batch(QuadraticProgramBatch(np.eye(2), np.zeros((0, 2)))),
 ], ids=lambda answers: type(answers).__name__)  # fmt: skip
 def test_a_sequence_of_no_answers(no: Any) -> None:
-    """It is solved, and says that there is none."""
+    """A batch without problems is solved, and its summary is "none"."""
     assert len(no) == len(no.status) == 0
     assert no.is_solved
     assert no.require_solved() is no
@@ -693,7 +694,7 @@ def test_no_marches() -> None:
 
 
 def test_derivative_names_the_answer_that_it_takes() -> None:
-    """An answer of another kind is not called no result; of a list it takes those to LCPs."""
+    """The error of an unsupported result names the classes; single LCP results of a list are accepted."""
     answers = solve_batch(one_of_each_kind())
     with pytest.raises(InvalidOption, match=r"needs the result of an LCP, NonlinearProblem, "):
         derivative(answers)
@@ -736,7 +737,7 @@ def begun_in_pyomo(through_a_file: Path | None = None) -> Any:
 
 
 def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
-    """From x = −1, outside x ≥ 0, where log is −∞: each begins at 1, solves log x + 1 = 0, and says where it began."""
+    """Each interface starts at 1 instead of x = −1, solves log x + 1 = 0, and reports the start."""
     for begun in (
         begun_in_python,
         begun_in_cvxpy,
@@ -753,7 +754,7 @@ def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
 
 
 def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
-    """Solve takes z0 of every kind, with the bits of x0 where it has that name, and no tolerance of 1 or more."""
+    """Every class accepts z0, equivalent to x0, and rejects a tolerance of 1 or more."""
     root = NonlinearProblem(lambda x: x**3 - 8.0, lower=[0.0])
     squares = BoundedLeastSquares(np.array([[2.0, 1.0], [1.0, 3.0]]), [1.0, -1.0])
     for problem, start in ((root, [1.0]), (squares, [0.5, 0.5])):

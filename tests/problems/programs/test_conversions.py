@@ -1,4 +1,4 @@
-"""Conversions: the problem that comes out says the same as the one that went in, duals and their signs included."""
+"""Conversions: the converted problem is equivalent to the original, including duals and their signs."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def planted(
     h = G @ x + np.where(kind == 1, 1.0, 0.0)
     equality = rng.normal(size=p)
     state = np.full(n, 1)
-    if bounded:  # what a singleton row owns has loose bounds of its own
+    if bounded:  # the unknown of a singleton row has loose bounds
         state[np.setdiff1d(np.arange(n), owned)[:2]] = [0, 2]
     lower = np.where(state == 0, x, x - 1.0) if bounded else np.full(n, -np.inf)
     upper = np.where(state == 2, x, x + 1.0) if bounded else np.full(n, np.inf)
@@ -103,7 +103,7 @@ def planted(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_planted_answers_are_optimal(seed: int) -> None:
-    """The residuals of a planted answer are rounding, and each notices its own kind of error."""
+    """The residuals of a known solution are at rounding level, and each detects one type of error."""
     answer = planted(seed, singletons=2)
     right = answer.solution()
     assert right.error < 1e-12
@@ -137,7 +137,7 @@ def test_direct_form_solved_and_recovered(seed: int) -> None:
 @pytest.mark.parametrize("rank", [None, 3, 0])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
-    """Of any convex program, P = 0 included, (x, λ, ν) solves the KKT form, is recovered from it, and M is monotone."""
+    """The triple (x, λ, ν) of any convex program solves the monotone KKT form and is recovered, for P = 0 too."""
     answer = planted(seed, rank=rank)
     problem = lcp_from_qp(answer.program)
     z = np.concatenate([answer.x, answer.inequality, answer.equality])
@@ -164,7 +164,7 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
     P = factor @ factor.T + np.eye(n)
     program = QuadraticProgram(P, 5 * rng.normal(size=n), G, h, A, b, lower=-1, upper=1)
     problem = lcp_from_qp(program)
-    # The smallest cost may be 1e-3, which errors of multipliers are beside.
+    # The smallest cost may be 1e-3, and errors of multipliers are relative to it.
     solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved())
     assert solution.is_optimal(1e-8), solution
 
@@ -175,7 +175,7 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
     ids=["0 ≤ −1", "1 ≤ x ≤ 0"],
 )
 def test_contradictions_stay_rows(G: Any, h: Any) -> None:
-    """What cannot hold is left for a solver to find, and no x gets a good primal residual."""
+    """Inconsistent rows remain in the LCP, and no x has a small primal residual."""
     problem = lcp_from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h))
     assert problem.n == 2 + len(h)
     assert problem.origin.recover(np.zeros(problem.n)).primal_residual > 0.1
@@ -275,7 +275,7 @@ def test_gap_program_of_monotone_problems(seed: int) -> None:
 
 
 def game_of(*payoffs: Any) -> Any:
-    """What counts as a game: players with payoffs, each with his own action first."""
+    """Return a game: players with payoff arrays, each with the player's action on the first axis."""
     return SimpleNamespace(
         players=tuple(SimpleNamespace(payoff_array=payoff) for payoff in payoffs)
     )
@@ -325,7 +325,7 @@ def test_bimatrix_games(name: str) -> None:
 
 @pytest.mark.full
 def test_a_game_of_players_is_taken_as_it_is() -> None:
-    """Players hold their own action first; a game of two by three actions is that of (A, B), and so is QuantEcon's."""
+    """A game of two by three actions equals (A, B), with the player's action on the first axis."""
     A, B = (
         np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]),
         np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]]),
@@ -346,7 +346,7 @@ def test_a_game_of_players_is_taken_as_it_is() -> None:
         assert problem.origin.recover(solve(problem)).regret < 1e-12
 
 
-# --- What is refused, and data that stay as they are ---------------------------------------------------------
+# --- Errors, and data that are not modified -------------------------------------------------------------------
 
 EYE, QP, INVALID = np.eye(2), QuadraticProgram, InvalidProblem
 game = lcp_from_bimatrix_game
@@ -439,14 +439,14 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_refused(case: str) -> None:
-    """Bad data and impossible wishes are refused with the value and the next step."""
+    """Invalid data and options raise errors with the value and the next step."""
     error, message, attempt = REFUSED[case]
     with pytest.raises(error, match=message):
         attempt()
 
 
 def test_rounding_in_the_symmetry_is_averaged_away() -> None:
-    """A P that is symmetric to rounding is made symmetric, and the program says by how much it was not."""
+    """A P that is symmetric up to rounding error is symmetrized, and the asymmetry is reported."""
     P = np.array([[2.0, 1.0], [1.0 + 1e-15, 2.0]])
     program = QuadraticProgram(P, [0, 0])
     assert program.asymmetry == pytest.approx(1e-15, rel=0.2)
@@ -455,7 +455,7 @@ def test_rounding_in_the_symmetry_is_averaged_away() -> None:
 
 
 def test_data_are_read_only_and_the_callers_own_stay_as_they_are() -> None:
-    """The program keeps copies nobody can write to, sparse ones sparse; what was given stays writable."""
+    """The program keeps read-only copies, sparse if the input is sparse; the input stays writable."""
     P, G = sp.csr_array([[2.0, 0.0], [0.0, 2.0]]), np.array([[1.0, 1.0]])
     before = P.toarray(), G.copy()
     program = QuadraticProgram(P, [1, 2], G, [3])
@@ -501,7 +501,7 @@ def program_with_all(seed: int, *, contradicts: bool = False) -> QuadraticProgra
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_answer_to_what_is_left_is_one_to_the_program(seed: int) -> None:
-    """Points and multipliers of the reduced program come back as those of the program."""
+    """Points and multipliers of the reduced program are mapped to points of the program."""
     program = program_with_all(seed)
     folded = FoldedRows.of(program)
     found = solve(folded.reduced)
@@ -515,7 +515,7 @@ def test_the_answer_to_what_is_left_is_one_to_the_program(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_contradiction_of_what_is_left_is_one_of_the_program(seed: int) -> None:
-    """What proves that the reduced program has no point comes back as a proof of the program: by its own rows."""
+    """A proof for the reduced program is mapped to a proof for the rows of the original program."""
     program = program_with_all(seed, contradicts=True)
     reduction = FoldedRows.of(program)
     proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
@@ -546,7 +546,7 @@ def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
     assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)
 
 
-# --- What a program's matrices say is computed once, and says the same of e ---
+# --- Properties of a program's matrices are computed once, and are shared ---
 
 NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -574,7 +574,7 @@ def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", SOLVABLE)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
-    """Its complementarity problem, and what is recovered and measured, are those of a fresh program, bit by bit."""
+    """Method with_vectors gives the complementarity problem and measures of a fresh program, bit by bit."""
     rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
     first, _ = case(kind, seed, 0, 12)
     lcp_from_qp(first)
@@ -595,7 +595,7 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
 @pytest.mark.parametrize("name", VECTORS)
 @pytest.mark.parametrize("wrong", [[np.nan, 0.0], [0.0], "two"])
 def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
-    """A vector of another length, of text or with a NaN is refused in words."""
+    """A vector of another length, of text or with a NaN raises an error."""
     first = QuadraticProgram(np.eye(2), [1, 1], G=np.eye(2), h=[1, 1], A=np.eye(2), b=[1, 1])
     with pytest.raises(InvalidProblem, match=name):
         first.with_vectors(**{name: wrong})

@@ -1,4 +1,4 @@
-"""Derivatives of a solution: exact where they exist, one-sided where rows are degenerate, and refused in words."""
+"""Derivatives of a solution: exact if they exist, one-sided if rows are degenerate, otherwise errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def piece_of(found: Derivative, z=None) -> Piece:
 def check_against(
     piece: Piece, found: Derivative, seed: int = 0, accuracy: float = ACCURACY
 ) -> None:
-    """Both products, in all data and to all data, are those of the piece."""
+    """Compare both products, in all data and to all data, with the exact piece."""
     rng = np.random.default_rng(seed)
     change, (g, gw) = Change.drawn(piece.problem.n, rng), rng.normal(size=(2, piece.problem.n))
     assert distance(found.jvp(**change.arguments), piece.jvp(change)) <= accuracy
@@ -59,7 +59,7 @@ def check_against(
 @settings.get_profile("few")
 @given(STRICT | strict(solved_lcps(h_plus_matrices(density=0.5).map(sp.csr_array))))
 def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
-    """At the planted solution: by M, q and both bounds, plain, boxed, one-sided, free and fixed rows, dense, sparse."""
+    """Products at the known solution are exact for M, q and bounds, for all row types, dense and sparse."""
     problem, z = drawn
     found = found_of(problem)
     piece = piece_of(found, z)
@@ -75,7 +75,7 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
 @settings.get_profile("few")
 @given(scaled_solved(STRICT, 20, 20), st.integers(0, 9))
 def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
-    """Rows and columns times 2^±20: each component of dz to 12 digits of the largest in its own unit."""
+    """With rows and columns times 2^±20, dz has 12 digits of the largest scaled component."""
     problem, z = drawn
     found = found_of(problem)
     if not found.free.any() or not solve(problem).is_solved:
@@ -98,7 +98,7 @@ def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
 @pytest.mark.parametrize("kind", campaign.KINDS)
 @pytest.mark.parametrize("family", campaign.FAMILIES)
 def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
-    """Five random problems of each kind and family of matrices of the campaign."""
+    """Five random problems per family and class of the campaign pass."""
     number = list(campaign.FAMILIES).index(family) * 3 + campaign.KINDS.index(kind)
     cases = range(number, 5 * 3 * len(campaign.FAMILIES), 3 * len(campaign.FAMILIES))
     found = [one for k in cases for one in campaign.judge((7, k, 6, False))]
@@ -130,7 +130,7 @@ def test_the_products_are_adjoint(drawn, seed) -> None:
 
 
 def test_the_gradient_by_the_matrix_has_its_pattern() -> None:
-    """A CSR array with the places of M's entries, never more, the caller's M dense or sparse."""
+    """The gradient is a CSR array on the sparsity pattern of M, for dense and sparse M."""
     dense = campaign.h_plus(6, np.random.default_rng(2))
     for M in (dense, sp.csr_array(dense)):
         gradient = found_of(LCP(M, -np.ones(6))).vjp(np.ones(6)).M
@@ -139,7 +139,7 @@ def test_the_gradient_by_the_matrix_has_its_pattern() -> None:
         assert np.array_equal(gradient.indptr, sp.csr_array(dense).indptr)
 
 
-# --- Which rows are what ------------------------------------------------------------------------------------
+# --- Classification of rows ---------------------------------------------------------------------------------
 
 
 @pytest.mark.full
@@ -202,7 +202,7 @@ def test_one_sided_derivatives_differ_by_side() -> None:
 
 
 def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
-    """M_FF is singular, M_(F∪β) is not: vjp takes the degenerate rows as free, and says so."""
+    """If M_FF is singular and M_(F∪β) is not, vjp treats the degenerate rows as free, as `free` shows."""
     problem = LCP(
         [[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0]
     )  # solved by all z₀ ≤ 3, z₁ = 1
@@ -215,7 +215,7 @@ def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
 
 
 def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
-    """w₀ = z₁, and z₁ = 0 comes out as 4e-16 where z₂ = 3 cancels: row 0 is degenerate, however small its own terms."""
+    """Row 0 with w₀ = z₁ is degenerate if z₁ = 0 is 4e-16 because of cancellation with z₂ = 3."""
     problem = LCP(
         [[2.0, 1.0, 0.0], [0.0, 5.0, 3.0], [0.0, 3.0, 4.0]],
         [0.0, -9.0, -12.0],
@@ -236,7 +236,7 @@ def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
-    """Where w = ∓3e-11 at a bound of 10⁶ is lost in z − w/d, the row is free all the same, three units away."""
+    """If w = ∓3e-11 at a bound of 10⁶ is lost in z − w/d, the row is nevertheless free, 3 away."""
     M = np.array([[1e-11, 1.0], [0.0, 1.0]])
     z = np.array([1e6 + 3.0 * side, 1.0])
     bounds = (
@@ -254,7 +254,7 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:
-    """A z at tolerance 1e-3 is solved for once more: rows and derivative are those of the exact solution."""
+    """A z at tolerance 1e-3 is refined: rows and derivative agree with the exact solution."""
     rng = np.random.default_rng(3)
     for k, family in itertools.product(range(9), ("h_plus", "definite", "chain")):
         problem = campaign.drawn(family, campaign.KINDS[k % 3], 8, rng)
@@ -279,7 +279,7 @@ SINGULAR_ROOTS = ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]])
 
 @pytest.mark.parametrize("root", SINGULAR_ROOTS)
 def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[float]]) -> None:
-    """By the generalised inverse M⁺, also where rounding leaves Cholesky a last pivot; it says so."""
+    """The derivative uses M⁺, also if rounding error gives Cholesky a last pivot, and reports it."""
     M, n = np.array(root) @ np.array(root).T, len(root)
     found, inverse = found_of(LCP(M, np.zeros(n), lower=-np.inf)), np.linalg.pinv(M)
     assert found.is_unique is False
@@ -291,7 +291,7 @@ def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[flo
 
 
 def test_a_change_that_leaves_no_solution_is_refused_in_words() -> None:
-    """Where M_FF z_F can not follow dq there is no derivative; the gradient of least change is there."""
+    """If M_FF z_F cannot follow dq, jvp raises an error; the gradient of least change exists."""
     found = Derivative(LCP([[1.0, 1.0], [1.0, 1.0]], [-2.0, -2.0]), np.ones(2), np.zeros(2))
     with pytest.raises(UnsuitableProblem, match="after this change no z solves them"):
         found.jvp(dq=[1.0, -1.0])
@@ -323,7 +323,7 @@ def convection(n: int, drift: float) -> sp.csr_array:
     [(KINK, "LCP"), (None, "NoneType"), ([1.0, 0.0], "list"), (derivative, "function")],
 )
 def test_what_is_no_result_is_refused(given_one: object, words: str) -> None:
-    """InvalidOption says what was given and what to write."""
+    """InvalidOption contains the argument and the remedy."""
     with pytest.raises(InvalidOption, match=rf"got {words}"):
         derivative(given_one)
 
@@ -359,7 +359,7 @@ def test_wrong_shapes_and_numbers_are_refused(call) -> None:
 
 @pytest.mark.parametrize("diagonal", [1e-6, 1e-9, 1e-12])
 def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
-    """z₀ = 1e-9 is told by row 1 alone: it is free, whatever rounding is beside m₀₀, and moves as row 1 says."""
+    """Unknown z₀ = 1e-9 is determined by row 1 only, and is free in spite of rounding error at m₀₀."""
     M, z = np.array([[diagonal, 1.0], [-1.0, 1.0]]), np.array([1e-9, 1.0])
     found = derivative(solve(LCP(M, -M @ z)))
     assert found.degenerate.size == 0
@@ -371,7 +371,7 @@ def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
 @pytest.mark.parametrize("q", [-1e19, 1e19, -1e-17, 1e-9])
 @pytest.mark.parametrize("coupling", [0.0, 1e-9, -1.0])
 def test_a_row_of_another_size_hides_no_kink(q: float, coupling: float) -> None:
-    """Rows 0 and 1, a kink and a free one, move as without row 2, whose q is of another size."""
+    """Rows 0 and 1, a kink and a free row, are unaffected by row 2 with q of another size."""
     M, z, w = np.array([[3.0, 1.0], [-1.0, 4.0]]), np.array([0.0, 2.0]), np.zeros(2)
     whole = np.block([[M, np.zeros((2, 1))], [np.array([[0.0, coupling, 1.0]])]])
     found = derivative(solve(LCP(whole, [*(w - M @ z), q])))

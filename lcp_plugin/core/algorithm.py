@@ -59,25 +59,25 @@ class Step:
 class Algorithm(ABC):
     """An algorithm: a frozen dataclass of its options, with a generator of iterates.
 
-    Class attributes describe it to readers: `name` (registry name), `needs`, `solves`
-    (matrix classes with a proof), `cost` (of one iteration), `reference`; "–" if the class does not set them. For the
-    methods of this package the first two are tested: `needs` that begins with "positive diagonal" means that it calls
-    `require_positive_diagonal`, and a class of matrices in `solves` ("H₊", "SPD", "PSD") that `theorem` proves it, for
-    the default options, on such matrices. In addition,
-    `is_monotone` = False declares that the residual may rise, and that the iterator ends by itself if it cannot
-    continue; `is_watched` declares that the driver nevertheless ends a run whose best residual no longer falls.
+    Class attributes describe the method to readers: `name` (registry name), `needs`, `solves` (matrix classes with a
+    proof), `cost` (of one iteration), `reference`; "–" if the class does not set them. For the methods of this package,
+    `needs` and `solves` are tested. If `needs` begins with "positive diagonal", the method calls
+    `require_positive_diagonal`. If `solves` contains a class of matrices ("H₊", "SPD", "PSD"), `theorem` proves
+    convergence on such matrices for the default options. Set `is_monotone` = False if the residual may rise and the
+    iterator ends by itself when it cannot continue. Set `is_watched` if the driver must nevertheless end a run whose
+    best residual no longer falls.
 
-    A method of your own needs a `name` and `iterates(problem, z0)`; clock, tolerance and status belong to `solve`. It
-    may use these attributes of its problem, and must not change them:
+    Define a `name` and `iterates(problem, z0)` in your own method; clock, tolerance and status belong to `solve`. The
+    method may use these attributes of the problem, and must not change them:
 
-    - ``M``, as stored, dense or CSR, and ``csr``, ``csc``, canonical, shape (n, n); ``is_dense``; ``diagonal``,
-      shape (n,); ``matrix``, M with what is known of it;
-    - ``q``, ``lower``, ``upper``, shape (n,), bounds perhaps infinite; ``n`` and ``nonzeros``;
-    - ``slack(z)``, w = M z + q; ``nearest_to_zero``, z°; ``residual_scale``, the d_i of the residual;
+    - ``M``, as stored, dense or CSR, and ``csr``, ``csc``, canonical, shape (n, n), ``is_dense``, ``diagonal``,
+      shape (n,), and ``matrix``, M with facts about M;
+    - ``q``, ``lower``, ``upper``, shape (n,), bounds perhaps infinite, ``n`` and ``nonzeros``;
+    - ``slack(z)``, w = M z + q, ``nearest_to_zero``, z°, and ``residual_scale``, the d_i of the residual;
     - ``np.clip(z, problem.lower, problem.upper)`` for the projection, and `require_positive_diagonal` of this module.
 
-    ``solve(problem, Mine())`` runs it; ``study`` and ``error_against_time`` compare it with others. The command line
-    takes the registered names only.
+    Run your method by ``solve(problem, Mine())``; compare it with other methods by ``study`` and
+    ``error_against_time``. The command line accepts only registered names.
 
     Examples
     --------

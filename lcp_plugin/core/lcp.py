@@ -301,7 +301,7 @@ class LCP:
         gaps : number or array, shape (k,), optional
             Distances at the beginning of the step, in m. Add none to `velocities`.
         time_step : float, optional
-            In s, required with `gaps`: a contact may close by gap / time step.
+            Length of the step in s, required with `gaps`: a contact may close by gap / time step.
 
         Raises
         ------
@@ -330,7 +330,7 @@ class LCP:
         Parameters
         ----------
         problem : cvxpy.Problem
-            Of :func:`lcp_plugin.complements` and equalities.
+            Model that consists of :func:`lcp_plugin.complements` and equalities.
         """
         from ..modeling.registration import lcp_stated_by
 

@@ -1,9 +1,9 @@
 """Sums of products with rigorous bounds of their rounding errors.
 
-Each row is summed as Ogita, Rump and Oishi do it: every product and every sum is split without error into a rounded
-value and its rounding error (that of a product is one fused multiply–add), and the errors are summed beside the values.
-A second layer does the same to the sum of errors, so what is lost is known, not estimated: it is zero where the sum is
-exact, and of third order elsewhere.
+Each row is summed by the method of Ogita, Rump and Oishi. Every product and every sum is split without error into a
+rounded value and its rounding error (for a product, one fused multiply–add), and the errors are summed separately. A
+second layer treats the sum of errors in the same way, so that the loss is computed, not estimated: it is zero if the
+sum is exact, and of third order otherwise.
 
 References
 ----------

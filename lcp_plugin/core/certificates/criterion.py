@@ -160,7 +160,7 @@ class RowData:
 
     @cached_property
     def asked(self) -> FloatVector:
-        """What each row asks for: a_i in the docstring of this module."""
+        """Demand of each row: a_i in the docstring of this module."""
         at = self.rows(self.start)
         w = np.abs(at.w)
         w = np.where(w > NEGLIGIBLE * at.terms, w, 0.0)
@@ -325,7 +325,7 @@ def reference_residual(problem: LCP) -> float:
 
 
 def rounding_of_data(problem: LCP) -> float:
-    """Return how large a residual may come from rounding of the largest number in q: 2⁻⁴⁴ max_i |q_i|/d_i.
+    """Return the largest residual that rounding of the largest number in q explains: 2⁻⁴⁴ max_i |q_i|/d_i.
 
     A quotient beyond the range of doubles counts as the largest of them: no residual that is so as well is explained.
     """

@@ -134,8 +134,8 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip.
 
     The rounding of the quotient, which cancellation may uncover, and its underflow are added to the slip. Differences
-    never underflow: they are right to one rounding, for which mid, monotone in each, is widened. What is exact stays
-    so. A quotient beyond the doubles is ±∞: no bound of a row is larger.
+    never underflow: their error is one rounding, by which mid, monotone in each difference, is widened. Exact values
+    remain exact. A quotient that overflows is ±∞, because no bound of a row is larger.
     """
     step, (below, lost_below), (above, lost_above) = (
         slack / scale,

@@ -4,11 +4,11 @@ Every sweep is one pass over the rows in the chosen direction. The matrix arrive
 ``(indptr, split, indices, data)``; ``split`` cuts each row in two, so that one side of the cut holds exactly
 the columns that a Gauss–Seidel sweep in that direction has already updated (see :func:`row_splits`).
 
-Four things make the passes fast, each measured on the five-point matrix with n = 10⁶:
-unsigned row positions (no wrap-around test at each access); pivots inverted beforehand; the updated neighbor
-nearest to the diagonal taken out of the inner loop, because its value is still in a register and it is the
-only one the next row has to wait for; and the vectors that are read once a row packed side by side in `rows`
-(:func:`pack_vectors`), because a processor prefetches one wide stream better than six narrow ones.
+Four techniques make the passes fast, each measured on the five-point matrix with n = 10⁶. Unsigned row positions avoid
+a wrap-around test at each access. Pivots are inverted beforehand. The updated neighbor nearest to the diagonal is taken
+out of the inner loop, because its value is still in a register and the next row has to wait only for this value.
+Vectors that are read once per row are packed side by side in `rows` (:func:`pack_vectors`), because a processor
+prefetches one wide stream better than six narrow streams.
 
 A comparison with NaN is false; every maximum below is written so that a NaN survives it.
 """

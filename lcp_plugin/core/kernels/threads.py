@@ -1,7 +1,7 @@
 """Threads for compiled loops: the rows of one large problem, or many small problems, are split into pieces.
 
-A hand-over costs some 50 µs, more where other programs want the cores; so the
-thread that has work to share does the pieces that no thread has begun, and waits only for those under way.
+Starting a thread costs about 50 µs, more if other programs use the cores. The calling thread therefore processes all
+pieces that no thread has begun, and waits only for started pieces.
 """
 
 from __future__ import annotations

@@ -69,11 +69,11 @@ STATUS_OF = {
 class Judge:
     """Measures and certifies the points of a run on the user's data, and determines its status; this class is for LCPs.
 
-    A problem of another class brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run`
-    asks: at each step `residual_of` (the residual that the algorithm knows), `measure`, `certify` and
-    `meets_tolerance`; if nothing falls `is_at_floor`; of a proof `accept_proof` and `misses_by_rounding`; at the end
-    `final`, whose certificate `verdict` names the status of. ``Run.conclude`` returns both, ``Run.result`` makes the
-    Result of an LCP of them.
+    Every other problem class has its own judge with the methods that :class:`~lcp_plugin.core.solving.run.Run` calls:
+    at each step `residual_of` (the residual that the algorithm reports), `measure`, `certify` and `meets_tolerance`, if
+    the residual no longer falls `is_at_floor`, for a proof `accept_proof` and `misses_by_rounding`, and at the end
+    `final`, whose certificate determines the status by `verdict`. ``Run.conclude`` returns the certificate and the
+    status, from which ``Run.result`` builds the Result of an LCP.
 
     Attributes
     ----------
@@ -229,7 +229,7 @@ class Judge:
         )
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
-        """Return the cleaned one if only it passes, or if both or none pass and its residual is no larger."""
+        """Return the cleaned point's if only this point passes, or if both or none pass and its residual is no larger."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
         meets = [one.meets(self.settings, self.answered) for one in (certificate, cleaned)]
         is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]

@@ -47,8 +47,8 @@ class Run:
     clock : Clock
         Running.
     judge : Judge, optional
-        Of another problem than the one that the methods take: of a nonlinear problem, of which that one is the
-        linearization at the start.
+        Judge of the original problem if it differs from the problem of the methods: a nonlinear problem, for which the
+        methods take the linearization at the start.
     header : callable, optional
         The lines on M that ``verbose=True`` prints.
     polish : callable, optional
@@ -94,7 +94,7 @@ class Run:
         return end
 
     def follow(self, stage: Stage, start: FloatVector) -> End:
-        """Take the steps of one method until the run, the stage's budget or the method itself ends them."""
+        """Take the steps of a method until the run, the budget of the stage or the method ends."""
         if self.log is not None:
             self.log.begin(stage)
         if self.stages:

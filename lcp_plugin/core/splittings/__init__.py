@@ -7,10 +7,10 @@ Convergence of sweeps:
   --tolerance 1e-5``, and ``paper_example_2``).
 - Where constraints are active, the np* methods need their row scaling, which is on by default.
 - psor finds a relaxation that needs at most twice the iterations of the best fixed one on a plain obstacle problem.
-- On a fine grid all of them are slow: with the best relaxation the iterations grow with the number of nodes across,
-  without it with its square. multigrid takes about ten V-cycles for any n. It needs no geometry, only M.
-- They are not for every matrix. On bimatrix games, circuits, saddle points and infeasible problems they end STALLED or
-  DIVERGED, sometimes also on rank-deficient contact; "auto" then continues with direct methods.
+- On a fine grid all of them are slow: with the best relaxation, the iterations grow with the number of nodes across,
+  without it with the square of this number. multigrid takes about ten V-cycles for any n, and requires only M.
+- On bimatrix games, circuits, saddle points and infeasible problems, sweeps end STALLED or DIVERGED, sometimes also on
+  rank-deficient contact; "auto" then continues with direct methods.
 
 The paper's formulas for NPSOR and NPAOR contain misprints; implemented as printed they converge to a wrong point, which
 a test demonstrates. The modulus rows of its tables use Ω = D/2 (MGS) and D/(2α²) (MSOR).
@@ -80,8 +80,7 @@ class Splitting(Algorithm):
         Parameters
         ----------
         kernel : callable
-            Of :mod:`~lcp_plugin.core.kernels.splitting_sweeps`: writes the next x next to this one, and z if it is
-            passed.
+            Kernel of :mod:`~lcp_plugin.core.kernels.splitting_sweeps`, which writes the next x and, if passed, z.
         rows, weights : array and tuple
             Arguments of the kernel, per row and for all rows.
         x : array, shape (width,)

@@ -223,12 +223,12 @@ class GFP(_Simultaneous):
 class AdaptiveRelaxation:
     """Automatic choice of ω by trials, measured by the increments Σ|z⁺ − z|; a trial that does not pay is undone.
 
-    A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive
-    definite matrix SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best.
-    A trial with that ω lasts a few times 1/(2 − ω) sweeps, longer while its increments are still large, and ends
-    with one Gauss–Seidel sweep. If its
-    increment is a new record (0.9 of the last), the trial is kept, μ is estimated again, and the next one
-    begins; otherwise z goes back to where the trial began and the next Gauss–Seidel phase is twice as long.
+    A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive definite
+    matrix, SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best. A trial with that
+    ω lasts a few times 1/(2 − ω) sweeps, longer while its increments are still large, and ends with one Gauss–Seidel
+    sweep. If the increment of this sweep is a new record (0.9 of the last), the trial is accepted, μ is estimated
+    again, and the next trial begins. Otherwise z returns to the start of the trial, and the next Gauss–Seidel phase is
+    twice as long.
 
     If an ω is known from a similar problem (`first`), it is tried after one Gauss–Seidel sweep.
 

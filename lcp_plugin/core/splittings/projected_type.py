@@ -73,7 +73,7 @@ class ScaledByRows(Algorithm):
             return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
-        """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
+        """Return z after one projected Gauss–Seidel sweep, which puts active components at their bounds."""
         from ..kernels.splitting_sweeps import pack_vectors, relaxation_sweep
 
         M = problem.matrix.csr
@@ -101,9 +101,9 @@ class ProjectedType(ScaledByRows, Splitting):
     Parameters
     ----------
     scaling : {"auto", "diagonal", None}
-        Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper). It changes the
-        iteration, never the solutions. "auto" takes θ_i/d_i with θ_i from 0.9 to 2, so that the iteration is proved
-        to converge for every H₊-matrix; so it is for "diagonal" with factor ≤ 1.
+        Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper). S changes the
+        iteration, never the solutions. "auto" uses θ_i/d_i with θ_i from 0.9 to 2. The iteration is proved to converge
+        for every H₊-matrix with "auto", and with "diagonal" if the factor is ≤ 1.
     scaling_factor : float
         θ of the diagonal scaling, > 0.
     sweep : {"forward", "backward", "symmetric"}

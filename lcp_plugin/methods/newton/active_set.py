@@ -96,7 +96,7 @@ def solve_active_set(
     near : ndarray, shape (n,), optional
         Target if the free block is singular: a solution close to this z is computed; 0 by default.
     system : FreeSystem, optional
-        The system of an earlier call with the same M, used if its rows are the free ones.
+        System of an earlier call with the same M, used if its rows are the free rows.
 
     Notes
     -----
@@ -124,8 +124,8 @@ def solve_active_set(
 def solve_case(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
     """Return the solution of the linear system of the active set of z.
 
-    None if its block is singular, so that z is not unique, and if a factorization would take more passes over M than
-    `most_work`.
+    The result is None if the block is singular, so that z is not unique, or if a factorization would take more passes
+    over M than `most_work`.
 
     Examples
     --------

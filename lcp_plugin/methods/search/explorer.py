@@ -59,7 +59,7 @@ class Explorer:
         self.path: list[tuple[int, str]] = []
 
     def run(self) -> Iterator[None]:
-        """Look at one case after the other until the search ends; yield after each, and within those that take long.
+        """Visit the complementarity pieces until the search ends; yield after each piece, and within long pieces.
 
         A face may have been added to `faces`.
         """

@@ -99,13 +99,18 @@ def certify(
 
     Notes
     -----
-    "disproved" means that one of these is proved: x violates a constraint by more than the tolerance; a feasible point
-    has an objective that is lower by more than the tolerance; the program is unbounded; a lower bound of f* exceeds
-    f(x) by more than the tolerance; the claim is "infeasible" and a feasible point exists; the claim is "unbounded" and
-    a finite lower bound exists. "infeasible" is proved by a Farkas certificate and "unbounded" by a recession
-    direction, checked in rational arithmetic. If P is positive semidefinite only to rounding, bounds of f* require
-    constraints that bound x. If the constraints are inconsistent by less than the tolerance, x is not disproved and
-    "infeasible" is not proved. Inactive constraints, costs of x_j = 0 and the unit of the objective have no influence.
+    x is "disproved" if one of these is proved:
+
+    - x violates a constraint by more than the tolerance.
+    - A feasible point has an objective that is lower by more than the tolerance.
+    - The program is unbounded.
+    - A lower bound of f* exceeds f(x) by more than the tolerance.
+
+    The claim "infeasible" is disproved if a feasible point exists, and "unbounded" if a finite lower bound exists. A
+    Farkas certificate proves "infeasible", and a recession direction proves "unbounded", checked in rational
+    arithmetic. If P is positive semidefinite only to rounding, bounds of f* require constraints that bound x. If the
+    constraints are inconsistent by less than the tolerance, x is not disproved and "infeasible" is not proved. Inactive
+    constraints, costs of x_j = 0 and the unit of the objective have no influence.
 
     A violation of constraints, however small, may lower the objective by any amount. If a feasible point is found,
     f* is bounded from both sides. Otherwise the bound by the multipliers of a new solve must agree with f(x): f* is

@@ -37,8 +37,9 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     Returns
     -------
     LCP
-        Its ``origin.recover(result)`` gives the :class:`~lcp_plugin.problems.programs.solution.QPSolution`, with the
-        multipliers of all rows and bounds, folded ones included.
+        Problem whose ``origin.recover(result)`` returns the
+        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, with the multipliers of all rows and bounds,
+        including folded rows.
 
     Raises
     ------
@@ -169,9 +170,9 @@ class QPOrigin:
     Attributes
     ----------
     program : QuadraticProgram
-        The program that was given. The problem states the conditions of `reduced`: rows of one variable are bounds.
+        The user's program. The problem contains the conditions of `reduced`: rows of one variable are bounds.
     tolerance : float
-        Of the test of programs, which an answer of the problem has to pass.
+        Tolerance of the criterion of programs, which a solution of the problem must pass.
 
     Notes
     -----
@@ -190,12 +191,12 @@ class QPOrigin:
 
     @property
     def rows(self) -> int:
-        """How many rows of G and A are left."""
+        """Number of remaining rows of G and A."""
         return self.reduced.constraints.rows
 
     @property
     def form(self) -> str:
-        """Return "direct" where bounds are all that is left, else "kkt"."""
+        """Return "direct" if only bounds remain, else "kkt"."""
         return "kkt" if self.rows else "direct"
 
     def problem(self) -> LCP:

@@ -74,7 +74,7 @@ class QuadraticProgram:
     Raises
     ------
     InvalidProblem
-        Where the data do not state such a program.
+        If the data do not define such a program.
 
     Examples
     --------
@@ -200,7 +200,7 @@ class QuadraticProgram:
 
     @property
     def is_convex(self) -> bool | None:
-        """Whether P is positive semidefinite to rounding; None if n is too large to decide. One factorization."""
+        """True if P is positive semidefinite to rounding; None if n is too large to decide. Cost: one factorization."""
         return self.matrices.is_semidefinite
 
     @cached_property
@@ -338,8 +338,8 @@ class ProgramFacts:
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """A proof that the convex program is infeasible or unbounded; searched for once, None if none was found.
 
-        It holds for the stored data in double precision, by any margin: `margin` is its size, and `accepted_proof`
-        decides whether it counts.
+        The proof holds for the stored data in double precision, by any margin. `margin` is the size of this margin, and
+        `accepted_proof` decides whether the proof counts.
         """
         if "_proof" not in self.__dict__:
             found = proof_of_no_minimum(self.program)
@@ -353,15 +353,15 @@ class ProgramFacts:
     ) -> QPInfeasibility | QPUnboundedness | None:
         """Return the proof that no x is a solution at this tolerance, or None.
 
-        An exact proof of unboundedness counts if it excludes all answers within a thousandth of the tolerance;
-        constraints that contradict by no more than a row of a solution may be off by count as consistent.
+        An exact proof of unboundedness counts if it excludes all solutions within a thousandth of the tolerance.
+        Inconsistent constraints count as consistent if the contradiction is at most the tolerance of a row.
         """
         found = self.proof_of_no_minimum
         return found if found is not None and found.excludes(tolerance) else None
 
     @property
     def contradicts_by_rounding(self) -> bool:
-        """Whether a proof is known of constraints that contradict by less than counts: a limit of −1e-17 for 0."""
+        """True if a proof shows a contradiction below the tolerance, for example by −1e-17 instead of 0."""
         proof = self.__dict__.get("_proof")
         return isinstance(proof, QPInfeasibility) and not proof.excludes(PROGRAM_TOLERANCE)
 

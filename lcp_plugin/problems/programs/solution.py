@@ -36,9 +36,9 @@ class QPSolution:
         The data on which everything is measured.
     x : ndarray, shape (n,)
     inequality : ndarray, shape (rows of G,)
-        Of G x ≤ h; 0 where h is ∞.
+        Multipliers of G x ≤ h; 0 if h_i = ∞.
     equality : ndarray, shape (rows of A,)
-        Of A x − b = 0, of either sign.
+        Multipliers of A x − b = 0, of either sign.
     lower, upper : ndarray, shape (n,)
         Multipliers of lower ≤ x and x ≤ upper; 0 for an infinite bound. All multipliers are NaN if the result has a
         proof that no solution exists.
@@ -133,7 +133,7 @@ class QPSolution:
 
     @cached_property
     def multipliers(self) -> FloatVector:
-        """All multipliers, one per row of ``program.constraints``."""
+        """Multipliers of all rows of ``program.constraints``."""
         return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
 
     @property
@@ -150,7 +150,7 @@ class QPSolution:
         Raises
         ------
         InvalidProblem
-            Where the program was not made by `from_ranges`.
+            If the program was not constructed by `from_ranges`.
         """
         if self.program.ranges is None:
             raise InvalidProblem(

@@ -42,7 +42,7 @@ class QuadraticProgramBatch:
     Raises
     ------
     InvalidProblem
-        Where shapes do not fit together, or what is the same for all states no program.
+        If shapes do not fit together, or if the shared data do not define a program.
 
     Examples
     --------
@@ -124,7 +124,7 @@ class QuadraticProgramBatch:
         programs : sequence of QuadraticProgram or LCPError
             An error replaces an invalid program; accessing this program raises it.
         example : QuadraticProgram
-            Of the same shape.
+            Program of the same shape.
 
         Examples
         --------
@@ -168,7 +168,7 @@ class QuadraticProgramBatch:
 
     @property
     def has_one_matrix(self) -> bool:
-        """Whether P, G and A are the same for all."""
+        """True if all programs share P, G and A."""
         return self._shared is not None
 
     @property
@@ -286,7 +286,7 @@ def _stack(matrices: Any) -> Any:
 
 
 def _concatenate(first: Any, second: Any) -> Any:
-    """Return two stacks as one; no copy where one of them has no rows."""
+    """Return two stacks as one, without a copy if one stack has no rows."""
     if not first.shape[1] or not second.shape[1]:
         return first if first.shape[1] else second
     count = max(len(first), len(second))

@@ -44,10 +44,9 @@ class Operator:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
+    """Transfer from a grid to the next coarser grid: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, mask of coarse unknowns.
 
-    `scaling` is that of the fine
-    unknowns, empty where all are alike.
+    `scaling` is the scaling of the fine unknowns, empty if all unknowns have one scale.
     """
 
     prolongation: Operator

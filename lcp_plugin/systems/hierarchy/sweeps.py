@@ -30,7 +30,7 @@ def first_sweep(
 ) -> None:
     """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
 
-    A pass over the lower triangle, and over all of the rows from which an odd block meets the even one behind it.
+    Cost: a pass over the lower triangle, and over full rows by which an odd block is coupled to the next even block.
     """
     for edge in blocks.edges[2::2].tolist():
         x[edge - blocks.reach : edge] = 0.0

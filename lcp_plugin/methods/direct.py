@@ -181,7 +181,7 @@ def _too_large(problem: LCP) -> set[str]:
 
 
 def last_resort(problem: LCP) -> Algorithm:
-    """Return the method that auto follows to its end where nothing before it converges."""
+    """Return the method that auto follows to its end if no earlier method converges."""
     return Lemke() if problem.n <= PIVOTED_UP_TO else PSOR()
 
 

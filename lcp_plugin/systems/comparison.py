@@ -40,7 +40,7 @@ def comparison_of(M: Any) -> sp.csr_array:
 
 
 class ComparisonMatrix:
-    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it, and approximate solutions of its systems.
+    """⟨M⟩ scaled by powers of two to a diagonal near 1 if M needs it, and approximate solutions of its systems.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ class ComparisonMatrix:
     def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
         """Return an approximate solution, shape (n,), or None if no method applies.
 
-        The matrix is then singular, or too large for a factorization where multigrid fails. `tolerance` bounds
-        ‖residual‖₂/‖rhs‖₂ where the solution is iterative.
+        The matrix is then singular, or too large for a factorization if multigrid fails. `tolerance` bounds
+        ‖residual‖₂/‖rhs‖₂ if the solution is iterative.
         """
         if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:
             x = self.iterated(rhs, tolerance)

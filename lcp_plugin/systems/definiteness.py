@@ -24,7 +24,7 @@ LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
 
 
 def positive_definite_solver(P: Any) -> Solver | None:
-    """Return the function rhs ↦ P⁻¹ rhs where P is proven positive definite, else None (also where it is too large).
+    """Return the function rhs ↦ P⁻¹ rhs if P is proven positive definite, else None (also if it is too large).
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def is_positive_definite(P: Any) -> bool | None:
 
 
 def symmetric_part(M: Any) -> Any:
-    """Return (M + Mᵀ)/2, exactly symmetric; M itself where it is symmetric.
+    """Return (M + Mᵀ)/2, exactly symmetric; M itself if it is symmetric.
 
     Each entry is rounded once, those below 2⁻¹⁰²² to a multiple of 2⁻¹⁰⁷⁴.
 

@@ -25,7 +25,7 @@ from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPER
 from .equilibration import power_of_two
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
-DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diagonal
+DENSE_UP_TO_ON_DIAGONAL = 300  # the same if pivots are to come from the diagonal
 DENSE_ABOVE_DENSITY = 0.25
 LARGEST_DENSE = 3000
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
@@ -33,7 +33,7 @@ SYMMETRIC_SHARE = (
     0.8  # of the entries that have one across the diagonal, from which on A is ordered as A + Aᵀ
 )
 SYMMETRIC_PIVOT = (
-    0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
+    0.01  # SuperLU keeps the diagonal pivot if it is at least this share of the column's largest
 )
 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
@@ -51,7 +51,7 @@ class Factor:
     kind : str
         "Cholesky", "LU", "banded LU" or "sparse LU".
     solve, solve_transposed : callable
-        right ↦ x with A x = right, or Aᵀx = right, shape (n,); not finite where A is singular.
+        right ↦ x with A x = right, or Aᵀx = right, shape (n,); not finite if A is singular.
     work : float
         Multiplications that the factorization took.
     solve_work : float
@@ -69,7 +69,7 @@ class Factor:
 class PositiveFactor:
     """Factorization with positive pivots; `terms` is the number of terms in its longest sum of products.
 
-    `superlu` holds L and U where the matrix is sparse, and is None if it is dense.
+    `superlu` holds L and U if the matrix is sparse, and is None if it is dense.
     """
 
     solve: Callable[[Any], Any]
@@ -264,7 +264,7 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
 
 
 def require_time_for_factor(matrix: Any) -> None:
-    """Raise OutOfTimeError where a factor of a CSR or CSC array is predicted to end after an enforced limit."""
+    """Raise OutOfTimeError if a factor of a CSR or CSC array is predicted to end after an enforced limit."""
     if enforced_seconds_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
         from .minimum_degree import factor_sizes
 
@@ -294,7 +294,7 @@ def diagonal_pivot_factor(matrix: Any) -> Any | None:
 def solver_of(
     matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL
 ) -> Callable[[Any], Any] | None:
-    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal where it is large, or None if it is singular.
+    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal if it is large, or None if it is singular.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def solver_of(
 
 
 def positive_factor(matrix: Any) -> PositiveFactor | None:
-    """Return the factor of a symmetric matrix where all pivots are positive and from the diagonal, else None.
+    """Return the factor of a symmetric matrix if all pivots are positive and from the diagonal, else None.
 
     Parameters
     ----------

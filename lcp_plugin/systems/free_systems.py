@@ -285,15 +285,15 @@ class FreeSystem:
         return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
 
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
-        """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
+        """Return whether terms cancel for a random right-hand side of this size, shape (|F|,)."""
         with np.errstate(all="ignore"):
             x = factor.solve(
                 np.random.default_rng(0).standard_normal(scale.size) * scale
-            )  # in no range by chance
+            )  # a random vector is not in the range of a singular block
             self.work += factor.solve_work
             at_most = (
                 self.matrix.row_largest[self.rows] * np.abs(x).sum()
-            )  # spares most blocks their product
+            )  # decides most blocks without a product
             return not bool(
                 (at_most <= SINGULAR * scale).all()
                 or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()
@@ -325,7 +325,7 @@ class FreeSystem:
     ) -> FloatVector:
         """Return the best x of steps x ← x + A⁻¹(right − M_FF x), as long as each halves its error.
 
-        That is the largest |right − M_FF x|/scale, or the backward error where scale is None.
+        The error is the largest |right − M_FF x|/scale, or the backward error if scale is None.
         """
         solve, block = (
             (factor.solve_transposed, self.block.T) if transposed else (factor.solve, self.block)

@@ -51,7 +51,7 @@ class LinearizedSystem:
         return self._solve_free(-(self._by_slack(h) + more))
 
     def adjoint(self, g: Any, by_w: Any) -> tuple[Any, Any, Any]:
-        """Return ∂L/∂q, ∂L/∂b, to be read where a bound holds, and λ, of L with these gradients by z and w."""
+        """Return ∂L/∂q, ∂L/∂b (valid at active bounds) and λ for a loss L with gradients g by z and by_w by w."""
         by_z = g + self._product(by_w, transposed=True) if self._acts(by_w) else g
         multiplier = self._solve_free(by_z, transposed=True)
         change = self._by_slack(multiplier, transposed=True)

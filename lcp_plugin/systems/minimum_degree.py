@@ -21,8 +21,8 @@ import scipy.sparse as sp
 
 from ..core.kernels.compilation import helper, kernel
 
-# Rows with more entries than so many √n come last, as a row of constraints that ties all unknowns together: fewer rows
-# where counting takes too long otherwise.
+# Rows with more entries than so many √n come last, for example a constraint that couples all unknowns. The second
+# number applies if counting takes too long with the first.
 FULL = (10.0, 1.0)
 TOUCHED, TOUCHED_AT_LEAST = (
     6,

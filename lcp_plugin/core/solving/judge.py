@@ -229,7 +229,7 @@ class Judge:
         )
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
-        """Return the cleaned point's if only this point passes, or if both or none pass and its residual is no larger."""
+        """Return the cleaned point if only it passes, or if both or none pass and its residual is no larger."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
         meets = [one.meets(self.settings, self.answered) for one in (certificate, cleaned)]
         is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]

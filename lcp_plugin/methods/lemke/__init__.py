@@ -47,8 +47,8 @@ class Lemke(Algorithm):
     eliminated if their block is well conditioned; otherwise each becomes two nonnegative variables. The
     active set of z0 is tried first, by one factorization: after a small change of q it is often right; otherwise z0
     has no effect. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
-    no basis comes twice. A path from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for
-    a copositive-plus M (for example a positive semidefinite one) where the problem is feasible.
+    no basis comes twice. A path from r > 0 ends in a solution if M is a P-matrix or all bounds are finite, and for
+    a copositive-plus M (for example a positive semidefinite one) if the problem is feasible.
 
     Examples
     --------

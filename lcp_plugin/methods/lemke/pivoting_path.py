@@ -80,7 +80,7 @@ class LemkePath:
     def start_along(self, covering: FloatVector) -> bool:
         """Start at z = 0 with the smallest t for which q + t r ≥ 0; return False if no such t exists.
 
-        `covering` is r, shape (n,), positive where q is negative and nowhere negative.
+        `covering` is r ≥ 0, shape (n,), with r_i > 0 if q_i < 0.
         """
         n, q = self.n, self.q
         if not np.all(covering[q < 0.0] > 0.0):
@@ -149,7 +149,7 @@ class LemkePath:
         return int(outcome)
 
     def _is_sound(self, is_doubtful: bool) -> bool:
-        """Correct the values, with a new tableau where one is due; return whether they are feasible."""
+        """Correct the values, with a new tableau if necessary; return whether the values are feasible."""
         wrong = self._correct()
         if is_doubtful or wrong > ACCURATE or self.age >= self.fresh_for:
             if not self._renew():

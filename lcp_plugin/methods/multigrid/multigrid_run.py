@@ -27,18 +27,16 @@ COARSE_CHANGES = (
 )
 COARSEST_SWEEPS = 50
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
-LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
+LONG_CONJUGATE = 24  # if M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
 MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
-MOST_IDLE = (
-    2  # such rounds without fewer changes: the free set creeps, or comes back to where it was
-)
+MOST_IDLE = 2  # such rounds without fewer changes: the free set moves slowly, or repeats
 ROUND_GAIN = 0.1
 JUMPS, ROUND_GAIN_AT_JUMPS = (
     1e6,
     1e-5,
 )  # of couplings: w of what is not quite solved has wrong signs
-TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, where such rounds have failed
+TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, if such rounds have failed
 FALL_BACK_SWEEPS = 20
 NOTEWORTHY_CUT = (
     1e-4  # share of unknowns clipped to a bound, above which the change of the energy is tested
@@ -159,7 +157,7 @@ class MultigridRun:
     # --- the finest grid --------------------------------------------------------------------------------
 
     def _cycles(self, z: FloatVector, begun: float, start: FloatVector) -> Iterator[Step]:
-        """Yield cycles from z; where they fail go back to what was accepted, at first `start`, of residual `begun`."""
+        """Yield cycles from z; after failures return to the accepted iterate, at first `start` of residual `begun`."""
         self.truncation.start_at(0)
         fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
         advance = Advance(may_nest=self.algorithm.nested and len(self.hierarchy.grids) > 1)
@@ -247,7 +245,7 @@ class MultigridRun:
 
     @np.errstate(all="ignore")
     def _shorten(self, before: FloatVector, z: FloatVector) -> None:
-        """Halve the step from `before` to z until the energy does not rise; take it back where that does not help."""
+        """Halve the step from `before` to z until the energy does not rise; undo the step if halving fails."""
         fine = self.problems[0]
         n, product, step = before.size, self.truncation.vector(), z.copy()
         step[:n] -= before

@@ -66,7 +66,7 @@ MOST_FAILED_ROUNDS = 3
 
 
 class Safeguard:
-    """The last accepted iterate of a run, to which it goes back where corrections fail.
+    """Last accepted iterate of a run, to which the run returns if corrections fail.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ class Advance:
     residual: float = np.inf
     changed: float = 0.0
     crept: int = 0  # cycles in a row
-    nested_at: float = np.inf  # the residual at the last nested start, where that was a cycle ago
+    nested_at: float = np.inf  # the residual at a nested start one cycle ago
     is_slow: bool = False
 
     def take(self, residual: float, changed: float) -> None:

@@ -35,7 +35,7 @@ MEMORY = 5  # the line search compares with the worst of so many merits
 STAGNANT = (
     25  # steps without a fall of ‖Φ‖ by one per cent; by thirty within LARGE_PATIENCE on large ones
 )
-SHIFT = 1e-3  # keeps the Jacobian regular where M is only P₀
+SHIFT = 1e-3  # keeps the Jacobian regular if M is only P₀
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +44,12 @@ class Newton(Algorithm):
 
     Notes
     -----
-    Full steps as long as they lead to new active sets; on M-matrices these are finite and monotone. When an active
-    set comes back, or nothing improves, a line search on the Fischer–Burmeister function takes over, which tries
-    full steps again if they halve it. Small problems that are not solved start again from the point of the box
-    nearest to 0. In theory the line search converges on P-matrices; here its steps are bounded in number. Singular
-    blocks are regularized, and the residual decides about the result. On more than 3000 rows, steps that gain little
-    are given up early. Each step yields the best z so far, projected onto the bounds.
+    Full steps as long as they lead to new active sets; on M-matrices these steps are finite and monotone. When an
+    active set repeats or progress ends, a line search on the Fischer–Burmeister function takes over, which tries full
+    steps again if they halve the function. Unsolved small problems start again from the point of the box nearest to 0.
+    In theory the line search converges on P-matrices; here its steps are bounded in number. Singular blocks are
+    regularized, and the residual decides about the result. On more than 3000 rows, steps that gain little end early.
+    Each step yields the best z so far, projected onto the bounds.
 
     References
     ----------
@@ -115,9 +115,9 @@ def rounds(state: NewtonState) -> Generator[Step, None, bool]:
 
 
 def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
-    """Yield undamped active-set steps, until an active set comes back or neither residual nor changes fall.
+    """Yield undamped active-set steps, until an active set repeats or neither residual nor changes fall.
 
-    Return whether the last set reproduced itself with a regular block: nothing but rounding is left.
+    Return whether the last set reproduced itself with a regular block: only rounding errors remain.
     """
     problem = state.problem
     patience = LARGE_PATIENCE if state.is_large else PATIENCE + min(problem.n, PATIENT_ROWS)
@@ -189,7 +189,7 @@ def fischer_burmeister(
 def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
     """Return φ(a, b) and an element of its generalized derivative."""
     root = np.hypot(a, b)
-    # a + b − root cancels where a and b are positive.
+    # a + b − root cancels if a and b are positive.
     sum_ = a + b
     value = np.where(sum_ > 0.0, 2.0 * a * b / np.where(sum_ > 0.0, sum_ + root, 1.0), sum_ - root)
     safe = np.where(root > 0.0, root, 1.0)
@@ -199,9 +199,9 @@ def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, Floa
 
 
 def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
-    """Yield steps that reduce ‖Φ‖: full active-set steps where they do so at once, else a line search.
+    """Yield steps that reduce ‖Φ‖: full active-set steps if they do so at once, else a line search.
 
-    Ends where ‖Φ‖ stagnates; returns whether an active set reproduced itself with a regular block.
+    Ends if ‖Φ‖ stagnates; returns whether an active set reproduced itself with a regular block.
     """
     state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
     phi = fischer_burmeister(state.problem, state.z, state.w)

@@ -115,7 +115,7 @@ class Solutions:
 
 @dataclass(frozen=True)
 class GaveUp:
-    """The search ended at its limit of nodes and decided nothing."""
+    """The search ended at its limit of nodes without a decision."""
 
     nodes: int
 

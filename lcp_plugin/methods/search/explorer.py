@@ -37,7 +37,7 @@ class Face:
 
 
 class Explorer:
-    """A depth-first search that ends with the faces found and, where there are none, the tree that proves it."""
+    """Depth-first search that ends with the faces found or, if no face exists, with the tree that proves this."""
 
     def __init__(self, problem: LCP, effort: Effort, *, first_only: bool) -> None:
         self.problem, self.effort = problem, effort
@@ -241,7 +241,7 @@ class Explorer:
 
 
 def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
-    """Yield the extreme points of all solutions of a pattern, each once; none where they contain a line.
+    """Yield the extreme points of all solutions of a pattern, each once; the set has none if it contains a line.
 
     Parameters
     ----------

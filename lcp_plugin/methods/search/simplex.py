@@ -307,7 +307,7 @@ class ExactSimplex:
         )
 
     def _move(self, column: int, direction: int) -> Generator[None, None, bool]:
-        """Move a nonbasic variable as far as all bounds allow; return False, unmoved, where nothing stops it."""
+        """Move a nonbasic variable as far as all bounds allow; return False, without a move, if no bound blocks it."""
         entering = self.nonbasic[column]
         best: tuple[Fraction, int, int, int] | None = None
         end = self.upper[entering] if direction > 0 else self.lower[entering]

@@ -50,7 +50,7 @@ class ExhaustiveSearch(Algorithm):
     Parameters
     ----------
     prove_infeasibility : bool
-        If False, it looks for a solution and proves nothing.
+        If False, the method searches for a solution without a proof that none exists.
     """
 
     prove_infeasibility: bool = True

@@ -330,7 +330,7 @@ def paths(stack: RowData) -> FloatVector:
 
 
 def _followed(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
-    """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 where one is lost.
+    """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 if one is lost.
 
     The path belongs to a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
     """

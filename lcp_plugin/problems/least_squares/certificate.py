@@ -194,7 +194,7 @@ def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
 def _with_zeros(
     enclosures: Enclosures, x: FloatVector, y: FloatVector, slip: FloatVector
 ) -> Iterator[tuple[FloatVector, Ball]]:
-    """Yield y with 0 in each row where it is rounding, if there is one: multipliers of that row are exactly 0."""
+    """Yield y with its entries at rounding level set to 0, if there are any: their multipliers are exactly 0."""
     if (np.abs(y) <= slip).any():
         zeroed = np.where(np.abs(y) > slip, y, 0.0)
         yield zeroed, enclosures.gradient_at(x, zeroed)
@@ -203,7 +203,7 @@ def _with_zeros(
 def _with_shrunk(
     enclosures: Enclosures, x: FloatVector, duals: Iterator[tuple[FloatVector, Ball]]
 ) -> Iterator[tuple[FloatVector, Ball]]:
-    """Yield each y, and after it the same shrunk."""
+    """Yield each y, and then the shrunk y."""
     for y, slope in duals:
         yield y, slope
         if (shrunk := _shrunk(enclosures, x, y, slope)) is not None:

@@ -55,7 +55,7 @@ class BoundedLeastSquares:
     Raises
     ------
     InvalidProblem, InvalidOption
-        Where the data do not state such a problem.
+        If the data do not define such a problem.
 
     Examples
     --------

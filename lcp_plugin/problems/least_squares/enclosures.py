@@ -43,7 +43,7 @@ class Enclosures:
         self.problem, self.known = problem, [problem.nearest_to_zero]
 
     def cost_above(self, x: FloatVector) -> float:
-        """Return the cost of x, no less than it is."""
+        """Return an upper bound of the cost of x."""
         value, radius = self.residual(x)
         return self.problem.cost(x, np.abs(value) + radius)
 

@@ -45,7 +45,7 @@ LARGEST_SLOPE = 1e6  # relative to b and columns of size 1: x is 0
 
 
 def is_within_reach(problem: ScaledLeastSquares) -> bool:
-    """Return whether A has entries and PIQP, which nothing stops, is predicted to end in the time that is left."""
+    """Return whether A has entries and PIQP, which cannot be stopped, is predicted to end in the remaining time."""
     whole, (m, n), seconds = problem.problem, problem.problem.shape, min(seconds_left(), PATIENCE)
     if not whole.has_entries or whole.is_small:
         return whole.has_entries

@@ -80,7 +80,7 @@ def bounded_least_squares(
     Raises
     ------
     InvalidProblem, InvalidOption
-        Where the data do not state such a problem.
+        If the data do not define such a problem.
 
     Notes
     -----

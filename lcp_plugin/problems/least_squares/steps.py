@@ -1,4 +1,4 @@
-"""Points of a least squares problem within bounds, and steps from point to point that need products with A alone.
+"""Points of a least squares problem within bounds, and steps that need only products with A and Aᵀ.
 
 Projected gradients take the step lengths of Barzilai and Borwein until the face settles, conjugate gradients solve on
 it: a product with A and one with Aᵀ per iteration; AᵀA is never formed. Measured in comparison on random
@@ -41,7 +41,7 @@ class FacePoint:
     x : array, shape (n,)
         Within the bounds.
     residual : array, shape (m,), optional
-        A x − b where it is known.
+        A x − b if it is known.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class FacePoint:
 
     @cached_property
     def pull(self) -> FloatVector:
-        """The gradient where it pulls a column away from its bound into the box, 0 elsewhere."""
+        """Gradient of the columns that it pulls away from their bounds into the box, 0 elsewhere."""
         may_rise, may_fall = self.x < self.problem.upper, self.x > self.problem.lower
         rising, falling = np.minimum(self.gradient, 0.0), np.maximum(self.gradient, 0.0)
         inward = np.where(may_rise, rising, np.where(may_fall, falling, 0.0))
@@ -106,7 +106,7 @@ class FacePoint:
 
     @property
     def noise(self) -> float:
-        """Up to where a gradient may be nothing but rounding."""
+        """Size of a gradient that may be only rounding."""
         sizes = (
             np.linalg.norm(self.residual) + np.linalg.norm(self.x) + np.linalg.norm(self.problem.b)
         )
@@ -174,7 +174,7 @@ def _largest(point: FacePoint) -> float:
 
 
 def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
-    """Yield points from the start on; ends where no step leads anywhere."""
+    """Yield the start and the following points; end when no step makes progress."""
     yield start
     point, length = start, _cauchy_length(start)
     while length > 0.0 and point.natural_residual.any():
@@ -192,14 +192,14 @@ def _cauchy_length(point: FacePoint) -> float:
 def _spectral_steps(
     point: FacePoint, length: float
 ) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
-    """Take projected gradient steps until they leave the face alone; return the last point and step length."""
+    """Take projected gradient steps until the face no longer changes; return the last point and step length."""
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
     while settled < SETTLED:
         problem = point.problem
         direction = clip(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
         product = problem.product(direction)
         slope, curvature = float(point.gradient @ direction), point.curvature(direction, product)
-        if not (slope < 0.0 < curvature):  # nothing but rounding is left to gain
+        if not (slope < 0.0 < curvature):  # any further gain is at rounding level
             return point, 0.0
         share = 1.0
         if point.cost + slope + 0.5 * curvature > max(costs) + SUFFICIENT * slope:

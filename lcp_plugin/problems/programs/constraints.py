@@ -80,7 +80,7 @@ class Constraints:
 
     @cached_property
     def own_sizes(self) -> FloatVector:
-        """The |limit| of each row, or 1e-5 of its smallest coefficient where that is larger; 1 of a row of none.
+        """Size of each row: |right-hand side|, or 1e-5 of its smallest coefficient if larger; 1 without coefficients.
 
         An inconsistency at rounding level, relative to all unscaled coefficients, is attributed to rounded data.
         """

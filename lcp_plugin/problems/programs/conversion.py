@@ -27,7 +27,7 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     Parameters
     ----------
     program : QuadraticProgram
-        Convex: UnsupportedModel where P clearly has a negative eigenvalue (to n = 5000, by one factorization).
+        Convex: UnsupportedModel if P clearly has a negative eigenvalue (to n = 5000, by one factorization).
         Rows with one nonzero become bounds first, empty rows and rows with h = ∞ go; then
 
         - direct, if only bounds are left: M = P, q = c, the same bounds, n rows;

@@ -18,7 +18,7 @@ SINGLE_PRECISION = 2.0**-24
 
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:
-    """Raise where P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
+    """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
 
     Cost: one factorization, if no row decides and the factorization fits into memory.
 

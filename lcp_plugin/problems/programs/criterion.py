@@ -42,7 +42,7 @@ REACH = 1e4  # times its size, an unknown without a bound is moved
 UNIT = 2.0**-53
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 LEAST_SIZE = (
-    1e-8  # of the objective's terms and of the rows' with their multipliers, where they cancel
+    1e-8  # of the objective's terms and of the rows' with their multipliers, if they cancel
 )
 LEAST_NORM_STEPS, LEAST_NORM_TO = 60, 1e-3
 TINY = 2.0**-1000

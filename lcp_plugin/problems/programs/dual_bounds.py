@@ -286,7 +286,7 @@ def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
 
 
 def half_above(value: float) -> float:
-    """Return a double ≥ value/2, and this where it is one."""
+    """Return value/2 if it is a double, else the next larger double."""
     half = 0.5 * float(value)
     return half if 2.0 * half == value else math.nextafter(half, math.inf)
 
@@ -347,7 +347,7 @@ def implied_box(program: QuadraticProgram) -> Box:
     return lower, upper
 
 
-@np.errstate(all="ignore")  # what is infinite or overflows bounds nothing
+@np.errstate(all="ignore")  # an infinite value gives no bound
 def _tighten(
     rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> None:

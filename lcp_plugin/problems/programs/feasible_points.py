@@ -136,7 +136,7 @@ def distance_of_equations(
 
     Notes
     -----
-    With B the free columns of A, rows scaled by powers of two, x + Bᵀu is a solution where B Bᵀu = r, r = b − A x. If
+    With B the free columns of A, rows scaled by powers of two, x + Bᵀu is a solution if B Bᵀu = r, r = b − A x. If
     ‖I − R B Bᵀ‖∞ ≤ α < 1 for an approximate inverse R, rounding included, there is one with ‖u‖∞ ≤ ‖|R||r|‖∞/(1 − α).
     """
     free = np.flatnonzero((program.lower < x) & (x < program.upper))

@@ -310,7 +310,7 @@ class QPUnboundedness:
         )
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
+        """Return whether no x is optimal at this tolerance, or for an exact proof at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
         return self.margin > least and self.violation <= ROWS
 
@@ -543,7 +543,7 @@ def _first_enough(
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
-    """Return rows of P that span the others to rounding, by a pivoted QR decomposition; all where P is large.
+    """Return rows of P that span the others to rounding, by a pivoted QR decomposition; all if P is large.
 
     A P = F Fᵀ that rounding has made nonsingular would leave no direction otherwise.
     """

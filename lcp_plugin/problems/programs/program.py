@@ -141,12 +141,12 @@ class QuadraticProgram:
             As in the class.
         A : array or sparse array, shape (m, n)
         lower_rows, upper_rows : scalar or array, shape (m,)
-            Limits of the rows: an equation where they are equal. 1e20 and beyond means none, for the bounds too.
+            Lower and upper bounds of the rows; equal bounds are an equality. 1e20 and beyond means ∞, also for x.
 
         Raises
         ------
         InvalidProblem
-            As the class, and where a lower limit is above its upper one.
+            As for the class, and if a lower bound of a row exceeds its upper bound.
 
         Examples
         --------
@@ -298,7 +298,7 @@ class QuadraticProgram:
 
     @np.errstate(under="ignore")
     def objective(self, x: ArrayLike) -> float:
-        """Return ½ xᵀP x + cᵀx for x of shape (n,); computed without rounding where that is more than 1e-9 of it."""
+        """Return ½ xᵀP x + cᵀx for x of shape (n,); computed without rounding if that is more than 1e-9 of it."""
         point = checked_vector(x, "x", self.n)
         value = float(0.5 * (point @ (self.P @ point)) + self.c @ point)
         sizes = np.abs(point)
@@ -372,7 +372,7 @@ class ProgramFacts:
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
-    """Raise where there is a matrix without a right-hand side, or the other way round."""
+    """Raise if there is a matrix without a right-hand side, or the other way round."""
     if (matrix is None) != (right is None):
         given, missing = (name, right_name) if right is None else (right_name, name)
         sign = "≤" if name == "G" else "="

@@ -222,7 +222,7 @@ class ProgramMatrices:
 
     @cached_property
     def row_sizes(self) -> FloatVector:
-        """The largest |entry| of each constraint, 1 where there is none."""
+        """Largest |entry| of each constraint; 1 for a row without entries."""
         return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
 
     @cached_property
@@ -271,7 +271,7 @@ class ProgramMatrices:
 
     @cached_property
     def kkt(self) -> Matrix:
-        """[[P, Cᵀ], [−C, 0]] with C = [G; A], an ndarray where it is small and full."""
+        """Matrix [[P, Cᵀ], [−C, 0]] with C = [G; A]; an ndarray if it is small and full."""
         C, n, size = self.rows, self.P.shape[0], self.P.shape[0] + self.rows.shape[0]
         of_P, of_C = self.entries
         if is_kept_dense(size, of_P + 2 * of_C):

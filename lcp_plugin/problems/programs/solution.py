@@ -138,7 +138,7 @@ class QPSolution:
 
     @property
     def error(self) -> float:
-        """The larger of the duality gap and 1000 times the primal residual: at most 1e-6 where x is optimal."""
+        """The larger of the duality gap and 1000 times the primal residual: at most 1e-6 if x is optimal."""
         return float(self.errors.largest)
 
     @property
@@ -198,7 +198,7 @@ class QPSolution:
 
 
 def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> None:
-    """Raise InvalidProblem where the multiplier of a constraint is beyond the range of doubles."""
+    """Raise InvalidProblem if the multiplier of a constraint is beyond the range of doubles."""
     if np.isfinite(multipliers).all():
         return
     for name, part in zip(

@@ -67,7 +67,7 @@ class QuadraticProgramResult(Answer):
     Attributes
     ----------
     status : Status
-        SOLVED (optimal) by the two measures, INFEASIBLE or UNBOUNDED with a proof, PRECISION_LIMIT where the measures
+        SOLVED (optimal) by the two measures, INFEASIBLE or UNBOUNDED with a proof, PRECISION_LIMIT if the measures
         are small, but above the tolerance; otherwise why the run ended.
     solution : QPSolution
         x, the multipliers and the two measures.
@@ -277,7 +277,7 @@ class _ProgramRun:
         self.is_interrupted, self.is_left = False, False
         self.says = EngineStatus.GAVE_UP
 
-    # --- Where points come from --------------------------------------------------------------------------------------
+    # --- Sources of points -------------------------------------------------------------------------------------------
 
     def all_runs(self) -> Iterator[EngineRun]:
         """Yield the runs of auto; a program with bounds only is a complementarity problem of n unknowns."""
@@ -403,7 +403,7 @@ class _ProgramRun:
         )
 
     def _is_far(self, x: FloatVector) -> bool:
-        """Return whether x is far beyond all limits, where a test of doubles may take a descent for a minimum."""
+        """Return whether x is so large that a test in double precision may accept a descent as a minimum."""
         size = np.abs(x).max(initial=0.0)
         if size <= FAR:
             return False

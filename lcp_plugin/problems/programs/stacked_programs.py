@@ -196,7 +196,7 @@ class QuadraticProgramBatch:
         return np.broadcast_to(has_values & is_finite & self._is_symmetric, self.count)
 
     def refuse_nonconvex(self) -> None:
-        """Raise where one P for all is not convex.
+        """Raise if one P for all is not convex.
 
         As :func:`~lcp_plugin.problems.programs.convexity.refuse_nonconvex`.
         """

@@ -1,6 +1,6 @@
 """Choice of the coarse unknowns, and interpolation of the fine unknowns from them; compiled, arrays only.
 
-Unknown i depends strongly on j where −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
+Unknown i depends strongly on j if −m_ij ≥ strength · max_k −m_ik. The coarse unknowns are chosen by the first
 pass of Ruge and Stüben: take the unknown on which most unknowns depend, interpolate its dependents from it, and prefer
 the neighbors of the dependents from then on. Interpolation is direct: row i, scaled to reproduce constants if the row
 of M sums to zero. Positive couplings are lumped into the diagonal, so that no weight is negative.
@@ -32,7 +32,7 @@ MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unk
 def strong_couplings(  # type: ignore[no-untyped-def]
     indptr, indices, data, strength, own, is_strong, columns, last, first_row, end_row
 ):
-    """Mark the entries i → j, j < own, where i depends strongly on j; list these j in columns[indptr[i]:last[i]].
+    """Mark the entries i → j, j < own, if i depends strongly on j; list these j in columns[indptr[i]:last[i]].
 
     Strong is what is so among all couplings of the row.
     """

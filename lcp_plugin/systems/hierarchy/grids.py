@@ -138,12 +138,12 @@ class RowBlocks(NamedTuple):
 
     @property
     def smallest_share(self) -> int:
-        """The fewest blocks of a colour that are worth a hand-over; a sweep has two."""
+        """Least number of blocks of a color that justifies a thread; a sweep starts threads twice."""
         return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
 
 
 def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
-    """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
+    """Return the blocks of `rows` rows; one block if not `may_cut`, or if a split gains nothing."""
     indptr, indices, _ = matrix
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
@@ -178,7 +178,7 @@ def joined(pieces: list[Arrays]) -> Arrays:
 
 
 def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
-    """Return the first entries of all parts, so many of each, in the memory of the first part where that suffices."""
+    """Return the first `sizes` entries of all parts, in the memory of the first part if it suffices."""
     if parts[0].size < total:
         return np.concatenate([part[:size] for part, size in zip(parts, sizes, strict=True)])
     end = sizes[0]

@@ -33,9 +33,7 @@ from .vectors import scaling_of_unknowns
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
 NEGLIGIBLE_POSITIVE = 1e-3  # of coarser grids: less is none
-MOST_POSITIVE = (
-    1.0 / 3.0
-)  # of all couplings: where they are more, lumping them leaves no scaling to be found
+MOST_POSITIVE = 1.0 / 3.0  # of all couplings: with more, lumping prevents the search for a scaling
 NOTEWORTHY_LONELY = (
     5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
 )
@@ -43,7 +41,7 @@ COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 LARGEST_GROWTH = 1.5  # of the entries from one grid to the next; 1.34 on the seven-point matrix
 LARGEST_COMPLEXITY = 8.0
-MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
+MOST_PRODUCTS = 45.0  # per entry of M; at most 32 occurred in cases that multigrid helps
 LARGEST_NARROW = (
     2**30
 )  # entries; a coarser matrix may have more of them, which 32 bits must still count

@@ -239,7 +239,7 @@ def _sweep(  # type: ignore[no-untyped-def]
 
 @inline
 def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: ignore[no-untyped-def]
-    """Return total + (M x)_i, the neighbor that was swept last added last: the sum has waited for nothing else."""
+    """Return total + (M x)_i; the last swept neighbor is added last, so that the sum waits only for this value."""
     first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)
     behind = diagonal + one
     total = _plus_products(

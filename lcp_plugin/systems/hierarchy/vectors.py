@@ -186,7 +186,7 @@ def prolong(
     upper: FloatVector,
     z: FloatVector,
 ) -> int:
-    """Overwrite z by mid(lower, upper, z + P coarse) where `flags` say so; return how many were cut at a bound."""
+    """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows; return the number of clipped values."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, lower, upper, z
     return sum(shared(partial(_interpolate, *operands), lower.size))
 

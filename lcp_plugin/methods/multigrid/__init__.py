@@ -36,7 +36,7 @@ class Multigrid(Algorithm):
     smoother : {"pgs", "psor"}
         The projected sweep on the finest grid and in the nested iteration.
     relaxation : float
-        Relaxation parameter of psor.
+        Relaxation parameter of psor, in (0, 2).
     nested : bool
         Whether to start on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int
@@ -62,7 +62,7 @@ class Multigrid(Algorithm):
     rounds gain only rounding; without symmetry, if they gain little. The driver ends a run whose best residual no
     longer falls, as for sweeps. If coarser grids would cost too much, only sweeps run.
 
-    Passes over more than 10⁵ rows are shared by the threads of the solve. If M is symmetric, sweeps take its rows in
+    Passes over at least 131 072 rows are shared by the threads of the solve. If M is symmetric, sweeps take its rows in
     blocks, first all even ones: this order depends only on M, so that the number of threads changes no bit.
 
     On plates, thirteen points, cycles grow with the grid: 27, 44 and 86 on 30², 60² and 120² points.
@@ -102,7 +102,7 @@ class Multigrid(Algorithm):
 
     def __post_init__(self) -> None:
         check_choice(self, "smoother", SMOOTHERS)
-        check_positive(self, "relaxation")
+        check_positive(self, "relaxation", below=2.0)
         for option in ("nested", "hands_over"):
             check_flag(self, option)
         is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(

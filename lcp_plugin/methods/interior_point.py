@@ -245,7 +245,7 @@ def _stated(
 
 @fact
 def signs_of(matrix: Matrix) -> FloatVector | None:
-    """Return s of ±1, shape (n,), with diag(s) M symmetric to rounding and 0 between negative ones, or None.
+    """Return signs s, shape (n,), with diag(s) M symmetric to rounding and 0 between negative signs, or None.
 
     Examples
     --------

@@ -166,7 +166,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
 
 
 class _IrreducibleBlocks:
-    """A block diagonal nonnegative matrix with irreducible blocks."""
+    """Block diagonal nonnegative matrix with irreducible blocks."""
 
     def __init__(self, B: Any, labels: Any) -> None:
         self.B = B

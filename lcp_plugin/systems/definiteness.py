@@ -1,4 +1,4 @@
-"""Is a symmetric matrix positive (semi)definite? Decided by an attempt to factorise it, with a rounding margin."""
+"""Definiteness of a symmetric matrix, decided by an attempt to factorize it with a rounding margin."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ IN_ONE_ORDER = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised matrix A.
+    """Factorized matrix A.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
 
 @cache
 def lapack() -> Any:
-    """Return scipy's module; a search for it at each call would take longer than a small factor."""
+    """Return scipy's module, cached because an import at each call takes longer than a small factorization."""
     from scipy.linalg import lapack as found
 
     return found
@@ -281,7 +281,7 @@ def _is_structurally_regular(matrix: Any) -> bool:
 
 
 def diagonal_pivot_factor(matrix: Any) -> Any | None:
-    """Return SuperLU's factor with pivots from the diagonal, in one order for rows and columns, or None if singular.
+    """Return SuperLU's factorization with diagonal pivots, in one order for rows and columns; None if singular.
 
     That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
     """
@@ -330,7 +330,7 @@ def positive_factor(matrix: Any) -> PositiveFactor | None:
 
 
 def factor_fits(matrix: Any) -> bool:
-    """Return whether a factorization of a CSR or CSC array has its end in sight, by the counts of its columns."""
+    """Return whether a factorization of a CSR or CSC array ends in reasonable time, by the counts of its columns."""
     from .minimum_degree import factor_sizes  # numba, which many a question does without
 
     return (
@@ -357,7 +357,7 @@ def factor_operations(matrix: Matrix, most: float) -> float:
 
 
 class Bands(NamedTuple):
-    """A matrix by its diagonals.
+    """Diagonals of a matrix.
 
     Attributes
     ----------

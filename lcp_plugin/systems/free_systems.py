@@ -82,7 +82,7 @@ class FreeSystem:
 
     @cached_property
     def principal(self) -> Matrix:
-        """M_FF as a matrix with facts of its own."""
+        """M_FF as a matrix with separate facts."""
         return self.matrix if self.rows.size == self.matrix.n else Matrix(self.block)
 
     def solve(
@@ -430,7 +430,7 @@ class FreeSystem:
 
 @fact
 def _transposed(matrix: Matrix) -> Matrix:
-    """Return Mᵀ with facts of its own, as a hierarchy of grids."""
+    """Return Mᵀ with separate facts, as a hierarchy of grids."""
     return Matrix(matrix.array.T)
 
 

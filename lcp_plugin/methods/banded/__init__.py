@@ -208,7 +208,7 @@ def _contacts(
 def solve_one_sided(
     bands: FloatVector, Q: FloatVector, side: int, value: FloatVector, is_held: NDArray[np.bool_]
 ) -> tuple[FloatVector | None, NDArray[np.bool_]]:
-    """Return z and the free rows, shapes (m, n), of tridiagonal problems with bounds on one side; None if it fails.
+    """Return z and the free rows, shapes (m, n), of tridiagonal problems with bounds on one side; None on failure.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def solve_one_sided(
 def solve_on_band(
     band: Bands, state: NDArray[np.int8], value: FloatVector, q: FloatVector
 ) -> FloatVector | None:
-    """Return x with M x + q = 0 on the rows with state 0 and x = value on the others; None if that block is singular.
+    """Return x with M x + q = 0 on rows of state 0 and x = value on all other rows; None if the block is singular.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ EMPTY = (
 
 @inline
 def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
-    """Return the block that two blocks and the free row between them make, and the pivot of that row.
+    """Return the block that results from two blocks and the free row between them, and the pivot of this row.
 
     A block is z of its first and of its last row, each as constant, factor of the left z, and factor of the right z.
     """
@@ -111,7 +111,7 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
 
 @helper
 def _substitute(bands, q, value, is_free, z, slope):  # type: ignore[no-untyped-def]
-    """Fill z with value on the rows at their bounds and the solution of w = 0 on the free ones, without pivoting.
+    """Fill z with `value` on the rows at their bounds and the solution of w = 0 on the free rows, without pivoting.
 
     On M-matrices that is backward stable in every entry (Higham, *Accuracy and stability*, SIAM 2002, theorem 9.12).
     """

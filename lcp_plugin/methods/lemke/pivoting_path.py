@@ -250,7 +250,7 @@ class LemkePath:
 
     @property
     def z(self) -> FloatVector:
-        """The present z, shape (n,)."""
+        """Current z, shape (n,)."""
         z = np.where(self.side == AT_UPPER, self.upper, 0.0)
         is_z = self.basis < self.n
         z[self.basis[is_z]] = self.values[is_z]
@@ -258,7 +258,7 @@ class LemkePath:
 
 
 def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> FloatMatrix:
-    """Return A B, or A B + C, with what is rounding of its terms taken for 0."""
+    """Return A B, or A B + C, with entries at rounding level set to 0."""
     product, terms = A @ B, np.abs(A) @ np.abs(B)
     if C is not None:
         product += C
@@ -273,7 +273,7 @@ Start = Callable[[LemkePath], bool]
 
 
 def starts(path: LemkePath, restarts: int) -> Iterator[Start]:
-    """Yield ways to start the path, the most promising first; each returns whether it could.
+    """Yield functions that start the path, the most promising first; each returns whether the start exists.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def _lemke_howson(path: LemkePath, players: NDArray[np.bool_], k: int) -> bool:
 
 
 def _last_to_become_feasible(path: LemkePath, column: int, rows: NDArray[np.bool_]) -> int | None:
-    """Return the row whose w becomes ≥ 0 last as z_column rises from 0; None if one never does."""
+    """Return the row whose w becomes ≥ 0 last as z_column rises from 0; None if some w does not rise."""
     slope = path.M[:, column]
     if not np.all(slope[rows] > 0.0):
         return None

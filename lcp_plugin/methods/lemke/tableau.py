@@ -112,7 +112,7 @@ def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-u
 
 @inline
 def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
-    """Take the product that an exchange of `row` and `column` adds to the tableau, and clear these in it."""
+    """Store the product that an exchange of `row` and `column` adds to the tableau, and clear both in the tableau."""
     p = matrix[row, column]
     for j in range(n + 1):
         held[j] = matrix[row, j] / -p
@@ -182,7 +182,7 @@ def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
 
 @inline
 def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped-def]
-    """Return the complement of a variable that left the basis, the value it has, and the direction it moves in."""
+    """Return the complement of a variable that left the basis, the value of the complement, and its direction."""
     if leaving >= n:  # w_i reached 0: z_i leaves its bound
         i = leaving - n
         is_low = whole[SIDE, i] == AT_LOWER

@@ -45,7 +45,7 @@ HALVINGS = 4
 
 
 class MultigridRun:
-    """The state of one run on one problem."""
+    """State of a run on one problem."""
 
     def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
         self.algorithm, self.problem = algorithm, problem
@@ -221,7 +221,7 @@ class MultigridRun:
         return largest, changed
 
     def _correct(self, k: int, z: FloatVector) -> None:
-        """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
+        """Add to z on the free rows the correction of one V-cycle, clipped to the bounds."""
         fine, top = self.problems[k], self.truncation.grids[k]
         if k == len(self.hierarchy.transfers):
             np.copyto(top.b, fine.residual)
@@ -325,7 +325,7 @@ class MultigridRun:
             before = change
 
     def _fall_back(self, z: FloatVector) -> Generator[Step, None, float]:
-        """Yield projected Gauss–Seidel sweeps; return the last one's change."""
+        """Yield projected Gauss–Seidel sweeps; return the change of the last sweep."""
         for _ in range(FALL_BACK_SWEEPS):
             change = self.problems[0].gauss_seidel(z)
             self.work += self.problems[0].entries

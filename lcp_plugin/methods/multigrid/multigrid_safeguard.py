@@ -215,7 +215,7 @@ class Advance:
     is_slow: bool = False
 
     def take(self, residual: float, changed: float) -> None:
-        """Take in a cycle."""
+        """Record a cycle."""
         self.is_slow = residual > SLOW * self.residual
         self.crept = self.crept + 1 if changed > CREEPING * self.changed else 0
         self.may_nest = self.may_nest and residual <= GAINED * self.nested_at

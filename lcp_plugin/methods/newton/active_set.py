@@ -21,7 +21,7 @@ NEAR = 0.1  # the active set of such a near start is likely the solution's activ
 
 
 class ActiveSetSolution(NamedTuple):
-    """The solution for an active set.
+    """Solution for an active set.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def solve_active_set(
     near: FloatVector | None = None,
     system: FreeSystem | None = None,
 ) -> ActiveSetSolution | None:
-    """Return z with z at its bounds on the active rows and w = 0 on the free ones, or None if none is finite.
+    """Return z with z at its bounds on the active rows and w = 0 on the free rows; None if the solve overflows.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class NewtonState:
         return self.problem.slack(z)
 
     def step(self) -> Step:
-        """Return the best iterate as a step, with the work since the last one."""
+        """Return the best iterate as a step, with the work since the last step."""
         work, self.work = self.work, 0.0
         return Step(self.inside_z, self.inside, work=work)
 
@@ -201,7 +201,7 @@ class NewtonState:
         return signature(at_lower, at_upper) in self._solved
 
     def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
-        """Return the solution for an active set; if its block is singular, the one nearest to the current z."""
+        """Return the solution for an active set; if its block is singular, the solution nearest to the current z."""
         self._solved.add(signature(at_lower, at_upper))
         solution = solve_active_set(
             self.problem, at_lower, at_upper, near=self.z, system=self._system

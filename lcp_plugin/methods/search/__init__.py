@@ -180,7 +180,7 @@ def explore(
 def all_solutions(
     problem: LCP, *, limit: int | None = None, max_nodes: int = DEFAULT_NODES
 ) -> list[Solution]:
-    """Return all solutions of a small problem, exactly; a continuum of them by its faces.
+    """Return all solutions of a small problem, exactly; a continuum of solutions by its faces.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def all_solutions(
 
 
 def _maximal(faces: Sequence[Face]) -> list[Face]:
-    """Return the faces that lie in no other, in lexicographic order of their vertex."""
+    """Return the maximal faces, in lexicographic order of their vertices."""
     kept: list[Face] = []
     for face in sorted(faces, key=lambda face: (-face.dimension, face.point, face.pattern)):
         if not any(face.lies_in(other) for other in kept):
@@ -257,7 +257,7 @@ def _in_fractions(point: Sequence[Fraction]) -> str:
 
 
 def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
-    """Return the values rounded one by one, or raise naming the first that is beyond the largest double."""
+    """Return the values rounded one by one; raise an error that names the first value beyond the largest double."""
     rounded = np.zeros(len(values))
     for i, value in enumerate(values):
         try:

@@ -32,7 +32,7 @@ class Face:
     dimension: int
 
     def lies_in(self, other: Face) -> bool:
-        """Return whether every point of this face satisfies the other's pattern."""
+        """Return whether every point of this face satisfies the pattern of the other face."""
         return all(choice in tight for choice, tight in zip(other.pattern, self.tight, strict=True))
 
 
@@ -82,7 +82,7 @@ class Explorer:
                 return
 
     def _examined(self, case: Case) -> Generator[None, None, list[str]]:
-        """Close the case, record its face, or split it; return the branches to look at."""
+        """Close the piece, record its face, or split it; return the branches to visit."""
         case.y = yield from self.simplex.infeasibility_proof()
         if case.y is not None:
             return []
@@ -136,7 +136,7 @@ class Explorer:
         return closed, implied
 
     def _is_stuck(self, x: int, at: int, low: Bound, high: Bound) -> bool:
-        """Return whether row and bounds leave a basic variable no other value."""
+        """Return whether row and bounds determine the value of a basic variable."""
         bottom, top = self.simplex.bounds(x)
         target = at * self.simplex.denominator
         return (low == target or bottom == at) and (high == target or top == at)

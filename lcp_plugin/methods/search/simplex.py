@@ -1,4 +1,4 @@
-"""A simplex method without rounding: is there a point within bounds with w = M z + q, and if not, why not."""
+"""Simplex method in exact arithmetic: a point within bounds with w = M z + q, or a proof that none exists."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Effort:
 
 @dataclass
 class Solved:
-    """Equations of free rows, solved for free z: over one denominator, in the variables that were nonbasic then.
+    """Equations of free rows, solved for free z: over one denominator, in the nonbasic variables of that time.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class ExactSimplex:
         return low, high
 
     def farkas(self, row: int, direction: int) -> list[Fraction]:
-        """Return the multipliers y of the equations that make up a row; direction +1: it cannot rise to its bound."""
+        """Return the multipliers y of the equations that combine to a row; +1: the row cannot rise to its bound."""
         multipliers = [0] * self.n
         if self.basic[row] >= self.n:
             multipliers[self.basic[row] - self.n] = direction * self.denominator
@@ -205,7 +205,7 @@ class ExactSimplex:
         return [Fraction(y * scale) for y, scale in zip(multipliers, self.row_scale, strict=True)]
 
     def can_leave(self, x: int, direction: int) -> Generator[None, None, bool]:
-        """Return whether a variable can rise (+1) or fall (−1) within the bounds; the point may move to show it."""
+        """Return whether a variable can rise (+1) or fall (−1) within the bounds; the test may move the point."""
         start = self.position(x)
         while (self.position(x) - start) * direction <= 0:
             step = self._improving(x, direction)
@@ -216,7 +216,7 @@ class ExactSimplex:
         return True
 
     def go_to_vertex(self) -> Iterator[None]:
-        """Move every nonbasic variable to a bound, as far as the set has one there."""
+        """Move every nonbasic variable to a bound, as far as such points exist."""
         for column in range(len(self.nonbasic)):
             low, high = self.bounds(x := self.nonbasic[column])
             if self.value[x] not in (low, high) and not (yield from self._move(column, -1)):

@@ -1,4 +1,4 @@
-"""Feasibility and exhaustive search as stages of a run: they end it with a solution or with a proof."""
+"""Feasibility and exhaustive search as stages of a run, which ends with a solution or with a proof."""
 
 from __future__ import annotations
 

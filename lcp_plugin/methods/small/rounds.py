@@ -114,7 +114,7 @@ def as_dense(matrix: Matrix) -> FloatVector:
 
 
 def stack_of(M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
-    """Return problems of one size as data of the criterion; an axis of length 1 stands for all.
+    """Return problems of one size as data of the criterion; an axis of length 1 means shared data.
 
     One matrix for all stays one matrix, M of shape (1, n, n).
     """
@@ -172,7 +172,7 @@ class Judged(NamedTuple):
 
 
 def judged(stack: RowData, z: FloatVector, reference: FloatVector, tolerance: float) -> Judged:
-    """Return the points z of a stack, moved onto near bounds, as the criterion measures them."""
+    """Return the points z of a stack, projected onto near bounds for the criterion."""
     size = np.abs(z)
     z = np.where(
         size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
@@ -195,7 +195,7 @@ def solve_stack(
     starts: FloatVector | None,
     tolerance: float,
 ) -> Judged:
-    """Return points of problems (B, n), as far as rounds and paths of all at once lead."""
+    """Return points of problems (B, n) after iterations and paths of all problems at once."""
     with np.errstate(all="ignore"):
         stack = stack_of(M, q, lower, upper)
         reference = references(stack)
@@ -330,7 +330,7 @@ def paths(stack: RowData) -> FloatVector:
 
 
 def _followed(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
-    """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 if one is lost.
+    """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 for a lost path.
 
     The path belongs to a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
     """
@@ -462,7 +462,7 @@ def answers(
 
 
 class _Tableau:
-    """The basic variables as functions of the others: T + F R, the products of the last exchanges added at once."""
+    """Basic variables as functions of the nonbasic variables: T + F R, with F R the products of the last exchanges."""
 
     def __init__(self, T: FloatVector) -> None:
         self.T, self.F, self.R = T, np.zeros((len(T), DELAYED)), np.zeros((DELAYED, T.shape[1]))
@@ -489,7 +489,7 @@ class _Tableau:
 def path(  # noqa: PLR0912, PLR0915 - one loop
     M: FloatVector, q: FloatVector, width: FloatVector, r: Any = None, game: Any = None
 ) -> FloatVector:
-    """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if it is lost.
+    """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if the path is lost.
 
     The path belongs to a perturbed q, for which no two rows block at once. x is the solution for the unperturbed q in
     the last basis. For a game, the path is Lemke and Howson's.
@@ -577,7 +577,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
 def _canonical(
     M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> tuple[FloatVector, FloatVector, FloatVector, Callable[[FloatVector], FloatVector]]:
-    """Return (M, q, width, back) of the same problem with 0 ≤ x ≤ width; free rows are eliminated, or split."""
+    """Return (M, q, width, back) of the problem in the form 0 ≤ x ≤ width; free rows are eliminated, or split."""
     free = (lower == -np.inf) & (upper == np.inf)
     flips = (lower == -np.inf) & ~free
     base, sign = np.where(flips, upper, np.where(free, 0.0, lower)), np.where(flips, -1.0, 1.0)

@@ -98,7 +98,7 @@ class Optimality:
         return judged
 
     def is_worse_than_known(self, tolerance: float) -> bool:
-        """Return whether x costs more than another point that is known, rounding of that one included."""
+        """Return whether x costs more than a known point, including the rounding of that point's cost."""
         problem, slip, known = self.enclosures.problem, self.residual[1], self.enclosures.known
         if problem.is_small and 0.5 * (problem.apply_weights(slip) @ slip) > tolerance * self.cost:
             known = [*known, self.enclosures.unbounded_solution]

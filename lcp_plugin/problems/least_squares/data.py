@@ -247,7 +247,7 @@ class BoundedLeastSquares:
 
     @cached_property
     def column_scales(self) -> FloatVector:
-        """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,).
+        """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty column, shape (n,).
 
         For a LinearOperator they are estimates: the mean square of aᵀs for random signs s is ‖a‖².
         """
@@ -283,7 +283,7 @@ class BoundedLeastSquares:
 
 
 class ScaledLeastSquares:
-    """The same problem with columns of about unit length and b of about unit size.
+    """Problem scaled to columns of about unit length and b of about unit size.
 
     That is min ½‖A x − b‖² + ½ Σ ridge x² + Σ l1 |x|, the last of which is linear in an orthant: min … + linearᵀx.
 
@@ -353,7 +353,7 @@ class ScaledLeastSquares:
         )
 
     def to_caller(self, x: FloatVector) -> FloatVector:
-        """Return the unscaled x, exactly at a bound if the scaled x is at one."""
+        """Return the unscaled x, exactly at a bound if the scaled x is at this bound."""
         lower, upper = self.caller_bounds
         there = np.clip(x * (self.size / self.columns), lower, upper)
         return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))

@@ -143,7 +143,7 @@ class Enclosures:
 
     @cached_property
     def _terms(self) -> tuple[int, int]:
-        """The largest number of terms in a sum along a row, and in one down a column."""
+        """Largest number of terms in a row sum, and in a column sum."""
         A, (m, n) = self.problem.A, self.problem.shape
         if not self.problem.is_sparse:
             return n, m

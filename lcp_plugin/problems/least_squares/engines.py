@@ -141,7 +141,7 @@ def _nnls_optimality(
 
 
 def _solve_by_nnls(problem: ScaledLeastSquares, A: FloatVector, b: FloatVector) -> FloatVector:
-    """Return the solution within one bound per column, NaN if nnls gives up."""
+    """Return the solution within one bound per column, NaN if nnls fails."""
     from scipy.optimize import nnls
 
     is_below = np.isfinite(problem.lower)
@@ -234,7 +234,7 @@ class Split(NamedTuple):
 
 
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
-    """Return the statement, and PIQP's point of it."""
+    """Return the program, and PIQP's point."""
     program = ProgramData(*statement)
     return program, PIQP().answer(program, Limits(seconds_left()))
 
@@ -248,7 +248,7 @@ def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:
 
 
 def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
-    """Return the minimum on the face of the point, or on one nearby of lower cost.
+    """Return the minimum on the face of the point, or on a nearby face of lower cost.
 
     A step leads towards the minimum on a face, by an orthogonal factorization, up to the bounds. Columns that the
     gradient pulls away from their bound, or from 0, are released first: all, or only the column with the strongest pull

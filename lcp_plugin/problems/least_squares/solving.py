@@ -145,7 +145,7 @@ class LeastSquaresRun:
         self._smallest = np.inf
 
     def status(self) -> Status:
-        """Take steps until the problem is solved, a limit comes, or no step is left; return the reason."""
+        """Take steps until the problem is solved, a limit is reached, or no step remains; return the reason."""
         limit = self.settings.max_seconds
         try:
             with time_limit(
@@ -191,7 +191,7 @@ class LeastSquaresRun:
             yield self.nearest
 
     def _projected_points(self, most: int) -> Iterator[FloatVector]:
-        """Yield the points of so many projected steps that may be optimal, the nearest one at the end."""
+        """Yield possibly optimal points of the projected steps, the point closest to optimality at the end."""
         self.algorithm, aim = "projected gradients", self.settings.tolerance
         since, before = 0, np.inf
         start = FacePoint(self.problem.scaled, self.nearest)
@@ -285,7 +285,7 @@ def _require_time() -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LeastSquaresResult(Answer):
-    """The answer to a least-squares problem; attributes are named as in scipy, except `status`.
+    """Result of a least-squares problem; attributes are named as in scipy, except `status`.
 
     Attributes
     ----------

@@ -9,8 +9,8 @@ decide:
   (rounding) of |c_ij| times the unknowns that matter in its component.
 - **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
   price of repairing tolerated rows, relative to the objective's terms. reach_j is the distance to the bound in the
-  direction of r_j, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted beyond
-  |r_j| reach_j.
+  descent direction −r_j, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted
+  beyond |r_j| reach_j.
 
 A point that passes violates no row beyond rounding, and no unknown that moves to its bound or to 10⁴ times its size
 gains more than the tolerance. Plain sums decide most points, because all sizes that they use are on the safe side. For
@@ -283,7 +283,7 @@ class Point:
 
     @cached_property
     def room(self) -> FloatVector:
-        """The distance to the bound that the gradient pushes to, or to the farther one if rounding hides it."""
+        """Distance to the bound in the descent direction, or to the farther bound if rounding hides the direction."""
         down, up = self.x - self.program.lower, self.program.upper - self.x
         is_pushed = np.abs(self.left) > self.blur + self.doubt
         room: FloatVector = np.where(
@@ -293,7 +293,7 @@ class Point:
 
     @cached_property
     def size_of_gradient(self) -> FloatVector:
-        """The largest term of each unknown's gradient."""
+        """Largest term of each unknown's gradient."""
         of_P, _, of_columns = self.matrices.measured[2:]
         return np.maximum(
             np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
@@ -342,7 +342,7 @@ class Point:
 
     @property
     def _bound(self) -> FloatVector:
-        """The bound that the gradient pushes to."""
+        """Bound in the descent direction."""
         return np.where(self.left > 0.0, self.program.lower, self.program.upper)
 
     @property

@@ -351,7 +351,7 @@ def implied_box(program: QuadraticProgram) -> Box:
 def _tighten(
     rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> None:
-    """Replace bounds by tighter ones that single rows imply."""
+    """Replace bounds by tighter bounds that single rows imply."""
     entry, column, owner, m = rows.data, rows.indices, row_numbers(rows), limit.size
     # The largest value of −a x, the least of a x with its sign turned.
     most = np.where(

@@ -107,7 +107,7 @@ def run_engine(
     *,
     is_verbose: bool = False,
 ) -> EngineRun:
-    """Return the first point of an engine that passes the test, or its best one.
+    """Return the first point of an engine that passes the test, or its best point.
 
     Raises
     ------
@@ -249,12 +249,12 @@ def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> En
 
 
 def _shorten_message(error: Exception) -> str:
-    """Return the first sentence that another package has for an error; of a binding's list of signatures its head."""
+    """Return the first sentence of an external error message, or the head of a binding's list of signatures."""
     return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
 
 
 def _statement(program: QuadraticProgram) -> ProgramData:
-    """Return a program as engines take it: all matrices dense, or all sparse."""
+    """Return a program in the form for engines: all matrices dense, or all sparse."""
     matrices = program.matrices
     if matrices.is_dense and (isinstance(program.P, np.ndarray) or matrices.is_small):
         P, G, A = (

@@ -56,7 +56,7 @@ class FeasiblePoint:
 
 @dataclass(frozen=True, eq=False)
 class FeasiblePoints:
-    """A program, and the search for points that are proved to be feasible."""
+    """Search for points of a program that are proved feasible."""
 
     program: QuadraticProgram = field(repr=False)
 
@@ -69,7 +69,7 @@ class FeasiblePoints:
 
     @cached_property
     def inside(self) -> Vector | None:
-        """A feasible point in fractions, as far inside as a linear program finds one."""
+        """Feasible point in rational numbers, as far inside as a linear program finds."""
         return feasible_point(self.program) if self.is_small else None
 
     @property

@@ -205,7 +205,7 @@ class QuadraticProgram:
 
     @cached_property
     def constraints(self) -> Constraints:
-        """All constraints as rows of one matrix."""
+        """Constraints and bounds as rows of one matrix."""
         return Constraints.of(self)
 
     @cached_property
@@ -372,7 +372,7 @@ class ProgramFacts:
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
-    """Raise if there is a matrix without a right-hand side, or the other way round."""
+    """Raise InvalidProblem if a matrix has no right-hand side, or a right-hand side no matrix."""
     if (matrix is None) != (right is None):
         given, missing = (name, right_name) if right is None else (right_name, name)
         sign = "≤" if name == "G" else "="
@@ -398,7 +398,7 @@ def _checked_rows(
 
 
 def symmetric(P: Any) -> tuple[Any, float]:
-    """Return P with rounding errors in its symmetry averaged away, and how large they were."""
+    """Return P with rounding errors in its symmetry averaged away, and the size of these errors."""
     asymmetry, where = asymmetry_of(P)
     if where is not None:
         i, j = where
@@ -413,7 +413,7 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
-    """Return max |m_ij − m_ji|, and the i, j that is worst relative to its rows, or None if it is at rounding level."""
+    """Return max |m_ij − m_ji|, and the i, j of the largest relative difference, or None if at rounding level."""
     if bool((M == M.T).all()) if isinstance(M, np.ndarray) else is_its_mirror(M):
         return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

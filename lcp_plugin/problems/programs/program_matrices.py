@@ -132,7 +132,7 @@ class ProgramMatrices:
 
     @cached_property
     def stacked(self) -> FloatVector:
-        """P above G above A as one ndarray, C-contiguous."""
+        """P, G and A stacked vertically as one ndarray, C-contiguous."""
         m, p, _, _ = self.sizes
         given = (
             (self.P, self.G, self.A)
@@ -153,7 +153,7 @@ class ProgramMatrices:
 
     @cached_property
     def components(self) -> ProgramComponents:
-        """The parts that P, G and A do not connect."""
+        """Connected components of the graph of P, G and A."""
         m, n = sum(self.sizes[:2]), self.P.shape[0]
         full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
         if not n or self._is_full or any((one != 0.0).all(axis=1).any() for one in full):
@@ -174,7 +174,7 @@ class ProgramMatrices:
 
     @cached_property
     def summands(self) -> tuple[int, int]:
-        """The most terms that a row of [G; A] and a row of P have."""
+        """Largest numbers of terms in a row of [G; A] and in a row of P."""
         if self.is_dense:
             return self.P.shape[0], self.P.shape[0]
         counts = (np.diff(one.indptr).max(initial=0) for one in (self.rows, self.sparse_P))
@@ -242,7 +242,7 @@ class ProgramMatrices:
 
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, FloatVector]:
-        """The rows of [G; A] that have one entry, their columns, and of all rows that entry, or 1."""
+        """Rows of [G; A] with one entry, their columns, and for all rows this entry, or 1."""
         stacked = self.rows
         rows, coefficient = np.flatnonzero(np.diff(stacked.indptr) == 1), np.ones(stacked.shape[0])
         places = stacked.indptr[rows]
@@ -356,7 +356,7 @@ def _conjugate_gradients(A: sp.csr_array, b: FloatVector) -> FloatVector:
 
 @np.errstate(all="ignore")  # numbers that are not finite have no units
 def fit_units_of(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return the units that `fitted_units` fits, of ndarrays or stacks of them, shapes (…, n, n) and (…, m, n).
+    """Return the units of `fitted_units` for ndarrays or stacks of ndarrays, shapes (…, n, n) and (…, m, n).
 
     If no entry is 0, the sums of the logarithms solve the normal equations.
     """
@@ -395,7 +395,7 @@ def _powers(exponents: FloatVector) -> FloatVector:
 
 
 def is_full(entries: int, shape: tuple[int, int]) -> bool:
-    """Return whether products with a matrix of so many entries are quicker as an ndarray."""
+    """Return whether products with a matrix of this size are faster as an ndarray."""
     return entries > DENSE_ABOVE_DENSITY * shape[0] * shape[1]
 
 
@@ -405,7 +405,7 @@ def is_kept_dense(n: int, entries: int) -> bool:
 
 
 def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
-    """Return whether a program with so many unknowns, rows, and entries of P, G and A is small or dense: for daqp."""
+    """Return whether a program with these counts of unknowns, rows and entries is small or dense: for daqp."""
     if not (0 < n <= UP_TO and m <= ROWS_UP_TO):
         return False
     return n * n * (n + m) <= SPARSE_UP_TO or sum(entries) >= SPARSE * n * (n + m)

@@ -107,7 +107,7 @@ class FoldedRows:
         return cls(program, folded, left, lower_row, upper_row, coefficient)
 
     def multipliers(self, reduced: Any) -> Any:
-        """Return the multipliers of all constraints, doubles or Fractions: a bound's go to the row that gives it."""
+        """Return the multipliers of all constraints, doubles or Fractions; rows get the multipliers of their bounds."""
         if self.reduced is self.program:
             return reduced
         rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
@@ -144,7 +144,7 @@ class FoldedRows:
 def _tightest(
     own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices
 ) -> tuple[FloatVector, Indices]:
-    """Return the smallest limit of each variable and the row it comes from; a variable's own bound wins a tie."""
+    """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
     tightest, owner = own.copy(), np.full(own.size, OWN)
     np.minimum.at(tightest, columns, limits)
     gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[

@@ -24,7 +24,7 @@ MEANINGS = {
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
-    """A point x and multipliers of a quadratic program, with the two measures that test them.
+    """Point x and multipliers of a quadratic program, with the two measures of the test.
 
     The multipliers have the signs of cvxpy's ``dual_value``: at a solution
 

@@ -62,7 +62,7 @@ ADVICE = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuadraticProgramResult(Answer):
-    """The answer to a quadratic program, tested on the program itself.
+    """Result of a quadratic program, tested on the unscaled program.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class QuadraticProgramResult(Answer):
 
     @property
     def x(self) -> FloatVector:
-        """The minimiser, or the best point that was found, shape (n,)."""
+        """Minimizer, or the best point found, shape (n,)."""
         return self.solution.x
 
     @property
@@ -257,7 +257,7 @@ def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
 
 
 class _ProgramRun:
-    """The points of one solve, the best of them, and a proof."""
+    """Points of one solve, the best point, and a proof."""
 
     def __init__(
         self,
@@ -371,7 +371,7 @@ class _ProgramRun:
     # --- Selection of the result -------------------------------------------------------------------------------------
 
     def follow(self, runs: Iterator[EngineRun]) -> None:
-        """Take runs until a point passes, a proof is found, or a limit comes."""
+        """Take runs until a point passes, a proof is found, or a limit is reached."""
         before, is_proof_wanted = EngineStatus.GAVE_UP, self.settings.prove_infeasibility
         for run in runs:
             self.stages.append(run.stage)

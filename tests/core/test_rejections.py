@@ -257,6 +257,7 @@ RUNS = [
         lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
     ),
     run(r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
+    run(r"solve takes no x0 for an LCP; the start is called z0", x0=[0.0, 0.0, 0.0]),
     run(r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
     run(r"tolerance must be finite and not negative, got nan", tolerance=NAN),
     run(r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),

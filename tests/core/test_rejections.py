@@ -154,6 +154,7 @@ MATRICES = [
     row(InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
     matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
     matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
+    matrix(damaged_csr(indptr=[0, 2, 1, 0]), r"damaged sparse.*decreasing"),
     matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
     matrix(damaged_csr(data=[1.0]), r"damaged sparse"),
 ]

@@ -95,8 +95,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         Keep samples of the run at geometric intervals in ``Result.history``; an external solver has a first and a last.
     callback : callable, optional
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
-        run with status INTERRUPTED. Its exceptions propagate. External solvers show no steps: it is called with their
-        point.
+        run with status INTERRUPTED. Its exceptions propagate. For an external solver it is called with the first and
+        the last point.
     error_bound : bool
         Compute a bound of |z − z*| when ``result.error_bound`` is read. None if M allows no bound; see
         :func:`lcp_plugin.error_bound`.

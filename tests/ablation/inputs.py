@@ -179,7 +179,7 @@ def _read_lcp(file: Path) -> LCP:
 
 
 def residual(problem: Any, z: Any) -> float:
-    """Return the natural residual relative to its value at the bounds' point nearest to 0, by numpy."""
+    """Return the natural residual relative to its value at the bounds' point nearest to 0."""
     d = np.abs(problem.M).max(axis=1)
     d = d.toarray().ravel() if sp.issparse(d) else np.asarray(d)
     d = np.where(d > 0.0, d, 1.0)
@@ -199,7 +199,7 @@ def _by_residual(problem: Any, result: Any) -> str:
 
 
 def plain_structures() -> Iterator[Input]:
-    """Yield matrices whose rows select the method, and infeasible rows: a wrong sign, or a row and its bounds.
+    """Yield matrices whose rows select the method, and matrices with infeasible rows.
 
     For −L, L an M-matrix, every z with w = q − L z ≥ 0 is at most L⁻¹q, which has a negative entry. The other
     inconsistent row is w = −z − 1.
@@ -330,7 +330,7 @@ def batches() -> Iterator[Input]:
 
 
 def paths() -> Iterator[Input]:
-    """Yield paths of random families, of a lasso and of linear programs, checked between breakpoints."""
+    """Yield paths of random families, a lasso and linear programs, checked between breakpoints."""
     from campaigns.paths import random_family
 
     rng = np.random.default_rng(SEED)

@@ -138,7 +138,7 @@ class Case:
         return problem, c
 
     def error(self, z: Any, starts: Iterable[Any]) -> float:
-        """Return the error of unscaled z relative to the reference solution, found from these starts."""
+        """Return the error of unscaled z relative to the reference, found from these starts."""
         if self.stated.error is not None:
             return self.stated.error(z)
         found, exact = self.stated.determined(z), self.stated.determined(self.reference(starts))
@@ -184,7 +184,7 @@ class Case:
         return result, np.ldexp(result.z, c)
 
     def measure(self, wanted: Iterable[tuple[str, str]]) -> Iterator[tuple[Key, Measured]]:
-        """Yield a row per (method, scaling): named methods if they solve, and false results on scaled data."""
+        """Yield a row per (method, scaling): named methods if they solve, and false results."""
         runs = {}
         for method, units in wanted:
             if method == "auto" or self.suits(method):
@@ -222,7 +222,7 @@ def cases(*, full: bool, names: Iterable[str] = ()) -> Iterator[Case]:
 
 
 def all_runs(*, full: bool) -> Iterator[tuple[str, str]]:
-    """Yield the methods and scalings of a table; named methods on scaled data only if this is quick."""
+    """Yield the methods and scalings of a table; named ones on scaled data if quick."""
     yield from (("auto", units) for units in UNITS)
     yield from ((method, "own") for method in NAMED)
     if not full:

@@ -32,7 +32,7 @@ from .table import (
 
 
 def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
-    """Measure one application, or its rows in the table; return rows that became worse, with advice."""
+    """Measure one application, or its rows in the table; return worse rows, with advice."""
     table = read(path_of(full=full).read_text(encoding="utf-8"))
     entry, new = entries()[name], {}
     for arguments in entry.full if full else entry.small:
@@ -73,7 +73,7 @@ def test_large_applications_cost_no_more_than_the_table_says(name: str) -> None:
 
 @pytest.mark.parametrize("full", [False, True])
 def test_every_application_has_its_rows(full: bool) -> None:
-    """Both tables have auto's rows of each case and scaling, no other problem, and survive a round trip."""
+    """Both tables have auto's rows of each case and scaling, and survive a round trip."""
     text = path_of(full=full).read_text(encoding="utf-8")
     table = read(text)
     assert written(table) == text
@@ -128,7 +128,7 @@ def test_rounding_and_improvements_are_no_regressions() -> None:
 
 
 def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
-    """A method above three times the best work may need more; a new false result of any method fails."""
+    """A method above three times the best work may need more; new false results fail."""
     psor, newton = KEY._replace(method="psor"), KEY._replace(method="newton")
     old = {psor: BEFORE, newton: replace(BEFORE, work=301.0)}
     assert best_of_named(old) == {KEY.problem: ("psor", 100.0)}
@@ -140,7 +140,7 @@ def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
 
 
 def test_paths_that_depend_on_rounding_are_not_compared_by_work() -> None:
-    """Scaled problems with a hundred times the best named work are compared by status and error only."""
+    """Scaled problems with a hundred times the best work are compared only by status and error."""
     psor, rows = KEY._replace(method="psor"), KEY._replace(units="rows")
     for work, count in ((9e3, 1), (2e4, 0)):
         old = {psor: BEFORE, rows: replace(BEFORE, work=work)}
@@ -194,7 +194,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.full
 def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
-    """The command with --dry-run on an unchanged application prints a summary and keeps the file."""
+    """The command with --dry-run without changes prints a summary and keeps the file."""
     file = path_of(full=False)
     before = file.read_bytes()
     done = command("paper", "--dry-run")

@@ -1,12 +1,12 @@
 """Random programs with complementarity constraints, the truth by all their pieces, solved by HiGHS and Clarabel.
 
-Two to twelve pairs: boxes, one bound, none, bounds beside those of the pairs; linear, convex and semidefinite
-objectives; equations and inequalities; infeasible and unbounded ones among them. Every piece that is not empty is
-solved (the empty ones are cut off by linear programs), and the best point is made rational: where it then satisfies
-everything exactly, no bound may lie above its objective. Counted are
+The problems have two to twelve pairs with boxes, one bound or none, further bounds, equations and inequalities. Their
+objectives are linear, convex or semidefinite, and some problems are infeasible or unbounded. Every nonempty piece is
+solved (empty pieces are cut off by linear programs), and the best point is made rational. If it then satisfies all
+constraints exactly, no bound may exceed its objective. The campaign counts
 
-- wrong: a status or a value that the pieces contradict, a bound above the exact objective, a result whose verify() is
-  False, or one that was damaged whose verify() is True;
+- wrong: a status or a value that disagrees with the pieces, a bound above the exact objective, a result whose
+  verify() is False, or a modified result whose verify() is True.
 - open: STALLED, or a limit.
 """
 
@@ -84,7 +84,7 @@ def objective(rng: Generator, n: int, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def random_problem(rng: Generator, most: int = 12) -> EquilibriumProgram:
-    """Variables x, z and w = N x + M z + q with pairs z ⟂ w; usually with a planted solution."""
+    """Return variables x, z and w = N x + M z + q with pairs z ⟂ w, and mostly a known solution."""
     k, free = 2 + int((most - 1) * rng.random() ** 2), int(rng.integers(0, 4))
     own_lower, own_upper = bounds_of_pairs(rng, k)
     n, N, M = free + 2 * k, small(rng, k, free), matrix_of_pairs(rng, k)
@@ -107,7 +107,7 @@ def random_problem(rng: Generator, most: int = 12) -> EquilibriumProgram:
     lower, upper = np.full(n, -INF), np.full(n, INF)
     limited = rng.random(free) < 0.8
     lower[:free][limited], upper[:free][limited] = -3.0, 3.0
-    if rng.random() < 0.3:  # plain bounds beside those of the pairs
+    if rng.random() < 0.3:  # plain bounds, in addition to the bounds of the pairs
         lower[free:][rng.random(2 * k) < 0.1] = -1.0
         upper[free:][rng.random(2 * k) < 0.2] = 2.0
     P, c = objective(rng, n, k)
@@ -122,7 +122,7 @@ def random_problem(rng: Generator, most: int = 12) -> EquilibriumProgram:
 class Truth(NamedTuple):
     """Status, value, how many pieces are not empty, and the exact objective of a rational solution, where one is."""
 
-    status: Status  # NO_SOLUTION where there is no piece, whatever excludes it
+    status: Status  # NO_SOLUTION if all pieces are empty, for any reason
     value: float
     pieces: int
     exact: Fraction | None
@@ -158,7 +158,7 @@ class Pieces:
         self.model, self.columns = model, np.arange(program.n, dtype=np.int32)
 
     def bounds(self, cases: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        """What holds in the cases of the first pairs, and of the others in all."""
+        """Return bounds for the given branches of the first pairs, and all other branches."""
         problem = self.problem
         lower, upper = np.array(problem.program.lower), np.array(problem.program.upper)
         for i, (z, w) in enumerate(zip(problem.first, problem.second, strict=True)):
@@ -176,7 +176,7 @@ class Pieces:
     def is_feasible(
         self, lower: np.ndarray, upper: np.ndarray, cost: np.ndarray | None = None
     ) -> bool | None:
-        """Whether there is a point within; with a cost, None where it falls without end."""
+        """Return whether a point exists within the bounds; with a cost, None if unbounded."""
         if (lower > upper).any():
             return False
         self.model.changeColsBounds(self.columns.size, self.columns, lower, upper)
@@ -210,7 +210,7 @@ class Pieces:
                 yield from self.not_empty([*cases, case])
 
     def least(self, cases: list[int]) -> np.ndarray | None:
-        """The best point of a piece that is not empty; None where its objective falls without end."""
+        """Return the best point of a nonempty piece; None if its objective is unbounded."""
         program, (lower, upper) = self.problem.program, self.bounds(cases)
         if self.P.nnz == 0:
             if self.is_feasible(lower, upper, program.c) is None:
@@ -238,7 +238,7 @@ class Pieces:
 def exact_objective(
     problem: EquilibriumProgram, x: np.ndarray, cases: list[int]
 ) -> Fraction | None:
-    """The objective at a rational point beside x, where that satisfies everything exactly."""
+    """Return the objective at a rational point near x, if this is exactly feasible."""
     program, (lower, upper) = problem.program, Pieces(problem).bounds(cases)
     for largest in (60, 2000, 100_000):
         point = [Fraction(float(value)).limit_denominator(largest) for value in x]
@@ -285,7 +285,7 @@ def truth(problem: EquilibriumProgram) -> Truth:
 
 
 def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
-    """Whether x keeps all constraints to the accuracy, and every pair exactly."""
+    """Return whether x satisfies all constraints to the accuracy, and every pair exactly."""
     program, z, w = problem.program, x[problem.first], x[problem.second]
     allowed = ACCURACY * (1.0 + np.abs(x).max())
     kept = [
@@ -301,7 +301,7 @@ def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
 
 
 def complaints(result: Any, known: Truth) -> list[str]:
-    """What of a result the truth contradicts."""
+    """Return the errors of a result compared with the truth."""
     said = []
     if (result.is_solved or result.has_no_solution) and known.status is not (
         Status.NO_SOLUTION if result.status is Status.INFEASIBLE else result.status
@@ -377,5 +377,5 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
 
 
 def undetected(result: Any) -> list[str]:
-    """Which damages verify() does not see."""
+    """Return the modifications that verify() does not detect."""
     return [f"not seen: {name}" for name, other in damaged(result) if other.verify()]

@@ -432,7 +432,7 @@ def recorded(case: Case, rng: Generator) -> list[str]:
 
 
 def in_batches(case: Case, rng: Generator) -> list[str]:
-    """Compare stacked and listed problems, with scaled and with connected components, with single solves."""
+    """Compare stacked and listed problems, scaled or connected, with single solves."""
     problem, n = case.problem, case.problem.n
     problems = [
         as_dense(problem, np.arange(n), np.ones(n)),
@@ -607,7 +607,7 @@ def bounded(case: Case, rng: Generator) -> list[str]:
 
 
 def differentiated(case: Case, rng: Generator) -> list[str]:
-    """Change q in one component: only this component moves, by the solution of its linear system."""
+    """Change q in one component: only this component moves, by its linear system."""
     if not case.is_regular or case.kind != SOLVABLE:
         return []
     result = solve(case.problem)

@@ -186,7 +186,7 @@ def case(family: str, seed: int, k: int, largest: int = 2000) -> tuple[Quadratic
 def bounds(
     recipe: Recipe, x: Any, met: Any, below: Any, rng: np.random.Generator
 ) -> tuple[Any, Any]:
-    """Return bounds: active at x if `met`, on the side of `below`; otherwise distant or infinite."""
+    """Return bounds: active at x if `met`, on the side of `below`; else distant or infinite."""
     n = x.size
     away = rng.integers(1, 4, n) if recipe.integers else rng.uniform(0.1, 3.0, n) * (1.0 + abs(x))
     away = np.where(rng.random(n) < recipe.far, 1e9, np.where(rng.random(n) < 0.5, INF, away))

@@ -59,7 +59,7 @@ class Planted(NamedTuple):
 
 
 def planted_lcp(rng: np.random.Generator) -> Planted:
-    """Return a problem with known smallest residual: every w_i of y has the violation d_i t at z̄."""
+    """Return a problem with known least residual: every w_i of y has the violation d_i t at z̄."""
     n = int(rng.integers(2, 9))
     is_whole = bool(rng.random() < 0.6)
     kinds = rng.choice(

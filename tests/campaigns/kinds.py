@@ -246,7 +246,7 @@ def planted(rng: Generator, kind: str) -> Found:
 
 
 def large(rng: Generator, kind: str) -> Found:
-    """Check claims and error bounds on sparse H₊-matrices of 13 to 400 rows with the unique solution."""
+    """Check claims and error bounds on sparse H₊-matrices of 13 to 400 rows, solution unique."""
     n = int(rng.integers(13, 401))
     B = sp.random_array((n, n), density=min(1.0, rng.uniform(1.0, 6.0) / n), rng=rng, format="csr")
     B.data = rng.integers(-4, 5, B.nnz).astype(float)

@@ -1,4 +1,4 @@
-"""Campaign of problems with outliers among their data, for every problem class, with external checks.
+"""Campaign of problems with outliers in their data, for every problem class, checked externally.
 
     python tests/campaigns/outliers.py --kind all --count 500 --csv now.csv --beside before.csv
 
@@ -88,7 +88,7 @@ class ExactLCP:
         ]
 
     def wrong(self, z: np.ndarray, *, leaves_negligible: bool = False) -> float:
-        """Return the largest violation of w_i relative to |q_i| + Σ|m_ij z_j|, and of z_i relative to z_i.
+        """Return the largest violation of w_i relative to its terms, and of z_i relative to z_i.
 
         z_i counts as at a bound if their distance is below 1e-9 of the step that w_i requires.
         """
@@ -122,7 +122,7 @@ class ExactLCP:
         return largest
 
     def _is_negligible(self, i: int, z: list[Fraction], sizes: list[Fraction]) -> bool:
-        """Return whether row i has q_i = 0 and is negligible in its component (other rows, column of z_i)."""
+        """Return whether row i has q_i = 0 and is negligible in its component."""
         if self.q[i]:
             return False
         part = self.parts()
@@ -167,7 +167,7 @@ class ExactLCP:
         return sp.csgraph.connected_components(sp.csr_array(pattern), directed=False)[1]
 
     def is_near(self, z: np.ndarray) -> bool | None:
-        """Return whether a solution is within .1 % in every component; None if no regular case has one."""
+        """Return whether a solution is within .1 % in every component; None if none is known."""
         part, some = self.parts(), None
         for solution in self.solutions():
             some, right = False, np.array([float(value) for value in solution])
@@ -525,7 +525,10 @@ def by_others(data: list[Any]) -> np.ndarray | None:
 
 @np.errstate(all="ignore")  # ratios to 1e-300
 def violation(data: list[Any], x: np.ndarray) -> float:
-    """Return the largest violation of a row relative to its terms (at least 1e-6 |coefficient| |unknown|)."""
+    """Return the largest violation of a row relative to its terms.
+
+    The reference is at least 1e-6 of the row's largest coefficient times the largest unknown.
+    """
     _, _, G, h, A, b, lower, upper = data
     largest, worst = abs(x).max(initial=0.0), 0.0
     lower, upper = limits(lower), limits(upper)
@@ -547,7 +550,7 @@ def violation(data: list[Any], x: np.ndarray) -> float:
 
 @np.errstate(all="ignore")
 def conditions(data: list[Any], x: np.ndarray, duals: dict[str, np.ndarray]) -> float:
-    """Return the largest violation of any optimality condition, relative to the terms of its row."""
+    """Return the largest violation of an optimality condition, relative to the terms of its row."""
     P, c, G, h, A, b, lower, upper = data
     y, e, below, above = (duals[name] for name in ("inequality", "equality", "lower", "upper"))
     Q = np.zeros((len(c), len(c))) if P is None else P
@@ -584,7 +587,7 @@ def value_of(data: list[Any], x: np.ndarray) -> tuple[float, float]:
 
 
 def best_of(data: list[Any], cases: int = 600) -> tuple[float, float, float] | str | None:
-    """Return the optimal value, its size and the largest unknown; "none" if infeasible; None if unknown."""
+    """Return the optimal value, its size and the largest unknown, or "none", or None if unknown."""
     program = ExactProgram(*data)
     if program.count() <= cases:
         found = program.optimum()
@@ -770,7 +773,7 @@ def derivative_case(rng: Generator) -> Outcome:
 
 
 def game_case(rng: Generator) -> Outcome:
-    """Draw a bimatrix game; its equilibrium is checked with rational payoffs of the best replies."""
+    """Draw a bimatrix game; its equilibrium is checked with rational payoffs of best replies."""
     m, k = rng.integers(1, 5, 2)
     A, B = (rng.integers(0, rng.choice([2, 7, 100]), (m, k)).astype(float) for _ in range(2))
     words = str(rng.choice(["plain", "far", "one", "small", "offset"]))
@@ -979,7 +982,7 @@ def least_squares_case(rng: Generator) -> Outcome:
 def _slope_beside_rounding(
     rows: Any, right: Any, ridge: Fraction, x: list[Fraction], program: ExactProgram
 ) -> float:
-    """Return the largest slope of the wrong sign, relative to its change if A and b change by 100 %.
+    """Return the largest slope of the wrong sign, relative to its change for 100 % of A and b.
 
     If the ratio is at rounding level, x solves a problem whose data differ by rounding errors. If x is nevertheless
     far from the solution, A is singular to rounding error, or a bound of 1e19 is at the end of the supported range.
@@ -1010,7 +1013,7 @@ def _in_cone(z: np.ndarray, slope: float) -> float:
 
 
 def cone_case(rng: Generator) -> Outcome:
-    """Draw a strongly monotone cone problem; each block is checked relative to the terms of its rows."""
+    """Draw a strongly monotone cone problem; blocks are checked relative to their terms."""
     sizes = [int(rng.choice([1, 2, 3])) for _ in range(int(rng.integers(1, 4)))]
     n, ends = sum(sizes), np.cumsum([0, *sizes])
     L, K = integers(rng, n, n), integers(rng, n, n)
@@ -1077,7 +1080,7 @@ def cone_case(rng: Generator) -> Outcome:
 
 
 def contact_case(rng: Generator) -> Outcome:
-    """Draw one or two groups of contacts, or a tower; the laws of friction are checked in each group."""
+    """Draw one or two groups of contacts, or a tower; friction is checked in each group."""
     d, groups, qs, planted = int(rng.integers(2, 4)), [], [], []
     word = str(rng.choice(["one", "groups", "tower", "masses"]))
     mu = []
@@ -1147,7 +1150,7 @@ def contact_case(rng: Generator) -> Outcome:
 
 
 def nonlinear_case(rng: Generator) -> Outcome:
-    """Draw a monotone F with a known solution: M positive definite and increasing scalar functions."""
+    """Draw a monotone F with a known solution: M positive definite, increasing functions."""
     n = int(rng.integers(1, 5))
     L = integers(rng, n, n)
     M = L @ L.T + np.eye(n)

@@ -1,17 +1,17 @@
-"""Random Pyomo models with a known answer: read back as Pyomo evaluates them, solved, loaded, and judged in Pyomo.
+"""Random Pyomo models with a known solution: read back, solved, loaded, and checked by Pyomo.
 
-A model chooses x* and the value w* of
-every row there, then the constants. It mixes all four kinds of pairs (lower, upper, both bounds, none), sides in either
-order and of either sign, pairs of two expressions, equations, inequalities beside the pairs, fixed variables, mutable
-parameters, defined variables, indexed and nested blocks. Of each model it is looked at
+A model first draws x* and the value w* of every row there, and then computes the constants. It mixes all four types
+of pairs (lower, upper, both bounds, none), sides in either order and of either sign, and pairs of two expressions.
+It also contains equations, inequalities, fixed variables, mutable parameters, defined variables, and indexed and
+nested blocks. The campaign checks for each model
 
-- whether F and its Jacobian at a random point are what Pyomo's own ``value`` and ``differentiate`` give, to 1e-12 of
-  the terms of a row, read from the file that Pyomo wrote;
-- whether the answer is optimal and satisfies every pair, equation and inequality by Pyomo's own expressions; it may be
-  another solution than x*, which some nonlinear terms allow; then an inequality beside the pairs may fail, in words;
-- whether the model is what it was;
-- where Pyomo's own ``mpec.nl`` can state the model (no ranges, no bounds of a variable's own): whether the file that it
-  writes is solved, and its answer satisfies the model.
+- whether F and its Jacobian at a random point agree with Pyomo's ``value`` and ``differentiate``, to 1e-12 of the
+  terms of a row, read from the file that Pyomo wrote.
+- whether the solution is optimal and satisfies every pair, equation and inequality in Pyomo. It may differ from x*,
+  which some nonlinear terms allow. An additional inequality may then fail, with a message.
+- whether the model is unchanged.
+- if Pyomo's ``mpec.nl`` supports the model (no ranges, no bounds without a pair): whether the file that it writes
+  is solved, and the solution satisfies the model.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from lcp_plugin.interfaces.pyomo.model import PyomoStatement, stated
 from lcp_plugin.interfaces.pyomo.pairs import Pair
 
 SAME = 1e-12  # of the terms of a row
-NEAR = 1e-7  # ‖x − x*‖∞ beside 1 + ‖x*‖∞
+NEAR = 1e-7  # ‖x − x*‖∞ relative to 1 + ‖x*‖∞
 HOLDS = 1e-7  # the residual in Pyomo
-# Where the points of the bounds nearest to 0 are the answer, a relative residual compares rounding with rounding.
+# If the points of the bounds nearest to 0 are the solution, a relative residual compares rounding errors.
 OPTIONS = {"tolerance": 1e-12, "absolute_tolerance": 1e-13}
 KINDS = ("lower", "upper", "both", "none")
 SMOOTH = (
@@ -74,7 +74,7 @@ class Planted:
 
 
 def planted(rng: np.random.Generator) -> Planted:
-    """Return a random model: M x + smooth terms + constants, M strictly dominant; few have an answer beside x*."""
+    """Return a random model, M x + smooth terms + constants, M dominant; x* is mostly unique."""
     n = int(rng.integers(1, 9))
     m = pe.ConcreteModel()
     case = Planted(m)
@@ -118,7 +118,7 @@ def planted(rng: np.random.Generator) -> Planted:
     ]
     if (
         n > 1 and can_be_fixed and rng.random() < 0.2
-    ):  # the pair of such a variable has nothing left that gives way
+    ):  # the pair of such a variable has no complementary variable
         case.features.add("fixed")
         k = int(rng.choice(can_be_fixed))
         x[k].fix(float(spot[k]), skip_validation=True)
@@ -154,7 +154,7 @@ def state(
     spot: float,
     there: float,
 ) -> None:
-    """Add pair or equation i with x_i = spot and the row's value there less a constant as the kind allows."""
+    """Add pair or equation i with x_i = spot; the constant makes the pair valid."""
     m, variable = case.model, home.x[i]
     place = int(
         rng.choice({"lower": (-1, 0), "upper": (0, 1), "both": (-1, 0, 1), "none": (0,)}[kind])
@@ -177,7 +177,7 @@ def state(
         case.features.add("parameter")
         low, high = (m.price[i] if place < 0 else lower), (m.price[i] if place > 0 else upper)
     body: Any = variable
-    if rng.random() < 0.15:  # a pair of two expressions, and an unknown of its own for what holds x
+    if rng.random() < 0.15:  # a pair of two expressions, with a new unknown for the expression of x
         case.features.add("two expressions")
         body = home.extra[i] + 2 * variable
         home.equations.add(("extra", i), home.extra[i] + variable == 0)
@@ -208,7 +208,7 @@ def rows_of(content: NLContent) -> Program:
 
 
 def differences(statement: PyomoStatement, rng: np.random.Generator) -> float:
-    """How far F and its Jacobian are from Pyomo's own at a random point, beside the terms of the rows."""
+    """Return the distance of F and its Jacobian from Pyomo's, relative to the terms of the rows."""
     content, variables = statement.content, statement.variables
     point = np.round(rng.normal(size=len(variables)), 3)
     program = rows_of(content)
@@ -313,7 +313,7 @@ def pair_residual(first: tuple[float, float, float], second: tuple[float, float,
 
 
 def picture(model: Any) -> list[Any]:
-    """What may not change by a solve."""
+    """Return the state of a model that a solve must not change."""
     components = [
         (block.name, sorted(block.component_map()))
         for block in model.block_data_objects(active=None)
@@ -329,12 +329,12 @@ def picture(model: Any) -> list[Any]:
 
 
 def hidden(expressions: Any) -> list[Any]:
-    """How many arguments each node holds: sums share their lists, which may hold more than the sum shows."""
+    """Return the number of arguments of each node, because sums share longer lists of arguments."""
     return [[len(e._args_), hidden(e.args)] for e in expressions if hasattr(e, "_args_")]
 
 
 def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
-    """What is wrong with a model."""
+    """Yield the faults of a model."""
     model = case.model
     before = picture(model)
     with tempfile.TemporaryDirectory() as folder:
@@ -366,7 +366,7 @@ def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
 
 
 def faults_by_file(model: Any) -> Iterator[str]:
-    """What is wrong with the answer to the file that Pyomo writes after its own transformation."""
+    """Yield the faults of the solution to the file that Pyomo writes after its transformation."""
     names = {variable.name: variable for variable in model.component_data_objects(pe.Var)}
     parts = parts_of(model)
     pe.TransformationFactory("mpec.nl").apply_to(

@@ -1,13 +1,13 @@
-"""The same program in euros and in millions: one status, one objective, and no answer with an exact proof against it.
+"""Scaled versions of a program: one status, one objective, no result that a proof excludes.
 
-A third of the programs has a planted minimum, a third
-contradictory constraints, a third a planted direction of endless descent; dense, sparse, degenerate, rank deficient and
-linear ones in turn. Each is solved as it is drawn, then with its objective, its rows, its unknowns, and all of these
-multiplied by 10^±6, ±9 or ±12, each row and each unknown by its own. Claimed:
+A third of the programs has a known minimum, a third inconsistent constraints, and a third a known recession
+direction. They are dense, sparse, degenerate, rank deficient and linear. Each is solved unscaled, and then with its
+objective, its rows, its unknowns, and all of these multiplied by 10^±6, ±9 or ±12, each row and each unknown
+separately. The campaign checks
 
-- the planted status in every unit;
-- the planted objective, to 1e-6 of its terms;
-- where an exact proof says that there is no minimum, nothing is SOLVED but within a thousandth of the tolerance.
+- the known status at every scale.
+- the known objective, to 1e-6 of its terms.
+- SOLVED, if an exact proof excludes a minimum, only within a thousandth of the tolerance.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ OUTCOMES = (Status.SOLVED, Status.INFEASIBLE, Status.UNBOUNDED)
 WHAT = ("as drawn", "objective", "rows", "unknowns", "together")
 EXPONENTS = (6, 9, 12)
 CLOSE = 1e-6  # of the objective's terms
-SURE = 1e-9  # a thousandth of what residuals may be
+SURE = 1e-9  # a thousandth of the tolerance of residuals
 INF = np.inf
 
 
 class Planted(NamedTuple):
-    """A program whose status is known, and its minimum; None where there is none."""
+    """A program with known status, and its minimum, or None."""
 
     program: QuadraticProgram
     status: Status
@@ -53,7 +53,7 @@ def planted(case: int, rng: np.random.Generator, largest: int = 24) -> Planted:
         d[int(rng.integers(n))] += 1.0
         d = np.where(is_low, np.abs(d), d)
         C[m:], B = _across(C[m:], d), _across(B, d)
-        B[np.abs(B) < 1e-12] = 0.0  # rounding, which a small P would be made of
+        B[np.abs(B) < 1e-12] = 0.0  # rounding errors would dominate a small P
         C[:m] *= np.where(C[:m] @ d > 0.0, -1.0, 1.0)[:, None]
     meets = rng.random(m) < 0.5
     y = np.where(
@@ -91,14 +91,14 @@ def _entries(rng: np.random.Generator, shape: tuple[int, int], share: float) -> 
 
 
 def _across(rows: Any, d: Any) -> Any:
-    """Return the rows, but for what they have along d."""
+    """Return the rows, projected orthogonally to d."""
     return rows - np.outer(rows @ d, d) / (d @ d)
 
 
 def rescaled(
     program: QuadraticProgram, what: str, rng: np.random.Generator
 ) -> tuple[QuadraticProgram, float]:
-    """Return the program in other units, and what its objective is multiplied by."""
+    """Return the scaled program, and the factor of its objective."""
     size = int(rng.choice(EXPONENTS))
     m, p, n = program.h.size, program.b.size, program.n
 
@@ -133,7 +133,7 @@ def rescaled(
 
 
 def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str, list[str]]:
-    """Return what is said of the program in some units, and what is wrong with it."""
+    """Return the status of the scaled program, and its errors."""
     result = solve(program)
     bad = [f"{result.status.name} for {case.status.name}"] * (result.status is not case.status)
     if result.status is Status.SOLVED:
@@ -156,7 +156,7 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
 
 
 def one(seed: int, case: int) -> list[str]:
-    """Return false statements about a program in any units."""
+    """Return false results for a program at all scales."""
     rng = np.random.default_rng([seed, case])
     drawn, bad = planted(case, rng), list[str]()
     for what in WHAT:

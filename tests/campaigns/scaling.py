@@ -1,11 +1,11 @@
-"""Right and wrong answers of planted problems in any units: what passes, what is refused, what auto says.
+"""Right and wrong solutions of problems with known solutions, at any scale of rows and unknowns.
 
-Of each kind, in random units of rows and unknowns (powers of two from 2⁻²⁰ to 2²⁰; "smooth": such as differ little from
-one unknown to the next), so many cases. What is right to 10⁻¹⁰ must be accepted at 1e-8; auto must end with the same
-status in two units, and what it calls SOLVED must be as near as the planted answer. Told, but no failure: an answer
-wrong by 10⁻³ in one unknown's own unit that passes 1e-6 (units are found to some powers of two; coefficients that jump
-by 2¹⁰ to 2³⁰ cannot be told from them), the largest ratio of two residuals of the same z in two units, and the largest
-term residual of a right answer over the tolerance 1e-8.
+Cases of each class are scaled by powers of two from 2⁻²⁰ to 2²⁰. The scaling "smooth" differs little from one
+unknown to the next. Points that are right to 10⁻¹⁰ must pass at 1e-8. auto must return the same status in two
+scalings, and a SOLVED z must be as accurate as the known solution. The script also reports three numbers that are
+not failures. The first counts solutions with an error of 10⁻³ in one unknown that pass 1e-6, because scalings are
+only estimated. The second is the largest ratio of two residuals of the same z in two scalings. The third is the
+largest term residual of a right solution over the tolerance 1e-8.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def answered(kind: Any, seed: int) -> tuple[Entries, Entries, Entries]:
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     M = kind(rng, int(rng.integers(4, 13)))
     is_free = rng.random(len(M)) < 0.6
-    is_free[[0, -1]] = True  # so that q says something of both blocks of a game
+    is_free[[0, -1]] = True  # so that q is nonzero in both blocks of a game
     sizes = np.exp(rng.uniform(-1.0, 1.0, (2, len(M))))
     z, w = (
         np.where(is_free, sizes[0], 0.0),
@@ -97,12 +97,12 @@ def answered(kind: Any, seed: int) -> tuple[Entries, Entries, Entries]:
 
 
 def measured(M: Entries, q: Entries, rows: Entries, units: Entries) -> LCP:
-    """The problem with its rows and unknowns in other units."""
+    """Return the problem with scaled rows and unknowns."""
     return LCP(rows[:, None] * M / units, rows * q)
 
 
 def random_scaling(seed: int, n: int, kind: str = "mixed") -> tuple[Entries, Entries]:
-    """Of rows and of unknowns, powers of two; smooth ones differ little from one unknown to the next."""
+    """Return scalings of rows and unknowns, powers of two; "smooth" ones vary little."""
     rng = np.random.default_rng([seed, 7])
     rows, units = np.exp2(rng.integers(-20, 21, (2, n)))
     if kind == "smooth":
@@ -112,12 +112,12 @@ def random_scaling(seed: int, n: int, kind: str = "mixed") -> tuple[Entries, Ent
 
 
 def is_answer(M: Entries, q: Entries, z: Entries) -> bool:
-    """Whether z solves the problem, rounding aside."""
+    """Return whether z solves the problem up to rounding error."""
     return bool(np.abs(np.minimum(z, M @ z + q)).max() <= 1e-12 * np.abs(q).max())
 
 
 def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list[str]:
-    """What is to be counted of a case."""
+    """Return the failures and remarks of a case."""
     M, q, z = answered(kind, seed)
     rng, (rows, of_z) = np.random.default_rng([seed, 1]), random_scaling(seed, z.size, units)
     problem, found = measured(M, q, rows, of_z), []

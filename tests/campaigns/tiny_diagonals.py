@@ -1,12 +1,12 @@
 """Small integer problems with tiny diagonal entries, the truth by all cases in exact fractions.
 
-A tiny m_ii makes w_i / m_ii a distance that nothing else in the problem knows of, and one that cancels has any sign.
-Prints what became of the problems, and of
-planted ones with 20 unknowns and one entry 1e-9, and each SOLVED that is none.
+A tiny m_ii makes the distance w_i / m_ii irrelevant for the rest of the problem, and the sign of an m_ii that cancels
+is random. The script prints counts of statuses, also for problems with a known solution, 20 unknowns and one entry
+1e-9, and each false SOLVED.
 
-A z that is far from every solution is ill-conditioned, and no false one, where it is exactly a solution of a problem
-whose every number differs from the given one by less than the tolerance, relatively: where each row is wrong by no more
-than that beside the sum of its terms' sizes (Oettli and Prager). There M is singular but for such a change.
+A z far from every solution is ill-conditioned, but not false, if it solves a problem with all numbers within the
+tolerance, relatively. By Oettli and Prager this means that the violation of each row is at most the tolerance times
+the sum of the sizes of its terms. M is then singular up to such a change.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from lcp_plugin import LCP, solve
 
 Exact = list[Fraction]
-FAR = 1e-3  # beside the largest unknown: a z that far from every solution is none
-ROUNDED, TOLERANCE = 1e-11, 1e-8  # beside a row's terms: rounding of data; what was asked for
+FAR = 1e-3  # relative to the largest unknown: a z farther from every solution is wrong
+ROUNDED, TOLERANCE = 1e-11, 1e-8  # relative to a row's terms: of the data, of the run
 UNIT = Fraction(1e-16)  # of integers
-SLIGHT = 1e-6  # what a point of a segment of solutions, found beside z, may miss a sign by
+SLIGHT = 1e-6  # tolerated violation of a sign by a point near z on a segment of solutions
 
 
 def drawn(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +50,7 @@ def planted(rng: np.random.Generator, n: int = 20) -> tuple[np.ndarray, np.ndarr
 
 
 def beside(rows: list[Exact], right: Exact, x: Exact) -> Exact | None:
-    """Return the solution of a linear system with the unknowns that it leaves open at x; None where it has none."""
+    """Return the solution of a linear system, with undetermined unknowns from x, or None."""
     system, pivots = (
         [[*row, value] for row, value in zip(rows, right, strict=True)],
         dict[int, int](),
@@ -77,7 +77,7 @@ def beside(rows: list[Exact], right: Exact, x: Exact) -> Exact | None:
 
 
 def solutions_near(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> Iterator[Exact]:
-    """Yield a solution of each case that has one, that of z first; of a case with many the one beside z."""
+    """Yield a solution per solvable active set, each near z, the active set of z first."""
     n = q.size
     exact, offset, point = ([Fraction(v) for v in array.ravel().tolist()] for array in (M, q, z))
     own = tuple(np.flatnonzero(z > M @ z + q).tolist())
@@ -105,7 +105,7 @@ def is_singular(rows: list[Exact]) -> bool:
 
 
 def kind_of_answer(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> str:
-    """Return '' where some solution is near z or each row right but for rounding; else how z is none."""
+    """Return '' if a solution is near z or all rows hold, else the type of failure."""
     wrong = largest_wrong_part(M, q, z)
     if wrong <= ROUNDED:
         return ""
@@ -117,7 +117,7 @@ def kind_of_answer(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> str:
 
 
 def largest_wrong_part(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> float:
-    """Return that of w beside the terms of its row, both exact; ∞ where z is not ≥ 0."""
+    """Return the largest exact violation of w relative to the terms of its row; ∞ unless z ≥ 0."""
     largest, point = Fraction(0), [Fraction(value) for value in z.tolist()]
     for row, offset, own in zip(M.tolist(), q.tolist(), point, strict=True):
         terms = [Fraction(offset), *(Fraction(a) * b for a, b in zip(row, point, strict=True))]
@@ -131,7 +131,7 @@ def largest_wrong_part(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> float:
 
 
 def judged(case: tuple[np.ndarray, np.ndarray], algorithm: str = "auto") -> tuple[str, np.ndarray]:
-    """Return the status, with what z is behind it where it is SOLVED and z is no answer, and z."""
+    """Return the status, extended by the type of failure of a false SOLVED, and z."""
     result = solve(LCP(*case), algorithm, max_iterations=1000)
     return result.status.name + (
         kind_of_answer(*case, result.z) if result.is_solved else ""

@@ -167,7 +167,7 @@ def test_out_holds_the_solution() -> None:
 
 
 def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
-    """Option --out overwrites an earlier result, but raises an error for the file of the problem."""
+    """Option --out overwrites an earlier result, but not the file of the problem."""
     BOX.save("p.npz")
     lcp_plugin("solve", "half_active:n=4", "--out", "z.npz")
     assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
@@ -421,7 +421,7 @@ def test_failing_write_is_told_and_leaves_nothing(
 
 
 def test_compare_prints_and_saves_error_against_time() -> None:
-    """The command prints a line per algorithm and reference, and writes all points to CSV and a figure."""
+    """The command prints a line per algorithm and reference, and writes all points and a figure."""
     words = "compare obstacle-2d --size 8 -a npsor -a psor --reference CLARABEL --repeats 1"
     done = lcp_plugin(*words.split(), "--plot", "out.png", "--out", "out.csv")
     assert done.exit_code == 0, done.output
@@ -477,7 +477,7 @@ def test_list_shows_everything_there_is() -> None:
     [("daqp", "iter_limit=50"), ("piqp", "max_iter=50"), ("clarabel", "max_iter=50")],
 )
 def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
-    """`solve FILE -a ENGINE` finds the known minimum with options of the engine, and rejects others."""
+    """`solve FILE -a ENGINE` finds the known minimum with its options, and rejects others."""
     matrices = {"P": sp.csc_array([[2.0, 0.0], [0.0, 2.0]]), "A": sp.csc_array([[1.0, 1.0]])}
     parts = {
         f"{key}_{part}": getattr(one, part)

@@ -121,7 +121,7 @@ def test_the_call_that_is_advised_solves_the_problem(
 
 @pytest.mark.parametrize("name", list(REGISTRY))
 def test_no_algorithm_is_advised_to_itself(name: str) -> None:
-    """The error or advice of an algorithm that does not solve a problem does not name the algorithm."""
+    """The error or advice of an algorithm that fails does not name the algorithm."""
     for problem in (CONTACT, FAR, SADDLE, UNSUITED, TRAPPED):
         for limit in (None, 2):
             try:
@@ -152,7 +152,7 @@ def hard(seed: int = 0) -> tuple[LCP, np.ndarray]:
 
 @pytest.mark.full
 def test_auto_is_not_advised_to_itself() -> None:
-    """If auto fails, its advice contains neither auto nor a scaling but another start, which helps."""
+    """If auto fails, its advice recommends another start, which helps."""
     problem, z = hard()
     result = solve(problem)
     assert result.status is Status.STALLED
@@ -179,7 +179,7 @@ def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
 @pytest.mark.parametrize("size", [3, 40], ids=["in one compiled call", "step by step"])
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "newton"])
 def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
-    """If the start is the solution, explain() reports this as the reason, and otherwise does not."""
+    """If the start is the solution, explain() reports this, and otherwise not."""
     problem = gallery.obstacle_2d(size=size).problem
     answer = solve(problem, algorithm, tolerance=1e-10)
     again = solve(problem, algorithm, z0=answer.z)
@@ -225,7 +225,7 @@ def test_a_stage_is_told_in_words(name: str) -> None:
 
 
 def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
-    """The explanation of a small infeasible program uses the run itself, and starts no second run."""
+    """The explanation of a small infeasible program uses the run, and starts no second run."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
     assert "npsor" not in result.explain()
@@ -245,7 +245,7 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
 
 
 def test_an_equation_too_many_is_told_the_way_out() -> None:
-    """Prices that sum to one, in addition to all markets: the advice is to drop a market or add a multiplier."""
+    """Prices that sum to one, with all markets: drop a market, or add a multiplier."""
     p, scale = cp.Variable(2), cp.Variable()
     with pytest.raises(LCPError, match=r"sum\(p\) == 1, drop a market .* free multiplier"):
         cp.Problem(cp.Minimize(0), [complements(p >= 0, p - 0.5 >= 0), cp.sum(p) == 1]).solve(

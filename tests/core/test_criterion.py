@@ -113,7 +113,7 @@ def constructed(name: str) -> tuple[LCP, Any, Any]:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", CONSTRUCTED)
 def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) -> None:
-    """No method calls a constructed wrong point SOLVED: the result is right, or has another status."""
+    """No method calls a constructed wrong point SOLVED: results are right or not SOLVED."""
     problem, wrong, right = constructed(name)
     if method == "psor" and (problem.diagonal <= 0.0).any():
         with pytest.raises(UnsuitableMatrix):
@@ -250,7 +250,7 @@ def test_a_stack_is_judged_as_its_problems() -> None:
 
 
 def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
-    """If m_ii is small relative to its row, an error of 1e-16 in w_i does not count as a distance of 1e-4."""
+    """If m_ii is small relative to its row, an error of 1e-16 in w_i is not a distance of 1e-4."""
     for tiny in 10.0 ** -np.arange(6.0, 14.0):
         problem = LCP([[1.0, -2.0], [3.0, tiny]], [-3.0, -8.0])
         right = np.array([(3.0 * tiny + 16.0), 8.0 - 9.0]) / (tiny + 6.0)
@@ -262,7 +262,7 @@ def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
 
 
 def test_rows_where_no_double_is_nearer_are_right() -> None:
-    """A diffusion step into an underflowing far field is SOLVED; a wrong row of 1e-309 is detected."""
+    """A diffusion step into an underflowing far field is SOLVED; a wrong 1e-309 is detected."""
     n = 2400
     M = sp.diags_array([-8.0, 17.0, -8.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
     problem = LCP(M, -np.fmax(5e-324, 0.1 ** np.arange(n)))
@@ -288,7 +288,7 @@ def test_integers_with_tiny_diagonals_by_all_cases() -> None:
 
 
 def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
-    """For z* = w* = 0 the remainder of z is as large as the terms of its row, and the row passes."""
+    """For z* = w* = 0 the remainder of z is as large as the terms of its row, which passes."""
     M = 4.0 * np.eye(60) - np.eye(60, k=1) - np.eye(60, k=-1)
     z = np.where(np.arange(60) < 20, 1.0, 0.0)
     result = solve(LCP(M, np.where(np.arange(60) == 20, 1.0, 0.0) - M @ z), "npgs")
@@ -375,7 +375,7 @@ def test_the_worst_component_is_named_by_what_is_proved() -> None:
 
 
 def test_a_change_in_the_small_component_is_seen_by_a_warm_start() -> None:
-    """If q changes on the smaller of two grids, 1e10 apart in size, the old solution no longer passes."""
+    """If q changes on the smaller of two grids, 1e10 apart, the old solution fails."""
     problem, z = two_grids(1e10, 1.0)
     first = solve(problem)
     assert first.is_solved
@@ -392,7 +392,7 @@ def test_a_change_in_the_small_component_is_seen_by_a_warm_start() -> None:
 
 @pytest.mark.parametrize("unit", [1e12, 1e-12])
 def test_the_interior_point_method_solves_components_far_apart(unit: float) -> None:
-    """The path of the interior point is shared by components in units 10^±12, and both are SOLVED."""
+    """The path of the interior point is shared by components 10^±12 apart, both SOLVED."""
     problem, z = two_grids(unit, 1.0, side=10)
     result = solve(problem, "interior_point")
     assert result.is_solved
@@ -410,7 +410,7 @@ def test_what_z0_solves_exactly_is_left_there() -> None:
 
 
 def test_a_narrow_box_is_no_rounding() -> None:
-    """The bound z₂ ≤ 1e-17 makes the residual of z° small, but w₂ = −1 shows that z₂ = 1e-17 is right."""
+    """The bound z₂ ≤ 1e-17 makes r(z°) small, but w₂ = −1 shows that z₂ = 1e-17 is right."""
     problem = LCP(np.eye(2), [-3.0, -1.0], lower=[1.0, 0.0], upper=[np.inf, 1e-17])
     result = solve(problem)
     assert result.is_solved
@@ -418,7 +418,7 @@ def test_a_narrow_box_is_no_rounding() -> None:
 
 
 def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
-    """The value z₂ = 3 misses by the rounding error of 0.3: PRECISION_LIMIT, and other rows are solved."""
+    """The value z₂ = 3 misses by the rounding error of 0.3: PRECISION_LIMIT, other rows solved."""
     M = np.zeros((6, 6))
     M[:5, :5] = (
         np.tril(np.full((5, 5), -1.0), -1) + np.triu(np.full((5, 5), 2.0), 1) + 3.0 * np.eye(5)
@@ -433,7 +433,7 @@ def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer(
 
 
 def test_a_residual_beyond_the_range_of_doubles_is_not_rounding() -> None:
-    """Row w₁ = −1e200 with the scale 1e-200, and w₂ = −1 is infeasible: the error of 1e400 is not rounding."""
+    """Row w₁ = −1e200 with the scale 1e-200, and w₂ = −1 is infeasible: 1e400 is not rounding."""
     result = solve(LCP([[-1e-200, 0.0], [0.0, 0.0]], [-1e200, -1.0]))
     assert result.status not in (Status.PRECISION_LIMIT, Status.SOLVED)
 
@@ -448,7 +448,7 @@ def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) 
 
 
 def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
-    """An infeasible component makes the entire problem INFEASIBLE, with a proof for the unscaled data."""
+    """An infeasible component makes the problem INFEASIBLE, with a proof for the unscaled data."""
     problem = LCP(np.diag([1.0, -1.0, 2.0]), [-1e6, -1e3, -1.0])
     result = solve(problem)
     assert result.status is Status.INFEASIBLE
@@ -476,7 +476,7 @@ def batch_of_components() -> tuple[Any, ...]:
 
 
 def test_batches_have_the_answers_of_single_solves() -> None:
-    """Stacked and listed problems have the solution and status of single solves, and no false SOLVED."""
+    """Stacked and listed problems have the solution and status of single solves."""
     M, q = batch_of_components()
     problems = [LCP(*one) for one in zip(M, q, strict=True)]
     alone = [solve(problem) for problem in problems]
@@ -545,7 +545,7 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (friction, game)])
 def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
-    """If w is positive and large, a z off its bound by 1e-12 counts as rounding error of the bound."""
+    """If w is positive and large, a z off its bound by 1e-12 counts as rounding error."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
         rows, of_z = random_scaling(seed, z.size)[0], np.ones(z.size)
@@ -637,7 +637,7 @@ def laplacian(side: int, noise: float = 0.0) -> sp.csr_array:
 
 
 def test_entries_that_ought_to_cancel_leave_a_matrix_symmetric():
-    """Differences |m_ij − m_ji| at rounding level of the rows are ignored, unlike real convection."""
+    """Differences |m_ij − m_ji| at rounding level of the rows are ignored, real convection not."""
     M = laplacian(20, noise=4e-16)
     assert is_nearly_symmetric(Matrix(M))
     assert not is_nearly_symmetric(Matrix(laplacian(20, noise=1e-9)))

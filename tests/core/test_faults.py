@@ -1,4 +1,4 @@
-"""What goes wrong around a run: it is told, nothing is corrupted, and the next answer has the same bits as ever."""
+"""Faults around a run: they are reported, corrupt nothing, and later results have the same bits."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ COMPILED_IN_TWO_THREADS = """
 
 @pytest.mark.full
 def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
-    """In a process without kept code, numba is set up once: neither thread compiles by half of its tables."""
+    """In a process without cached code, two threads set up numba's tables once."""
     done = in_a_process(COMPILED_IN_TWO_THREADS, NUMBA_CACHE_DIR=str(tmp_path))
     assert done.stdout.split() == ["6.0", "0.0"], done.stderr
 
@@ -104,7 +104,7 @@ def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
 def test_a_method_of_the_chain_that_breaks_is_replaced(
     fault: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the first method of auto yields NaN, ∞ or nonsense from some step on, another one solves the problem."""
+    """If the first method of auto yields NaN, ∞ or wrong points, another method takes over."""
     healthy = NPSOR.iterates
 
     def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
@@ -127,7 +127,7 @@ def test_a_method_of_the_chain_that_breaks_is_replaced(
 def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What is no refusal of a matrix is a fault: auto does not hide it behind another method."""
+    """An unexpected exception propagates: auto does not hide it behind another method."""
 
     def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         yield Step(z0)
@@ -183,13 +183,13 @@ MEMORY = """
     not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux"
 )
 def test_where_memory_ends_it_is_said() -> None:
-    """Under a memory limit a run ends with MemoryError or a refusal or an honest result, and later runs are whole."""
+    """Under a memory limit a run ends with MemoryError, an LCPError or a result; others work."""
     done = in_a_process(
         MEMORY, MALLOC_MMAP_THRESHOLD_="65536"
     )  # what is freed does not stay with the process
     assert "finished" in done.stdout.splitlines(), (
         done.stdout + done.stderr
-    )  # what SuperLU prints may come later
+    )  # because SuperLU may print later
     assert "MemoryError" in done.stdout
 
 
@@ -205,7 +205,7 @@ SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"
 
 @pytest.fixture(scope="module")
 def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the package beside which nothing can be cached, whoever asks: its cache folders are files."""
+    """Return a copy of the package in which nothing can be cached: its cache folders are files."""
     folder = tmp_path_factory.mktemp("copy")
     copytree(PACKAGE, folder / "lcp_plugin", ignore=ignore_patterns("__pycache__"))
     for package in [
@@ -221,7 +221,7 @@ def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_compiled_code_needs_no_place_on_disk(
     cache: str, read_only_package: Path, tmp_path: Path
 ) -> None:
-    """Where no folder takes compiled code, or the disk is full when it is written, the kernels work all the same."""
+    """If compiled code cannot be stored, or the disk is full, the kernels nevertheless work."""
     blocked = tmp_path / "file"
     blocked.write_text("")
     environment = {
@@ -247,7 +247,7 @@ def test_compiled_code_needs_no_place_on_disk(
 
 
 def everything(problem: LCP) -> tuple[bytes, ...]:
-    """The bits of what the package says about a problem: every algorithm, report, bound, batch."""
+    """Return the bits of all results for a problem: algorithms, reports, bounds, batches."""
     found: tuple[bytes, ...] = ()
     for name in ("auto", *(name for name in BOUNDED if name != "npsplitting")):
         found += bits(solve(problem, name, max_iterations=200).z)

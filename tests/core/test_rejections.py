@@ -154,7 +154,6 @@ MATRICES = [
     row(InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
     matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
     matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
-    matrix(damaged_csr(indptr=[0, 2, 1, 0]), r"damaged sparse.*decreasing"),
     matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
     matrix(damaged_csr(data=[1.0]), r"damaged sparse"),
 ]
@@ -258,7 +257,6 @@ RUNS = [
         lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
     ),
     run(r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
-    run(r"solve takes no x0 for an LCP; the start is called z0", x0=[0.0, 0.0, 0.0]),
     run(r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
     run(r"tolerance must be finite and not negative, got nan", tolerance=NAN),
     run(r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),
@@ -308,7 +306,7 @@ POINTS = [
     ("error", "pattern", "call"), [*MATRICES, *OFFSETS, *BOUNDS, *RUNS, *POINTS]
 )
 def test_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
-    """A wrong argument raises an error that names the argument, and the call has no side effects."""
+    """A wrong argument raises an error that names the argument, without side effects."""
     assert_refused(error, pattern, call)
 
 
@@ -354,7 +352,7 @@ def test_every_option_has_bad_values() -> None:
 
 @pytest.mark.parametrize(("name", "option", "value"), OPTION_ROWS)
 def test_option_out_of_range(name: str, option: str, value: Any) -> None:
-    """An invalid option value raises an error with algorithm, option and value, in solve and the class."""
+    """An invalid option value raises an error with algorithm, option and value."""
     pattern = rf"^{name}\b.*\b{option}\b.*{re.escape(repr(value))}"
     assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, name, **{option: value}))
     assert_refused(InvalidOption, pattern, lambda g: KINDS[name](**{option: value}))
@@ -437,7 +435,7 @@ def test_advice_is_not_what_was_already_done() -> None:
 def test_diagonal_near_the_largest_double_is_no_obstacle(
     name: str, options: dict[str, Any]
 ) -> None:
-    """A diagonal of 1e308 or 1e-307 does not overflow: no warning, no error, and the right solution."""
+    """A diagonal of 1e308 or 1e-307 does not overflow: the solution is right, without warning."""
     result = solve(LCP([[1e308, 0.0], [0.0, 4.0]], [1e307, -1.0]), name, **options)
     assert result.is_solved
     assert solve(LCP([[1e-307, 0.0], [0.0, 4.0]], [1e-307, -1.0]), name, **options).is_solved

@@ -143,7 +143,7 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
 
 
 def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
-    """Engines support a limit of steps, a record and a callback, ignore a start, and reject bad values."""
+    """Engines support a step limit, record and callback, ignore a start, and reject bad values."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)
     assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may complete one step

@@ -61,14 +61,14 @@ def random_spd_problem(seed: int) -> LCP:
 
 
 def clear_rows(certificate: Certificate, threshold: float) -> np.ndarray:
-    """1 at the lower bound, 2 at the upper, 3 between, 0 where degenerate within the threshold."""
+    """Return 1 at the lower bound, 2 at the upper, 3 between, 0 if degenerate."""
     problem, z, w = certificate.problem, certificate.z, certificate.w
     inside = (z - problem.lower > threshold) & (problem.upper - z > threshold)
     return np.select([w > threshold, w < -threshold, inside], [1, 2, 3], 0)
 
 
 def altered(result: Result, i: int, by: float) -> Result:
-    """The result with another z, and everything else as it was."""
+    """Return the result with z_i changed."""
     z = result.z.copy()
     z[i] += by
     return replace(result, z=z)
@@ -80,7 +80,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch: int) -> None:
-    """On random symmetric positive definite problems z agrees to 1e-7 of its size, and clear active sets are equal."""
+    """Solutions z of random SPD problems agree to 1e-7, and clear active sets are equal."""
     for seed in range(batch, COUNT, BATCHES):
         problem = random_spd_problem(seed)
         check = cross_validate(problem, tolerance=1e-12)
@@ -97,7 +97,7 @@ def test_random_spd_problems_agree(batch: int) -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
-    """Where M is singular w agrees to 1e-7 although z need not."""
+    """For singular M, w agrees to 1e-7 although z may differ."""
     generator = np.random.default_rng(seed)
     n, rank = 12, int(generator.integers(2, 8))
     B = generator.normal(size=(n, rank))
@@ -113,7 +113,7 @@ def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
 
 
 def test_a_solution_that_is_not_unique_is_named() -> None:
-    """Two z on one face of solutions: the same w, and the verdict says that z is not unique."""
+    """Two z on one face of solutions have the same w, and the verdict is that z is not unique."""
     check = cross_validate(LCP([[1.0, 1.0], [1.0, 1.0]], [-1.0, -1.0]), algorithm="pgs")
     assert check.agrees
     assert check.difference_z > 0.1 > 1e-9 > check.difference_w
@@ -139,7 +139,7 @@ def test_scenes_agree(target: str, kind: str) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
-    """A nonsymmetric monotone problem agrees with its gap program, whatever its bounds."""
+    """A nonsymmetric monotone problem agrees with its gap program for all types of bounds."""
     generator = np.random.default_rng(seed)
     n = int(generator.integers(2, 20))
     skew = generator.normal(size=(n, n))
@@ -175,7 +175,7 @@ def test_every_installed_reference_agrees(reference: str) -> None:
 
 @pytest.mark.full
 def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
-    """Where M is nearly singular a clear difference of z condemns nobody, and the reason gives it."""
+    """For nearly singular M a difference of z is not a mismatch, and the reason mentions it."""
     n = 300
     ones = np.ones(n)
     second = sp.diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1])
@@ -193,7 +193,7 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("exponent", [-100, -30, 30, 100])
 def test_units_do_not_matter(exponent: int) -> None:
-    """The verdict is the same in any unit of z and of w; the references' tolerances are absolute."""
+    """The verdict is independent of the scaling of z and w; reference tolerances are absolute."""
     problem = random_spd_problem(3)
     for row, column in ((exponent, 0), (0, exponent)):
         scaled = LCP(
@@ -211,7 +211,7 @@ def test_units_do_not_matter(exponent: int) -> None:
 @pytest.mark.parametrize("by", [1.0, 1e-3, 1e-6])
 @pytest.mark.parametrize("target", ["obstacle_2d:size=8", "optimal_stopping:size=6"])
 def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
-    """An answer that says SOLVED and has one wrong component is a mismatch."""
+    """A SOLVED result with one wrong component is a mismatch."""
     problem = gallery.parse(target).problem
     wrong = altered(solve(problem, tolerance=1e-9), problem.n // 2, by)
     check = cross_validate(problem, wrong)
@@ -253,7 +253,7 @@ def test_disagreement_of_any_two_points_is_explained(monotone_only: bool) -> Non
 
 
 def test_an_answer_less_accurate_than_asked_is_no_mismatch() -> None:
-    """A run that ended early and says so is not comparable; one solved to a loose tolerance agrees as far as it can."""
+    """A run that ended early is not comparable; a run with a loose tolerance agrees."""
     problem = gallery.parse("obstacle_2d:size=20").problem
     early = cross_validate(problem, solve(problem, max_iterations=2))
     assert early.verdict == "not comparable"
@@ -292,7 +292,7 @@ def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -
 )
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, kind: type) -> None:
-    """An indefinite problem reaches no solver: one line says why."""
+    """An indefinite problem reaches no solver, and the formulation contains the reason."""
     check = cross_validate(LCP(kind(M), [1.0, 1.0]))
     assert (check.verdict, check.theirs) == ("not comparable", None)
     assert check.formulation.startswith(reason)
@@ -300,7 +300,7 @@ def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, ki
 
 
 def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
-    """What says SOLVED and is not is found out by its residual."""
+    """A false SOLVED is a mismatch because of its residual."""
     problem = gallery.parse("random_h_plus:n=30").problem
     result = solve(problem, tolerance=1e-9)
     assert cross_validate(problem, result).verdict == "not comparable"
@@ -318,7 +318,7 @@ def test_two_solutions_are_no_mismatch() -> None:
 
 
 def test_a_reference_that_raises_is_not_comparable() -> None:
-    """An option that the solver does not know: the verdict tells what it said, and nothing is raised."""
+    """If the reference rejects an option, the reason contains its message."""
     problem = gallery.parse("obstacle_2d:size=6").problem
     check = cross_validate(problem, reference="OSQP", no_such_option=1)
     assert (check.verdict, check.theirs) == ("not comparable", None)
@@ -327,7 +327,7 @@ def test_a_reference_that_raises_is_not_comparable() -> None:
 
 
 def test_a_solver_is_not_compared_with_itself() -> None:
-    """interior_point hands its program to PIQP: next to PIQP that is no check, next to another solver it is."""
+    """Method interior_point uses PIQP, and is therefore compared only with other solvers."""
     problem = gallery.parse("obstacle_2d:size=6").problem
     check = cross_validate(problem, reference="piqp", algorithm="interior_point")
     assert check.verdict == "not comparable"
@@ -350,7 +350,7 @@ def test_arguments_that_cannot_be_used() -> None:
 
 
 def test_answer_that_is_not_finite() -> None:
-    """A z of NaN that says SOLVED is no agreement, and the comparison does not fall over."""
+    """A SOLVED result with z = NaN does not agree, and the comparison raises no error."""
     problem = LCP([[2.0, 0.0], [0.0, 2.0]], [-1.0, -1.0])
     check = cross_validate(problem, altered(solve(problem), 0, np.nan))
     assert check.verdict != "agree"
@@ -359,7 +359,7 @@ def test_answer_that_is_not_finite() -> None:
 
 
 def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
-    """The story begins with the verdict and lists both sides; the solvers themselves print nothing."""
+    """The explanation begins with the verdict and lists both sides; the solvers print nothing."""
     check = cross_validate(gallery.parse("obstacle_2d:size=3").problem)
     out, err = capfd.readouterr()
     assert (out, err) == ("", "")

@@ -1,4 +1,4 @@
-"""Stiff and extreme data: the solution is found if possible, and otherwise the status is correct."""
+"""Stiff and extreme data: the solution is found if possible, else the status is correct."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def scaled_options(name: str) -> dict[str, Any]:
 
 
 def exact_residual(problem: LCP, z: np.ndarray) -> list[tuple[Fraction, Fraction]]:
-    """Return per row |r_i| and its rounding bound, k_i ε (|M||z| + |q|)_i / d_i plus underflow, exactly."""
+    """Return per row |r_i| and its rounding bound, k_i ε terms_i / d_i plus underflow, exactly."""
     M, found = problem.csr, []
     for i in range(problem.n):
         entries = range(M.indptr[i], M.indptr[i + 1])
@@ -73,7 +73,7 @@ UNITS = [1e-150, 1.0, 1e150]
 @pytest.mark.parametrize("z_unit", UNITS)
 @pytest.mark.parametrize("w_unit", UNITS)
 def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -> None:
-    """Every algorithm finds the same solution in about the same iterations for z and w in 1e±150."""
+    """Every algorithm finds the same solution in similar iterations for z and w in 1e±150."""
     scene = gallery.half_active(n=100, block=5)
     plain = solve(scene.problem, name, **scaled_options(name))
     problem = LCP(scene.problem.csr * (w_unit / z_unit), scene.problem.q * w_unit)
@@ -86,7 +86,7 @@ def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -
 
 @EVERY_ALGORITHM
 def test_rows_of_any_size(name: str) -> None:
-    """Rows multiplied by 1e±100 do not change solution and status unless a method needs monotone M."""
+    """Rows multiplied by 1e±100 do not change the result unless a method needs monotone M."""
     scene = gallery.half_active(n=100, block=5)
     rows = np.resize([1e100, 1.0, 1e-100], 100)
     problem = LCP(sp.diags_array(rows) @ scene.problem.csr, rows * scene.problem.q)
@@ -100,7 +100,7 @@ def test_rows_of_any_size(name: str) -> None:
 @EVERY_ALGORITHM
 @pytest.mark.parametrize("exponent", [-700, -30, 30, 700])
 def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> None:
-    """A power of two times q leaves iterations and work unchanged, and z is exactly that multiple."""
+    """A power of two times q leaves iterations and work unchanged, and z is that multiple."""
     scene = gallery.obstacle_2d(size=10, shifted=True)
     plain = solve(scene.problem, name)
     problem = scene.problem
@@ -164,7 +164,7 @@ REFUSED += ("negative diagonal", "zero matrix", "huge box")
 def test_the_edge_of_the_number_range_is_never_silent(
     name: str, options: dict[str, Any], case: str
 ) -> None:
-    """Overflow and underflow give an error, a correct status or the right z, without warnings or NaN."""
+    """Overflow and underflow give an error, a correct status or the right z, without NaN."""
     problem, z0 = EDGES[case]
     try:
         result = solve(problem, name, z0=z0, max_iterations=500, **options)
@@ -184,7 +184,7 @@ def test_the_edge_of_the_number_range_is_never_silent(
 
 @pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor"])
 def test_divergence_is_told(name: str) -> None:
-    """If |z| grows beyond every range, the status is DIVERGED, and the result is not the last point."""
+    """If |z| grows beyond every range, the status is DIVERGED, with an earlier point."""
     result = solve(LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), name)
     assert result.status is Status.DIVERGED
     assert abs(result.z).max() < 1e8
@@ -271,7 +271,7 @@ def nearly_singular(bits: int) -> tuple[LCP, np.ndarray]:
 
 @pytest.mark.parametrize(("name", "bits"), [("psor", 16), ("auto", 12)])
 def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits: int) -> None:
-    """Automatic relaxation needs at most 2000 sweeps for problems that take PGS 10⁴ to 10⁵ sweeps."""
+    """Automatic relaxation needs at most 2000 sweeps where PGS takes 10⁴ to 10⁵ sweeps."""
     problem, exact = nearly_singular(bits)
     result = solve(problem, name)
     assert result.status is Status.SOLVED
@@ -302,7 +302,7 @@ def ring(n: int, weight: float) -> LCP:
 @pytest.mark.parametrize("name", ["psor", "auto"])
 @pytest.mark.parametrize(("n", "weight"), [(3, 0.9), (3, 0.99), (9, 0.99), (100, 0.9), (100, 0.99)])
 def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> None:
-    """If a large relaxation diverges within a sweep, automatic relaxation converges about as fast as PGS."""
+    """If a large relaxation diverges, automatic relaxation converges about as fast as PGS."""
     problem = ring(n, weight)
     result, plain = solve(problem, name), solve(problem, "pgs")
     assert result.status is plain.status is Status.SOLVED

@@ -1,4 +1,4 @@
-"""The figures in the README and the manual are the import graph, and the import loads nothing heavy."""
+"""The figures in the README and the manual are the import graph; the import is light."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def test_every_arrow_is_needed() -> None:
 
 
 def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
-    """Every import inside a function from a layer above is listed with its reason, and no others are."""
+    """Every import inside a function from a layer above is listed with its reason."""
     led = {
         module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
         for module, targets in LED.items()
@@ -182,7 +182,7 @@ def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
 
 
 def test_no_subpackages_and_no_files_import_each_other() -> None:
-    """Subpackages have an order in which each imports only earlier ones, and files also have one."""
+    """Subpackages have an order in which each imports only earlier ones, as files have."""
     assert_has_no_circle(ARROWS)
     assert_has_no_circle(IMPORTS)
 
@@ -225,7 +225,7 @@ def test_the_storeys_of_the_readme_hold() -> None:
 
 
 def test_picture_shows_every_subpackage() -> None:
-    """The figure contains every subpackage once, and nothing else; each is at the path of its name."""
+    """The figure contains every subpackage once, at the path of its name."""
     assert set(ARROWS) == {subpackage_of(file) for file in FILES}
     assert all(folder.exists() for folder in FOLDERS.values())
     assert above("commands") == set()
@@ -271,7 +271,7 @@ def test_public_names_resolve() -> None:
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_classes_are_had_where_readme_says(name: str) -> None:
-    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class; wrong names raise errors."""
+    """``from lcp_plugin.algorithms import NPSOR`` gives the registered class."""
     kind = algorithm_class(name)
     assert getattr(algorithms, kind.__name__) is kind
     assert kind.name == name
@@ -299,7 +299,7 @@ def test_star_import_needs_no_hypothesis() -> None:
 
 @pytest.mark.full
 def test_layers_ask_for_their_frameworks() -> None:
-    """The help of ``lcp_plugin.interfaces.learn`` needs no framework; layers name the missing package."""
+    """The help of ``lcp_plugin.interfaces.learn`` needs no framework; layers name it."""
     code = (
         "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
         "import lcp_plugin.interfaces.learn\n"
@@ -324,7 +324,7 @@ def table_rows() -> dict[str, list[str]]:
 
 
 def test_the_table_of_algorithms_is_the_registry() -> None:
-    """Each row of the manual's table of algorithms agrees with its class; rows of new files may be missing."""
+    """Each row of the manual's table of algorithms agrees with its class."""
     from dataclasses import fields
 
     rows = table_rows()

@@ -1,4 +1,4 @@
-"""The manual's page "Guarantees", line by line: each test quotes the words that it keeps."""
+"""The manual's page "Guarantees", line by line: each test quotes the guarantee that it checks."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def promises() -> list[str]:
 
 
 def quoted() -> list[str]:
-    """What the tests of this file quote."""
+    """Return all quotations in the docstrings of this file."""
     tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
     texts = [
         ast.get_docstring(node) or "" for node in tree.body if isinstance(node, ast.FunctionDef)
@@ -68,14 +68,14 @@ def quoted() -> list[str]:
 
 
 def test_every_promise_has_its_test_and_every_test_its_promise() -> None:
-    """The page and this file change together: the same words in both."""
+    """The page and this file contain the same quotations."""
     assert len(promises()) >= 10
     assert {*promises()} == {*quoted()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Claiming(Algorithm):
-    """Stands still and claims a residual of zero."""
+    """Returns its start and claims a residual of zero."""
 
     name: ClassVar[str] = "claiming"
     is_monotone: ClassVar[bool] = False
@@ -86,7 +86,7 @@ class Claiming(Algorithm):
 
 
 def test_solved_is_measured() -> None:
-    """“SOLVED is verified”: claims change nothing; the residual is that of z on the caller's data."""
+    """“SOLVED is verified”: claims change nothing; the residual is computed from the data."""
     assert not solve(TWO, Claiming()).is_solved
     result = solve(TWO)
     w = np.array([[2.0, 1.0], [1.0, 2.0]]) @ result.z + [-5.0, 1.0]
@@ -108,10 +108,10 @@ class FarAway(Algorithm):
 
 
 def test_rounding_hides_no_residual() -> None:
-    """“SOLVED is verified”: not where z is so large that M z + q is 0 in doubles and 2 in truth."""
+    """“SOLVED is verified”: not if z is so large that M z + q rounds from 2 to 0."""
     infeasible = LCP([[9.0, -3.0, 6.0], [-3.0, 1.0, -2.0], [6.0, -2.0, 4.0]], [-2.0, 0.0, 0.0])
     far = np.array([2001613005325266.0, 6004839015975798.0, 0.0])
-    assert Certificate.of(infeasible, far).relative_residual > 0.4  # whatever BLAS makes of w
+    assert Certificate.of(infeasible, far).relative_residual > 0.4  # for any order of BLAS sums
     result = solve(infeasible, FarAway())
     assert not result.is_solved
     assert result.status is not Status.PRECISION_LIMIT
@@ -206,7 +206,7 @@ def own_bits() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def others_bits() -> list[dict[str, Any]]:
-    """Of two processes at once, the second with three threads for numba and BLAS."""
+    """Return the bits of two concurrent processes, one with three threads for numba and BLAS."""
     settings = [
         {"PYTHONHASHSEED": "12345"},
         {"OMP_NUM_THREADS": "3", "OPENBLAS_NUM_THREADS": "3", "NUMBA_NUM_THREADS": "3"},
@@ -217,7 +217,7 @@ def others_bits() -> list[dict[str, Any]]:
 
 @pytest.mark.full
 def test_processes_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
-    """“Results are bit-reproducible”: z, status, counts, samples, bounds and reports of a process started anew."""
+    """“Results are bit-reproducible”: z, status, counts and samples agree in a new process."""
     assert others_bits[0] == own_bits
 
 
@@ -253,11 +253,12 @@ def test_threads_agree() -> None:
     assert answers == [alone[name] for name in names]
 
 
-# --- What stays as it is --------------------------------------------------------------------------------------------
+# --- Unchanged data and state
+# ---------------------------------------------------------------------------------------
 
 
 def given_matrices() -> dict[str, Any]:
-    """One matrix in every form that a caller may have it in."""
+    """Return one matrix in every accepted form."""
     M = np.array([[4, -1, 0], [-1, 4, -1], [0, -1, 4]])
     csr = sp.csr_array(M.astype(float))
     columns = np.array([1, 0, 2, 1, 0, 1, 2])
@@ -309,7 +310,7 @@ def test_nothing_given_changes(form: str) -> None:
 
 @EVERY_ALGORITHM
 def test_nothing_global_changes(name: str) -> None:
-    """“Global state is never modified”: solved, stopped, refused or in flames, the surroundings are what they were."""
+    """“Global state is never modified”: also after a stop, a rejection or an error."""
     assert scipy.optimize is not None  # loaded: its filter is not ours
 
     def raises(sample: Any, z: np.ndarray) -> None:
@@ -332,7 +333,7 @@ def test_nothing_global_changes(name: str) -> None:
 
 
 def blas_threads() -> Any:
-    """How many threads BLAS takes, where somebody can tell."""
+    """Return the number of BLAS threads, if threadpoolctl is installed."""
     try:
         from threadpoolctl import threadpool_info
     except ImportError:
@@ -340,7 +341,8 @@ def blas_threads() -> Any:
     return [(library["prefix"], library["num_threads"]) for library in threadpool_info()]
 
 
-# --- What goes wrong ------------------------------------------------------------------------------------------------
+# --- Errors
+# ---------------------------------------------------------------------------------------------------------
 
 
 @EVERY_ALGORITHM
@@ -363,7 +365,7 @@ def test_callbacks_may_raise(name: str) -> None:
 
 @pytest.mark.parametrize("kind", [UnsuitableMatrix, UnsuitableProblem])
 def test_callbacks_may_raise_in_a_later_stage(kind: type[LCPError]) -> None:
-    """“Exceptions raised in a callback propagate”: what a method would refuse a matrix with is no refusal here."""
+    """“Exceptions raised in a callback propagate”: also error classes that auto handles."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: several methods
     labels: list[str] = []
 
@@ -393,7 +395,7 @@ def test_an_ended_run_keeps_what_it_has(name: str) -> None:
     assert result.residual <= min(seen) * (1.0 + 1e-9)  # the rounding bound is included at the end
     late = solve(problem, name, max_seconds=0.0)
     assert late.status in (Status.MAX_SECONDS, Status.SOLVED)
-    assert late.residual <= 1.0 + 1e-12  # that of z°, where it begins
+    assert late.residual <= 1.0 + 1e-12  # the residual of the start z°
     assert bits(solve(problem, name).z) == bits(solve(LCP(problem.csr.copy(), problem.q), name).z)
 
 

@@ -1,4 +1,4 @@
-"""Every problem class through every interface: each combination works, or raises the table's error."""
+"""Every problem class through every interface: it works, or raises the table's error."""
 
 from __future__ import annotations
 
@@ -558,7 +558,7 @@ def test_every_option_of_solve_is_walked() -> None:
 @pytest.mark.parametrize("name", WISHES)
 @pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
 def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, capsys: Any) -> None:
-    """Each option has its documented effect; an unsupported option raises an error with its name."""
+    """Each option has its documented effect; unsupported ones raise an error."""
     known, wish = options_of(sample.kind), WISHES[name]
     is_taken = name in OF_SOLVE or name == "algorithm" if "options" in known else name in known
     is_start_x = name == "z0" and "z0" not in known and "x0" in known
@@ -641,7 +641,7 @@ def test_time_ends_a_batch_of_several_kinds() -> None:
 
 
 def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Solved problems are kept, stacks of small problems come first, the remaining are INTERRUPTED."""
+    """Solved problems are kept, stacks come first, the remaining are INTERRUPTED."""
     one, two, *_ = problems = one_of_each_kind()
 
     def interrupted(problem: Any, **wishes: Any) -> Any:
@@ -694,7 +694,7 @@ def test_no_marches() -> None:
 
 
 def test_derivative_names_the_answer_that_it_takes() -> None:
-    """The error of an unsupported result names the classes; single LCP results of a list are accepted."""
+    """The error of an unsupported result names the classes; LCP results of a list are accepted."""
     answers = solve_batch(one_of_each_kind())
     with pytest.raises(InvalidOption, match=r"needs the result of an LCP, NonlinearProblem, "):
         derivative(answers)

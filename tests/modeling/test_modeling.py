@@ -65,7 +65,7 @@ def test_inner_inequalities_carry_the_duals_of_a_quadratic_program() -> None:
 
 
 def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem() -> None:
-    """F ≤ 0 at an upper bound: box(x, l, u), x <= u with F <= 0, and attributes agree with the LCP."""
+    """F ≤ 0 at an upper bound: box(x, l, u), x <= u with F <= 0 and attributes agree."""
     lower, upper = np.array([-1.0, -np.inf, 0.0]), np.array([0.25, np.inf, 0.25])
     expected = solve(LCP(M, Q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
     assert expected.z[0] == 0.25
@@ -117,7 +117,7 @@ def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
 def test_verbose_prints_the_run_and_speaks_through_the_logger_of_cvxpy(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With verbose the run is printed, and its summary goes to cvxpy's logger; without it, nothing."""
+    """With verbose the run is printed, and summarized in cvxpy's logger."""
     told: list[str] = []
     monkeypatch.setattr(cp.settings.LOGGER, "info", lambda message, *_: told.append(message))
     x = cp.Variable(nonneg=True)
@@ -267,7 +267,7 @@ def test_a_proved_lack_of_solutions_is_a_status_with_its_proof() -> None:
 
 
 def test_plain_solve_names_the_method() -> None:
-    """A DCPError of cvxpy is raised for problem.solve() without a method, and the message names the method."""
+    """A DCPError of cvxpy is raised for problem.solve() without a method, and names it."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
     with pytest.raises(cp.error.DCPError, match='method="LCP"'):
@@ -310,7 +310,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_models_beyond_complementarity_are_refused(case: str) -> None:
-    """Models that are not complementarity problems raise errors with the constraint and the remedy."""
+    """Models that are not complementarity problems raise errors with the remedy."""
     make, pattern = REFUSED[case]
     x = cp.Variable(3)
     with pytest.raises(UnsupportedModel, match=pattern):
@@ -319,7 +319,7 @@ def test_models_beyond_complementarity_are_refused(case: str) -> None:
 
 @pytest.mark.parametrize("goal", [lambda x: 0, lambda x: 0 * cp.sum(x)])
 def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) -> None:
-    """Rows and bounds without a pair start the search for any objective; LCP.from_cvxpy raises an error."""
+    """Rows and bounds without a pair start the search; LCP.from_cvxpy raises an error."""
     x, z, bounded = cp.Variable(2), cp.Variable(2), cp.Variable(nonneg=True)
     rows = np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
     pair = complements(x >= 0, rows >= 0)
@@ -411,7 +411,7 @@ def test_total_variation_by_its_dual_box() -> None:
 
 @pytest.mark.parametrize("swap", [False, True])
 def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
-    """If F is a multiple of one unknown, both orders of the arguments are equivalent in every form."""
+    """If F is a multiple of one unknown, both orders of the arguments are equivalent."""
     lower, upper = np.array([0.0, -1.0, 0.5]), np.array([1.0, np.inf, 0.75])
     d, q = np.array([2.0, 3.0, 4.0]), np.array([-1.0, 6.0, -8.0])
     expected = solve(LCP(np.diag(d), q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
@@ -441,7 +441,7 @@ def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
 
 
 def test_violation_is_the_natural_residual_of_any_form() -> None:
-    """The violation is ‖x − mid(l, u, x − F)‖ at any values, for attributes, slices and both orders."""
+    """The violation is ‖x − mid(l, u, x − F)‖ at any values, for attributes and slices."""
     x = cp.Variable(3, nonneg=True)
     x.value = np.array([0.5, 0.0, 2.0])
     F = M @ x + Q
@@ -523,7 +523,7 @@ def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_bounds_implied_from_above_are_recognised(sign: float) -> None:
-    """The pair implies w ≤ 0 at upper bounds; the opposite sign is not implied, but satisfied here."""
+    """The pair implies w ≤ 0 at upper bounds; the opposite sign is not implied."""
     x = cp.Variable(2, bounds=[-np.inf, 0.0])
     w = cp.Variable(2, nonpos=sign > 0.0, nonneg=sign < 0.0, name="w")
     constraints = [complements(x, w), w == 2 * x + [3.0, 1.0]]
@@ -577,7 +577,7 @@ def test_pairing_does_not_depend_on_the_order_of_constraints() -> None:
 
 @pytest.mark.parametrize("other", [lambda x: x - 1, lambda x: -x + 1])
 def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
-    """A pair complements(x, F) without bounds of x means F == 0, and a warning refers to the caller's line."""
+    """A pair complements(x, F) without bounds of x means F == 0, with a warning at the call."""
     x = cp.Variable(2, name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(x, other(x))])
     with pytest.warns(
@@ -639,7 +639,7 @@ def test_order_and_sign_of_equations_do_not_matter() -> None:
 
 
 def test_a_bound_is_a_number_or_a_parameter() -> None:
-    """A variable, a text, NaN or a complex number as a bound raises an error when the model is built."""
+    """A variable, a text, NaN or a complex number as a bound raises an error at once."""
     x, y = cp.Variable(2), cp.Variable(value=0.5)
     for wrong in (y, "a", np.nan, 1j):
         with pytest.raises(UnsupportedModel, match="bound"):

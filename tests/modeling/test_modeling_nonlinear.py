@@ -1,4 +1,4 @@
-"""complements() with smooth nonlinear sides: derivatives, published problems, and what is refused."""
+"""Pairs complements() with smooth nonlinear sides: derivatives, published problems, and errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lcp_plugin.expressions.program import Program
 from lcp_plugin.modeling.reading import Reader
 from lcp_plugin.modeling.registration import build, is_complementarity_problem
 
-STEP = 1e-200  # of complex differentiation: no subtraction, hence no rounding of one
+STEP = 1e-200  # of complex differentiation, which has no subtraction and so no cancellation
 B = np.array([[1.0, 0.5, 0.0], [-0.25, 2.0, 1.0], [0.0, 1.0, 3.0]])
 S = sp.csr_array(B)
 
@@ -57,7 +57,7 @@ def softplus(u: Any) -> Any:
     return np.log(1.0 + np.exp(u))
 
 
-#: How it is written in cvxpy, and the same in numpy, which takes complex numbers.
+# : The expression in cvxpy, and in numpy for complex arguments.
 FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
     "exp": (lambda u: cp.exp(u.x), lambda x, X, s: np.exp(x)),
     "log": (lambda u: cp.log(u.X), lambda x, X, s: np.log(X)),
@@ -154,7 +154,7 @@ def test_values_and_derivatives_are_those_of_the_function(name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMS)
 def test_cvxpy_evaluates_to_the_same(name: str) -> None:
-    """The program gives what the expression's own ``value`` is, and nothing warns."""
+    """The program agrees with the expression's ``value``, without warnings."""
     program, _, expression, _ = compiled_form(name)
     v = points(2, 1)[0]
     first = 0
@@ -166,7 +166,7 @@ def test_cvxpy_evaluates_to_the_same(name: str) -> None:
         np.testing.assert_allclose(program.value(v), flat(expression.value), rtol=1e-13, atol=1e-13)
 
 
-#: Where exponentials, quotients or their sums overflow, and the atom does not; and the point.
+# : Exponentials, quotients or sums that overflow although the atom does not, and the point.
 FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
     "log_sum_exp of thousands": (lambda x: cp.log_sum_exp(x + 5000), [1.0, 2.0, 3.0]),
     "log_sum_exp of minus thousands": (lambda x: cp.log_sum_exp(x), [-5000.0, -4999.0, -6000.0]),
@@ -182,7 +182,7 @@ FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
 
 @pytest.mark.parametrize("name", FAR_OUT)
 def test_atoms_overflow_only_where_their_values_do(name: str) -> None:
-    """Far out the value is cvxpy's, and the derivatives are finite."""
+    """At large arguments the value agrees with cvxpy, and the derivatives are finite."""
     form, point = FAR_OUT[name]
     x = cp.Variable(3)
     expression, x.value = form(x), np.array(point)
@@ -193,7 +193,7 @@ def test_atoms_overflow_only_where_their_values_do(name: str) -> None:
 
 
 def test_relative_entropy_is_defined_where_cvxpy_has_it() -> None:
-    """0 log 0 is 0, and 0 log(0/y) too; of negative numbers there is none, whatever their quotient."""
+    """Terms 0 log 0 and 0 log(0/y) are 0; negative arguments are undefined for every quotient."""
     x = cp.Variable(2)
     for atom in (cp.rel_entr, cp.kl_div):
         program = compiled(atom(x[0], x[1]))
@@ -287,7 +287,7 @@ def test_cournot_oligopoly_as_published() -> None:
 
 
 def test_semilinear_obstacle() -> None:
-    """−u″ + exp(u) = 6 above an obstacle: as scipy finds it on the same contact set, and twice the same bits."""
+    """Solution of −u″ + exp(u) = 6 above an obstacle agrees with scipy, twice bit for bit."""
     n = 40
     h = 1.0 / (n + 1)
     A = sp.csr_array(
@@ -363,7 +363,7 @@ PAIRS = [(a, b) for a in SIDES for b in SIDES if a != b and (SIDES[a][2] or SIDE
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_two_sides_may_be_nonlinear(first: str, second: str) -> None:
-    """One of the sides is zero at the answer, whichever stands first; each side is the other's dual."""
+    """One side is zero at the solution, in either order, and each side is the dual of the other."""
     (G, zero_of_G, rises), (F, zero_of_F, also_rises) = SIDES[first], SIDES[second]
     x = cp.Variable(2)
     x.value = np.array([1.0, 2.0])
@@ -406,7 +406,7 @@ def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
 
 
 def test_an_exponent_may_become_one_and_another_again() -> None:
-    """Where a parameter makes a power affine, what was read then is not taken for the power of the next value."""
+    """If a parameter makes a power affine, the next value of the parameter is read correctly."""
     x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
     problem = cp.Problem(
         cp.Minimize(0), [complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0)]
@@ -423,7 +423,7 @@ def test_an_exponent_may_become_one_and_another_again() -> None:
 
 
 def test_parameters_are_read_at_every_solve() -> None:
-    """A factor, an exponent and a bound are parameters: each solve has their present values."""
+    """A coefficient, an exponent and a bound may be parameters, read at each solve."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()
     problem = cp.Problem(
         cp.Minimize(0), [complements(box(x, bound, np.inf), factor * cp.power(x, exponent) - 8)]
@@ -451,7 +451,7 @@ def test_violation_is_measured_on_the_expressions() -> None:
 
 
 def test_start_is_the_value_of_the_variables() -> None:
-    """Of two solutions the one near the start is found; a start where F is not defined is replaced."""
+    """The solution near the start is found; a start where F is not defined is replaced."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(box(x, -10, 10), x**2 - 4)])
     x.value = 1.0
@@ -466,7 +466,7 @@ def test_start_is_the_value_of_the_variables() -> None:
 
 
 def test_solutions_have_derivatives_by_parameters() -> None:
-    """Vjp and jvp agree with differences of solutions; a parameter stands in every kind of atom."""
+    """Vjp and jvp agree with differences of solutions, with parameters in all types of atoms."""
     x, y, p, r = cp.Variable(2, nonneg=True), cp.Variable(), cp.Parameter(2), cp.Parameter()
     x.value, y.value = np.ones(2), 1.0
     pair = complements(x, cp.exp(cp.multiply(p, x)) + x**3 / r - 3 * y)
@@ -536,14 +536,14 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_is_refused_is_refused_in_words(case: str) -> None:
-    """Names the culprit, and says what to do."""
+    """The error names the expression and the remedy."""
     make, pattern = REFUSED[case]
     with pytest.raises(UnsupportedModel, match=pattern):
         cp.Problem(cp.Minimize(0), [make()]).solve(method="LCP")
 
 
 def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
-    """LCP.from_cvxpy says that it needs affine sides; a wrong option is named."""
+    """LCP.from_cvxpy requires affine sides; a wrong option is named."""
     from lcp_plugin import LCP
 
     x, p = cp.Variable(), cp.Parameter(value=1.0)
@@ -555,7 +555,7 @@ def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
 
 
 def test_no_start_is_said_in_words() -> None:
-    """Where F is defined neither at the values nor at 0 nor at 1, the refusal asks for a start."""
+    """If F is undefined at the values, at 0 and at 1, the error recommends another start."""
     x = cp.Variable()
     x.value = -1.0
     with pytest.raises(LCPError, match=r"start|x0"):

@@ -165,7 +165,7 @@ def test_what_is_proved_of_direct_methods() -> None:
 
 @given(drawn=solved_lcps(scaled_matrices(h_plus_matrices(), 3, 3), bounds=True))
 def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
-    """Methods auto and lemke are guaranteed on H₊-matrices with boxes and free rows, and solve all."""
+    """Methods auto and lemke are guaranteed on H₊-matrices with boxes and free rows."""
     for name in ("auto", "lemke"):
         assert convergence_guarantee(drawn[0], name).is_guaranteed
         assert solve(drawn[0], name).is_solved
@@ -174,7 +174,7 @@ def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
 def test_newton_is_finite_on_m_matrices(n: int) -> None:
-    """An M-matrix problem takes at most n + 2 full Newton steps from any start, also for a front."""
+    """An M-matrix problem takes at most n + 2 full Newton steps from any start."""
     chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     rng = np.random.default_rng(n)
     front = LCP(np.eye(n) - np.eye(n, k=-1), -np.eye(n)[0])
@@ -232,7 +232,7 @@ def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, numbe
     ],
 )
 def test_theorem_4_2_as_stated(M: Any, alpha: float, says: str) -> None:
-    """The paper's Theorem 4.2 is checked in both cases, with its premise and for mixed diagonals."""
+    """The paper's Theorem 4.2 is checked in both cases, with premise and mixed diagonals."""
     guarantee = convergence_guarantee(with_matrix(M), "npsor", relaxation=alpha, **UNSCALED)
     assert re.match(says, guarantee.paper)
     if guarantee.paper.startswith("covered"):
@@ -308,7 +308,7 @@ def test_an_algorithm_of_the_user_is_not_covered() -> None:
 
 
 def test_arguments_are_checked() -> None:
-    """Unknown names and options raise the errors of solve; automatic scaling accepts no relaxation there."""
+    """Unknown names and options raise the errors of solve; automatic scaling takes no factor."""
     problem = with_matrix(np.eye(2))
     with pytest.raises(UnknownAlgorithm, match="psor"):
         convergence_guarantee(problem, "psr")
@@ -355,7 +355,7 @@ def test_what_rounding_may_undo_is_not_guaranteed(
 
 
 def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
-    """The value ω = 0.9 is too large for a graded SPD matrix with small rows relative to the largest entry."""
+    """The value ω = 0.9 is too large for a graded SPD matrix of small rows."""
     unit = np.array([1.0, 1e-11, 1e-22, 1e-33])
     M = unit[:, None] * (0.999 * np.ones((4, 4)) + 0.001 * np.eye(4)) * unit
     M = np.tril(M) + np.tril(M, -1).T
@@ -371,7 +371,7 @@ def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
 
 
 def test_bounds_of_a_nonnegative_radius() -> None:
-    """The bounds enclose LAPACK's spectral radius, also for reducible matrices; the input is unchanged."""
+    """The bounds enclose LAPACK's spectral radius, also for reducible matrices."""
     rng = np.random.default_rng(0)
     for _ in range(100):
         n = int(rng.integers(1, 10))
@@ -411,7 +411,7 @@ def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
 
 
 def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
-    """A splitting that is not a part of M gets a rate from ρ(T) < 1, up to n = 500, and no claim beyond."""
+    """A splitting that is not a part of M gets a rate from ρ(T) < 1, up to n = 500."""
     for n, covered in ((30, True), (501, False)):
         M = sp.diags_array(
             [np.full(n - 1, -1.0), np.full(n, 4.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
@@ -432,7 +432,7 @@ def told(*arguments: str) -> Any:
 
 
 def test_the_command_tells_matrix_and_guarantees() -> None:
-    """The command prints claims, algorithms, the paper's variants and its theorem, with exit code 0."""
+    """The command prints claims, algorithms, the paper's variants and its theorem."""
     result = told("paper_example_1:n=100")
     assert result.exit_code == 0
     for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
@@ -557,7 +557,7 @@ def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
 
 
 def test_it_is_no_larger_than_a_proved_rate() -> None:
-    """The radius ρ(T) ≤ c of a projected relaxation is the radius of Jacobi or Gauss–Seidel if known."""
+    """The radius ρ(T) ≤ c of a projected relaxation is Jacobi's or Gauss–Seidel's if known."""
     n = 40
     M = sp.diags_array([-np.ones(n - 1), 2.5 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
     problem = LCP(M, -np.ones(n))

@@ -1,1 +1,1 @@
-"""Algebraic multigrid hierarchy of one matrix, and its truncation to the free unknowns."""
+"""An algebraic multigrid hierarchy of one matrix, and its truncation to the unknowns that are free."""

@@ -156,7 +156,7 @@ def test_huge_bounds_that_exclude_zero_come_back(
 
 @pytest.mark.parametrize("given_path", ["run1_", "run1_M.mtx"])
 def test_prefix(given_path: str, tmp_path: Path) -> None:
-    """Several problems may share a folder with prefixes; the prefix or the matrix file selects one."""
+    """Several problems may share a folder; the prefix or matrix file selects one."""
     PROBLEM.save(tmp_path)
     for file in tmp_path.glob("*.mtx"):
         file.rename(tmp_path / f"run1_{file.name}")
@@ -268,7 +268,7 @@ NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
 
 @pytest.mark.parametrize(("content", "pattern"), NO_ARCHIVES.values(), ids=NO_ARCHIVES.keys())
 def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> None:
-    """A file that is not an .npz archive raises UnreadableFile, without advice to load it unsafely."""
+    """A file that is not an .npz archive raises UnreadableFile, without unsafe advice."""
     (tmp_path / "p.npz").write_bytes(content)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
         LCP.load(tmp_path / "p.npz")
@@ -383,7 +383,7 @@ WRONG_MATRIX_MARKET = {
     ("content", "pattern"), WRONG_MATRIX_MARKET.values(), ids=WRONG_MATRIX_MARKET.keys()
 )
 def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_path: Path) -> None:
-    """A text that is not a matrix raises UnreadableFile with the file's name and a clear message."""
+    """A text that is not a matrix raises UnreadableFile with the file's name."""
     PROBLEM.save(tmp_path)
     (tmp_path / "M.mtx").write_text(content)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
@@ -480,7 +480,7 @@ def test_failed_folder_keeps_the_old_one(
     ],
 )
 def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -> None:
-    """A target in a missing folder, below a file or instead of a folder raises an error; nothing is written."""
+    """A target in a missing folder, below a file or in place of a folder raises an error."""
     (tmp_path / "file").write_bytes(b"precious")
     (tmp_path / "taken.npz").mkdir()
     with pytest.raises(UnreadableFile, match=pattern):

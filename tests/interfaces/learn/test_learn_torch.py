@@ -1,4 +1,4 @@
-"""The layer for PyTorch: its gradients are those of differences, and what it cannot do it says."""
+"""The layer for PyTorch: gradients agree with differences, and unsupported uses raise errors."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> No
 
 
 def test_gradients_are_those_of_each_problem() -> None:
-    """What one Result's own derivative says, for a single problem without axes in front."""
+    """Gradients for a single problem without batch axes agree with the derivative of its Result."""
     M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
     tensors = leaves(M, q, lower, upper)
     lcp_layer(*tensors).sum().backward()
@@ -97,14 +97,14 @@ def test_many_unknowns() -> None:
 
 
 def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
-    """As with a ReLU at 0: z = max(−q, 0)/2 at q = 0."""
+    """The gradient of z = max(−q, 0)/2 at q = 0 belongs to one piece, as for a ReLU."""
     q = torch.zeros(1, dtype=torch.float64, requires_grad=True)
     lcp_layer(torch.tensor([[2.0]], dtype=torch.float64), q).sum().backward()
     assert q.grad.item() in (0.0, -0.5)
 
 
 def test_what_is_not_solved_is_named() -> None:
-    """A batch with problems that have no solution raises, and says which; so does one with NaN."""
+    """A batch with unsolvable problems, or with NaN, raises an error with their indices."""
     q = torch.zeros((2, 3, 2), dtype=torch.float64)
     M = torch.eye(2, dtype=torch.float64).repeat(2, 3, 1, 1)
     M[0, 1] = M[1, 2] = -M[0, 1]
@@ -128,7 +128,7 @@ def test_what_is_not_solved_is_named() -> None:
 
 
 def test_a_singular_block_has_the_gradient_of_least_change() -> None:
-    """The gradient is that of the generalized inverse."""
+    """The gradient uses the generalized inverse."""
     M, q = leaves(np.ones((2, 2)), np.zeros(2))
     lcp_layer(M, q, -INF).sum().backward()
     assert np.allclose(q.grad, [-0.5, -0.5], atol=1e-15)
@@ -136,7 +136,7 @@ def test_a_singular_block_has_the_gradient_of_least_change() -> None:
 
 @pytest.mark.full
 def test_what_autograd_must_not_do() -> None:
-    """A second derivative, and a matrix changed between the passes, are refused."""
+    """A second derivative, and a matrix changed between the passes, raise errors."""
     M, q = leaves(np.eye(2) * 2.0, -np.ones(2))
     for of in (lambda z: z.square().sum(), lambda z: z.sum()):
         for by in (M, q):
@@ -160,7 +160,7 @@ def test_what_the_loss_ignores_may_be_singular() -> None:
 
 
 def test_torch_func_takes_gradients_and_no_vmap() -> None:
-    """torch.func.grad and vjp stand around the layer, also with a sparse constant; vmap is refused in words."""
+    """Functions torch.func.grad and vjp support the layer; vmap raises an error."""
     M = torch.tensor([[2.0, 1.0], [1.0, 2.0]], dtype=torch.float64)
     q = torch.tensor([-5.0, 1.0], dtype=torch.float64)
     for same in (M, sp.csr_array(M.numpy())):
@@ -193,13 +193,13 @@ EYE, ONES = np.eye(2), np.ones(2)
     ],
 )
 def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
-    """Other types, places, layouts and shapes, in words that name the argument and what to write."""
+    """Other types, devices, layouts and shapes raise errors with the argument and the remedy."""
     with pytest.raises(InvalidProblem, match=said):
         lcp_layer(*call(lambda array: torch.tensor(array, dtype=torch.float64)))
 
 
 def test_constants_may_be_arrays_and_numbers() -> None:
-    """What is no tensor is a constant: numpy arrays, lists, sparse arrays, numbers."""
+    """Arguments that are not tensors are constants: arrays, lists, sparse arrays, numbers."""
     q = torch.tensor([-5.0, 1.0], dtype=torch.float64, requires_grad=True)
     answers = [
         lcp_layer(M, q, [0, 0], np.inf)
@@ -217,7 +217,7 @@ def worlds(count: int) -> Any:
 
 
 def test_contact_has_the_gradients_of_differences() -> None:
-    """By W, which stays symmetric, b and friction, also by one number of it."""
+    """Gradients by W (symmetric), b and friction, also a scalar, agree with differences."""
     W, b, friction = leaves(*worlds(6))
 
     def layer(A: Any, b: Any, friction: Any) -> Any:

@@ -1,4 +1,4 @@
-""".nl files: what is written is read again, text or binary; what is damaged is refused with its line or byte."""
+""".nl files: text and binary round trips, and errors with line or byte for corrupt files."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def read(folder: Path, data: bytes) -> object:
 
 @given(st.integers(0, 2**32))
 def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
-    """Text and both binary orders give the same arrays, and those are the ones that were written."""
+    """Text and both binary orders return the arrays that were written."""
     content = random_content(np.random.default_rng(seed))
     for form in FORMS.values():
         write_form(content, tmp_path / "m.nl", **form)
@@ -80,7 +80,7 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
 
 
 def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
-    """Bounds, partners, linear terms, expressions and the start stand where the format has them."""
+    """Bounds, partners, linear terms, expressions and the start are read from their segments."""
     content = read(tmp_path, SMALL)
     assert content.lower.tolist() == [0, -np.inf]
     assert (content.partners.tolist(), content.partner_bounds.tolist()) == ([0, -1], [1, 0])
@@ -123,7 +123,7 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
 def test_a_wrong_line_is_named(
     tmp_path: Path, old: bytes, new: bytes, line: int, words: str
 ) -> None:
-    """What contradicts the format or itself is refused with its line."""
+    """A line inconsistent with the format or other lines raises an error with its number."""
     assert SMALL.count(old) == 1
     with pytest.raises(errors.UnreadableFile, match=rf"line {line} \(.*\): .*{words}"):
         read(tmp_path, SMALL.replace(old, new))
@@ -140,14 +140,14 @@ def test_a_wrong_line_is_named(
     ids=["CRLF", "comments", "K", "no k", "blank end", "no last newline", "short head", "order", "long", "d", "S"],
 )  # fmt: skip
 def test_what_writers_differ_in_says_the_same(tmp_path: Path, old: bytes, new: bytes) -> None:
-    """Line ends, comments, missing counts, the order of entries and whatever suffixes say change nothing else."""
+    """Line ends, comments, missing counts, the order of entries and suffixes change nothing."""
     assert old in SMALL
     content, plain = read(tmp_path, SMALL.replace(old, new)), read(tmp_path, SMALL)
     assert difference(content, plain) == ""
 
 
 def test_suffixes_of_binary_files_are_passed_over(tmp_path: Path) -> None:
-    """Whole numbers take four bytes, real ones eight; what stands behind them is read."""
+    """Integers take four bytes, floats eight, and the segments after suffixes are read."""
     plain = read(tmp_path, SMALL)
     write_form(plain, tmp_path / "m.nl", binary=True)
     data, name = (tmp_path / "m.nl").read_bytes(), struct.pack("<i", 4) + b"kind"
@@ -181,7 +181,7 @@ def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
 
 
 def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
-    """A second row that goes with the same variable is refused with its line."""
+    """A second row that is complementary to the same variable raises an error with its line."""
     text = SMALL.replace(b" 2 0 0 1 0 0", b" 2 0 0 2 0 0").replace(b"4 1.0", b"5 3 1")
     with pytest.raises(
         errors.UnreadableFile, match=r"line 27 \('5 3 1'\): variable 1 is complementary to an"
@@ -194,14 +194,14 @@ def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(
     tmp_path: Path, form: str, seed: int
 ) -> None:
-    """Whatever happened to it, reading gives a content or an UnreadableFile that names line or byte, nothing else."""
+    """A corrupt file gives a content, or an UnreadableFile that names line or byte."""
     rng = np.random.default_rng([seed, len(form)])
     write_form(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
     require_refused_or_valid(tmp_path, mutilated((tmp_path / "m.nl").read_bytes(), rng))
 
 
 def require_refused_or_valid(folder: Path, data: bytes) -> None:
-    """Read it within ten times its size and what an empty file needs."""
+    """Read data within ten times its size and the memory for an empty file."""
     said = ""
     tracemalloc.start()
     try:
@@ -220,7 +220,7 @@ def require_refused_or_valid(folder: Path, data: bytes) -> None:
     ("form", "end"), [("text", b"n1.0\n"), ("little", b"n" + struct.pack("<d", 1.0))]
 )
 def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
-    """A tree of 10⁵ levels is read, and refused where its end is missing; nothing recurs."""
+    """A tree of 10⁵ levels is read, or raises an error if its end is missing, without recursion."""
     levels = 100_000
     kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
     kinds[[0, -1]], values[[0, -1]] = (
@@ -241,7 +241,7 @@ def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
     "old", [b" 2 2 0", b"V2 1", b"x1", b"k1", b"J1 2", b"o0\t#+\nv2", b" 0 1 0 0 0"]
 )
 def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
-    """A count that the file cannot hold is refused before anything of its size is made."""
+    """A count larger than the file raises an error before memory of this size is allocated."""
     for count in (b"999999999999", b"9" * 30, b"1e12"):
         new = {
             b"V2 1": b"V2 " + count,
@@ -259,7 +259,7 @@ def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
 def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
     tmp_path: Path, options: tuple[int, ...], has_values: bool
 ) -> None:
-    """Message, values, multipliers and code arrive, with and without values, whatever the options are."""
+    """Message, values, multipliers and code are read, with and without values, for all options."""
     x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
     path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
     write_sol(
@@ -330,7 +330,7 @@ def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
 
 
 def test_what_no_file_can_state_is_refused_in_words(tmp_path: Path) -> None:
-    """A function in Python, and what is no problem."""
+    """A Python function, and an object that is not a problem, raise errors."""
     problem = NonlinearProblem(np.exp)
     with pytest.raises(
         errors.InvalidProblem, match=r"got NonlinearProblem, whose F is written in Python"

@@ -1,4 +1,4 @@
-"""Models of .nl files: values, derivatives, solutions and duals, compared with independent evaluations."""
+"""Models of .nl files: values, derivatives, solutions and duals, evaluated independently."""
 
 from __future__ import annotations
 
@@ -575,7 +575,7 @@ def test_statuses_tell_the_truth() -> None:
 
 @pytest.mark.parametrize("kind", ["affine", "smooth", "program"])
 def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
-    """Rows are evaluated again from the file: if a number in a row differs, the status is not SOLVED."""
+    """Rows are evaluated again from the file: a changed number prevents SOLVED."""
     M, q, _ = random_pairs()
     rows = [("+", value, ("sin", X[0])) if kind == "smooth" else value for value in q]
     content = program("products") if kind == "program" else paired(content_of(6, rows, linear=M))
@@ -592,7 +592,7 @@ def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 @pytest.mark.parametrize("kind", ["pairs", "program"])
 def test_an_answer_is_contradicted_in_any_unit_of_the_rows(kind: str, unit: float) -> None:
-    """A change in the trees by a thousandth of the row's terms is detected at any scale of the rows."""
+    """A change in the trees by a thousandth of the row's terms is detected at any scale."""
     M, q, _ = random_pairs()
     content = content_of(6, (unit * q).tolist(), linear=unit * M)
     if kind == "pairs":
@@ -643,7 +643,7 @@ def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
 
 
 def beside_pairs(kind: str, at: float) -> NLContent:
-    """Return 0 ≤ x₀ ⟂ x₀ − 2 ≥ 0, whose solution is x₀ = 2, with a constraint equivalent to x₀ ≤ at."""
+    """Return 0 ≤ x₀ ⟂ x₀ − 2 ≥ 0, solved by x₀ = 2, and a constraint equivalent to x₀ ≤ at."""
     one = replace(
         paired(content_of(2, [("-", X[0], 2.0), ("exp", X[0])])), partners=np.array([0, -1])
     )
@@ -683,7 +683,7 @@ def test_a_bound_that_its_complementarity_does_not_state_belongs_to_it(tmp_path:
 def test_what_stands_beside_complementarities_is_held_against_the_answer(
     kind: str, tmp_path: Path
 ) -> None:
-    """An inequality or bound without a pair gives SOLVED if it holds, else infeasible with a message."""
+    """An inequality or bound without a pair gives SOLVED or infeasible."""
     holds = model_of(beside_pairs(kind, 3.0)).solve()
     assert (holds.status, holds.x[0]) == (Status.SOLVED, pytest.approx(2.0))
     fails = model_of(beside_pairs(kind, 1.0)).solve()
@@ -702,7 +702,7 @@ def test_what_stands_beside_complementarities_is_held_against_the_answer(
 
 
 def test_a_row_that_a_fixed_variable_leaves_constant_is_held_against_the_answer() -> None:
-    """The pairs 0 ≤ v ⟂ 1, v = x − 1 and 0 ≤ x ⟂ x − 1 hold with v = 0; with x − 2 they are infeasible."""
+    """The pairs 0 ≤ v ⟂ 1, v = x − 1 and 0 ≤ x ⟂ x − 1 hold with v = 0; with x − 2 not."""
     for root, status in ((1.0, Status.SOLVED), (2.0, Status.NO_SOLUTION)):
         rows = [1.0, ("+", ("-", X[0], X[1]), 1.0), ("-", X[1], root)]
         content = replace(
@@ -733,7 +733,7 @@ def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(
 
 
 def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
-    """LCP.load reads affine complementarity files; for others the error names the class and read_nl."""
+    """LCP.load reads affine complementarity files; the error for others names read_nl."""
     M, q, _ = random_pairs()
     write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
     np.testing.assert_array_equal(LCP.load(tmp_path / "m.nl").csr.toarray(), M)

@@ -30,7 +30,7 @@ SOLVER = pe.SolverFactory("lcp_plugin")
 
 @pytest.mark.parametrize("name", MODELS)
 def test_published_models_are_solved_as_published(name: str) -> None:
-    """The solution of each model is optimal, satisfies Pyomo's expressions, and is the published one."""
+    """The solution of each model is optimal, satisfies Pyomo's expressions, and is published."""
     case = MODELS[name]()
     results = SOLVER.solve(case.model, options={"tolerance": 1e-12})
     pe.assert_optimal_termination(results)
@@ -47,7 +47,7 @@ def test_published_models_are_solved_as_published(name: str) -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_random_models_are_read_as_pyomo_evaluates_them_solved_and_left_alone(seed: int) -> None:
-    """F and Jacobian agree to 1e-12, the known solution is found in Pyomo, and the model is unchanged."""
+    """F and Jacobian agree to 1e-12, the solution is found, and the model is unchanged."""
     for k in range(8):
         rng = np.random.default_rng([seed, k])
         case = campaign.planted(rng)
@@ -74,7 +74,7 @@ def pair(m: Any, first: Any, second: Any, name: str = "c") -> None:
 
 
 def made(*pairs: Any, cost: Any = (), x: Any = (None, None), **rows: Any) -> Callable[[Any], None]:
-    """Return a function that adds a variable y, pairs c, d …, rows and objectives to a model with x."""
+    """Return a function that adds a variable y, pairs c, d …, rows and objectives to a model."""
 
     def build(m: Any) -> None:
         m.y = pe.Var()
@@ -696,7 +696,7 @@ def test_a_variable_of_an_inequality_alone_gives_way_to_it() -> None:
 
 
 def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
-    """A variable with equal bounds is a number in pairs; if an equation defines it, bounds are checked."""
+    """A variable with equal bounds is a number in pairs; with an equation, bounds are checked."""
     m = pe.ConcreteModel()
     m.x, m.y = pe.Var(), pe.Var(bounds=(3, 3))
     m.pair = Complementarity(expr=complements(m.x >= 0, m.x - m.y >= 0))
@@ -713,7 +713,7 @@ def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
 
 
 def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:
-    """Pyomo's file omits the variable; after "optimal" its value is the point of its bounds nearest to 0."""
+    """Pyomo's file omits the variable; after "optimal" its value is nearest to 0."""
     model = pe.ConcreteModel()
     model.x, model.y, model.z = pe.Var(bounds=(0, None)), pe.Var(bounds=(1, 3)), pe.Var()
     model.goal = pe.Objective(expr=(model.x - 1) ** 2 + 0 * model.y)

@@ -66,7 +66,7 @@ def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
 
 @pytest.mark.parametrize("text", SCENES)
 def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
-    """The z of the default tolerance is within 1e-6 of the direct solution, in at most 40 iterations."""
+    """The z of the default tolerance is within 1e-6 of the direct solution, in 40 iterations."""
     problem = gallery.parse(text).problem
     result = solve(problem, "multigrid", max_iterations=40)
     assert result.status is Status.SOLVED
@@ -115,7 +115,7 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
 @pytest.mark.parametrize("on", ["stones", "posts"])
 @pytest.mark.parametrize("width", [4, 12])
 def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
-    """A strip fixed only at its far ends, which falls far below all contacts, is SOLVED within 60 cycles."""
+    """A strip fixed only at its ends, far below all contacts, is SOLVED within 60 cycles."""
     generator, length = np.random.default_rng(1), 2000
     across, along = np.ones((width + 1, length)), np.ones((width, length + 1))
     across[[0, -1]] = 0.0
@@ -136,7 +136,7 @@ def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_jumps_between_clusters_that_hang_together_by_weak_edges(seed: int) -> None:
-    """Active-set iterations converge at contrast 1e8, although single corrections raise the energy."""
+    """Active-set iterations converge at contrast 1e8, although corrections raise the energy."""
     result = solve(jumps_by_edge("half", 8, size=100, seed=seed), "multigrid", max_iterations=80)
     assert result.status is Status.SOLVED
 
@@ -164,7 +164,7 @@ def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: 
 
 @pytest.mark.full
 def test_energy_that_falls_is_progress() -> None:
-    """If blocks land one after the other, the residual stagnates for long, and the run continues."""
+    """If blocks land one after the other, the residual stagnates, and the run continues."""
     problem = jumps_by_edge("half", 6, size=100, seed=1)
     result = solve(problem, "multigrid")
     assert result.status is Status.SOLVED
@@ -174,7 +174,7 @@ def test_energy_that_falls_is_progress() -> None:
 @pytest.mark.parametrize("decades", [1, 3, 10])
 @pytest.mark.parametrize("scaled", ["rows", "columns", "both alike", "both"])
 def test_the_units_of_single_rows_and_columns_hardly_matter(scaled: str, decades: int) -> None:
-    """Rows and columns times random powers of ten need at most 8 more cycles, with the same scaled solution."""
+    """Rows and columns times random powers of ten need at most 8 more cycles."""
     problem = gallery.build("obstacle_2d", size=60).problem
     plain = solve(problem, "multigrid")
     rows, columns = 10.0 ** np.rint(
@@ -283,7 +283,7 @@ def test_elements_of_second_order_need_few_cycles() -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
-    """All 200 small H₊ and SPD problems with boxes, free and fixed rows reach their known solutions."""
+    """All 200 small H₊ and SPD problems with boxes, free and fixed rows are solved."""
     for seed in range(20 * block, 20 * block + 20):
         problem, z = planted(seed)
         result = solve(problem, "multigrid", coarsest=2, tolerance=1e-11, max_iterations=5000)
@@ -346,7 +346,7 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
 
 
 def test_a_warm_start_pays() -> None:
-    """A run from its solution ends at once, and a run from a close solution needs less than a cold run."""
+    """A run from its solution ends at once, and from a close one sooner than a cold run."""
     problem = prepare(gallery.build("obstacle_2d", size=80).problem)
     cold = solve(problem, "multigrid", tolerance=1e-10)
     again = solve(problem, "multigrid", z0=cold.z)
@@ -360,7 +360,7 @@ def test_a_warm_start_pays() -> None:
 
 @pytest.mark.full
 def test_a_march_in_time_needs_few_corrections() -> None:
-    """If the free boundary moves by many rows per step, warm starts need 6 corrections on average."""
+    """If the free boundary moves by many rows per step, warm starts need 6 corrections."""
     scene = gallery.build("american_put_march", size=20_001, steps=20)
     problem, z, corrections = prepare(scene.problem), np.array(scene.problem.lower), 0
     for step in range(20):
@@ -480,7 +480,7 @@ def test_broken_corrections_do_not_keep_it_from_the_solution(
 
 
 def planted_safeguard(seed: int, n: int) -> tuple[LCP, np.ndarray]:
-    """Return a problem with SPD M, couplings of both signs, all types of bounds, and its solution."""
+    """Return a problem with SPD M, couplings of both signs, all bound types, and its solution."""
     generator = np.random.default_rng(seed)
     B = sp.random_array(
         (n, n), density=3.0 / n, rng=generator, data_sampler=generator.standard_normal
@@ -493,7 +493,7 @@ def planted_safeguard(seed: int, n: int) -> tuple[LCP, np.ndarray]:
 def test_it_converges_on_positive_definite_matrices_from_any_start(
     seed: int, n: int, way: str
 ) -> None:
-    """Known solutions are found from random starts with broken corrections and small coarsest grids."""
+    """Known solutions are found from random starts with broken corrections and small grids."""
     problem, z = planted_safeguard(seed, n)
     start = np.random.default_rng(seed + 1).normal(scale=100.0, size=n)
     with pytest.MonkeyPatch.context() as monkeypatch:
@@ -521,7 +521,7 @@ def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
-    """The energy falls from one accepted iterate to the next, or the least residual falls by a tenth."""
+    """The energy falls from one accepted iterate to the next, or the residual by a tenth."""
     problem = gallery.build("obstacle_2d", size=12).problem
     taken: list[tuple[float, float]] = []
     accept = Safeguard._accept
@@ -544,7 +544,7 @@ def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, 
 
 @given(st.integers(0, 10**6))
 def test_the_change_of_the_energy_is_exact_up_to_its_own_margin(seed: int) -> None:
-    """The computed change of the energy agrees with rational arithmetic up to the stated rounding error."""
+    """The computed change of the energy is exact up to the stated rounding error."""
     problem, z = planted_safeguard(seed, 12)
     generator = np.random.default_rng(seed)
     one, other = z + generator.normal(size=12), z + generator.normal(scale=1e-6, size=12)
@@ -560,7 +560,7 @@ def test_the_change_of_the_energy_is_exact_up_to_its_own_margin(seed: int) -> No
 
 
 def test_what_is_proven_about_multigrid() -> None:
-    """Multigrid is guaranteed on positive definite matrices unless it may hand over, and on no others."""
+    """Multigrid is guaranteed on positive definite matrices unless it may hand over."""
     problem = gallery.build("obstacle_2d", size=10).problem
     assert convergence_guarantee(problem, "multigrid").is_guaranteed
     assert not convergence_guarantee(problem, Multigrid(hands_over=True)).is_guaranteed

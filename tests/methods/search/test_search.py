@@ -30,7 +30,7 @@ def test_random_problems_agree_with_an_enumeration(block: int) -> None:
 
 @pytest.mark.parametrize("n", [6, 8])
 def test_isolated_solutions_agree_with_plain_enumeration(n: int) -> None:
-    """On nondegenerate integer problems the solutions are those of all 2ⁿ nonsingular bases."""
+    """Solutions of nondegenerate integer problems agree with all 2ⁿ nonsingular bases."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         M = rng.integers(-9, 10, (n, n)) + 9 * np.eye(n, dtype=int)
@@ -92,7 +92,7 @@ def test_ties_of_integer_payoffs_are_kept() -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
 def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
-    """All extreme equilibria, ties and one odd payoff included, agree with an enumeration of vertices in fractions."""
+    """Extreme equilibria, ties included, agree with an exact enumeration of vertices."""
     rng = np.random.default_rng(7)
     for _ in range(12):
         A, B = game(rng, odd)
@@ -102,7 +102,7 @@ def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
 
 
 def test_a_degenerate_game_reports_a_face() -> None:
-    """In a game without any payoff every pair of strategies is an equilibrium: one face of dimension 2."""
+    """Every pair of strategies of a game with zero payoffs is an equilibrium: a face."""
     problem = lcp_from_bimatrix_game(np.zeros((2, 2)), np.zeros((2, 2)))
     (face,) = all_solutions(problem)
     assert face.dimension == 2
@@ -112,7 +112,7 @@ def test_a_degenerate_game_reports_a_face() -> None:
 
 
 def test_every_pure_equilibrium_is_a_vertex_of_a_face() -> None:
-    """Where the row player gets the same everywhere, both pure equilibria are among the vertices of three segments."""
+    """If the row player's payoffs are equal, both pure equilibria are vertices of segments."""
     problem = lcp_from_bimatrix_game([[1, 1], [1, 1]], [[1, 0], [0, 1]])
     faces = all_solutions(problem)
     assert [face.dimension for face in faces] == [1, 1, 1]
@@ -159,7 +159,7 @@ def corners(problem: LCP, pattern: tuple[str, ...]) -> set[tuple[float, ...]]:
 
 @pytest.mark.full
 def test_vertices_are_those_of_a_plain_enumeration() -> None:
-    """On singular integer problems, boxes and degenerate ones among them, each face has exactly its vertices."""
+    """Each face of singular integer problems, boxed or degenerate, has exactly its vertices."""
     rng, faces = np.random.default_rng(5), 0
     for _ in range(150):
         n = int(rng.integers(2, 5))
@@ -199,7 +199,7 @@ def test_an_isolated_solution_beside_a_continuum_is_told_apart() -> None:
 
 
 def test_a_feasible_problem_without_solution_is_proven() -> None:
-    """Feasible constraints, no solution: the tree covers all cases, verifies, and a damaged tree does not."""
+    """For feasible constraints without a solution, the tree verifies, a modified one does not."""
     problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
     truth = Enumeration(problem.csr.toarray(), problem.q, problem.lower, problem.upper)
     proof = search(problem)
@@ -218,7 +218,7 @@ def test_a_feasible_problem_without_solution_is_proven() -> None:
 
 
 def test_a_linear_contradiction_is_found_by_the_search_too() -> None:
-    """Where the linear constraints contradict, the proof is one Farkas vector."""
+    """If the linear constraints are inconsistent, the proof is one Farkas vector."""
     proof = search(LCP([[0.0]], [-1.0]))
     assert isinstance(proof, NoSolution)
     assert proof.leaves == 1
@@ -227,7 +227,7 @@ def test_a_linear_contradiction_is_found_by_the_search_too() -> None:
 
 
 def test_the_answer_is_the_rounding_of_the_exact_one() -> None:
-    """The answer is a third where 3 z = 1: exact in fractions, nearest in doubles."""
+    """The solution of 3 z = 1 is an exact third, and the nearest double."""
     (solution,) = all_solutions(LCP([[3.0]], [-1.0]))
     assert solution.exact_z == (Fraction(1, 3),)
     assert solution.z.tolist() == [1 / 3]
@@ -246,7 +246,7 @@ def test_boxes_free_and_fixed_rows_take_part() -> None:
 
 
 def test_limits_end_the_search_honestly() -> None:
-    """Too few nodes decide nothing; a problem too large is refused with its size."""
+    """Too few nodes decide nothing; a problem that is too large raises an error with its size."""
     problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
     assert search(problem, first_only=False, max_nodes=3) == GaveUp(3)
     with pytest.raises(UnsuitableProblem, match="max_nodes=3"):
@@ -265,7 +265,7 @@ BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solutio
 
 
 def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
-    """Where z leaves the range of doubles, the fractions hold it and the rounded z is refused in words."""
+    """If z exceeds the range of doubles, exact_z is rational, and the rounded z raises an error."""
     (solution,) = all_solutions(BEYOND_DOUBLES)
     assert is_exact_solution(BEYOND_DOUBLES, solution.exact_z)
     assert solution.exact_z == (1, Fraction(1e278) / Fraction(1e-145))
@@ -277,7 +277,7 @@ def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
 
 
 def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
-    """A run whose search finds a solution that no doubles can hold ends STALLED and says so."""
+    """A run whose only solution exceeds the range of doubles ends STALLED, with a message."""
     result = solve(BEYOND_DOUBLES)
     assert result.status is Status.STALLED
     assert np.isfinite(result.z).all()
@@ -295,7 +295,7 @@ def busy(seed: int) -> LCP:
 
 @pytest.mark.full
 def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Auto stops an exact search by counted work, the same in every run, and says how far it came."""
+    """Auto stops an exact search after a fixed amount of work, and reports its progress."""
     monkeypatch.setattr("lcp_plugin.methods.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
     runs = [solve(busy(0)) for _ in range(2)]
     for result in runs:
@@ -308,7 +308,7 @@ def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyP
 
 
 def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None:
-    """On a singular M without a solution the energy has no least value; the run ends, and INFEASIBLE is proved."""
+    """The energy of a singular M without a solution is unbounded, and INFEASIBLE is proved."""
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(30, 30)).tolil()
     line[0, 0] = line[-1, -1] = 1.0
     M = sp.csr_array(sp.kron(line, sp.eye_array(30)) + sp.kron(sp.eye_array(30), line))

@@ -1,4 +1,4 @@
-"""Complementarity over cones and quadratic friction cones: data, criterion, methods, derivative, files."""
+"""Complementarity over cones and friction cones: data, criterion, methods, derivative."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_bad_input_is_refused_in_words(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_planted_contacts_are_solved(seed: int) -> None:
-    """Open, sticking, sliding and degenerate contacts are SOLVED; a definite W gives the known impulses."""
+    """Open, sticking, sliding and degenerate contacts are SOLVED, with the known impulses."""
     rng = np.random.default_rng(seed)
     problem, r, _ = planted_contacts(
         int(rng.integers(1, 12)), int(rng.integers(1, 6)), 10.0 ** rng.uniform(0, 5), rng
@@ -95,7 +95,7 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("name", ["npgs", "newton", "fixed_point"])
 def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
-    """Each method finds the known solution over cones without friction if M is positive definite."""
+    """Each method finds the known solution over cones without friction for definite M."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
     tolerance = (
         1e-3 if name == "fixed_point" else 1e-8
@@ -148,7 +148,7 @@ def test_components_have_their_own_references() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 2.0])
 def test_a_block_slides_against_its_impulse(friction: float) -> None:
-    """A contact in any direction has r_T = −μ r_N u_T/‖u_T‖ if the push exceeds friction, else u_T = 0."""
+    """Every contact has r_T = −μ r_N u_T/‖u_T‖ if the push exceeds friction, else u_T = 0."""
     for angle in np.linspace(0.0, 6.0, 13):
         push = np.array([np.cos(angle), np.sin(angle)])
         result = solve(FrictionalContact(np.eye(3), [-1.0, *push], friction), tolerance=1e-12)
@@ -202,7 +202,7 @@ def test_names_of_methods_are_checked() -> None:
 
 
 def test_a_warm_start_ends_at_once() -> None:
-    """A run from its solution takes no step; a run from a nearby solution takes a few Newton steps."""
+    """A run from its solution takes no step; from a nearby solution it takes a few."""
     problem, _, _ = planted_contacts(10, 5, 10.0, np.random.default_rng(3))
     first = solve(problem)
     assert solve(problem, z0=first.z).iterations == 0
@@ -212,7 +212,7 @@ def test_a_warm_start_ends_at_once() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_derivatives_are_those_of_differences(seed: int) -> None:
-    """The derivatives by velocities, W and friction agree with differences; vjp is the transpose of jvp."""
+    """The derivatives by velocities, W and friction are right; vjp is the transpose of jvp."""
     rng = np.random.default_rng(seed)
     problem, _, _ = planted_contacts(3, 3, 10.0, rng, definite=True, most=0.5)
     problem = problem.with_q(problem.b + 0.01 * rng.standard_normal(9))  # off the edges
@@ -376,7 +376,7 @@ def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
 
 
 def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
-    """A number for dfriction applies to all contacts; unknown options and batches raise clear errors."""
+    """A number for dfriction applies to all contacts; unknown options raise clear errors."""
     problem = FrictionalContact(np.eye(6), [[-1.0, 3.0, 4.0], [-2.0, 0.1, 0.0]], 0.5)
     found = derivative(solve(problem))
     np.testing.assert_array_equal(found.jvp(dfriction=0.1), found.jvp(dfriction=[0.1, 0.1]))
@@ -391,7 +391,7 @@ def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
 
 
 def test_the_answer_is_in_the_cone_where_a_diagonal_cancels() -> None:
-    """The scale ignores rounding error in a block's diagonal: z is in K, and w in K*, in 50 digits."""
+    """The scale ignores rounding error in a block's diagonal: z is in K, and w in K*."""
     M = [[0.2, -0.5, 0.7], [0.0, 0.0, 0.5], [-0.7, 0.6, -0.2 + 2.0**-54]]
     problem = ConeProblem(M, [1.1, -1.2, 1.2], [("second_order", 3)])
     result = solve(problem)
@@ -432,7 +432,7 @@ def together(*problems: FrictionalContact) -> FrictionalContact:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
 def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
-    """Two groups of 70 contacts with velocities 1 : 1e-7 are SOLVED together, as each group is alone."""
+    """Two groups of 70 contacts with velocities 1 : 1e-7 are SOLVED together."""
     rngs = [np.random.default_rng(seed) for seed in seeds]
     groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
     groups[1] = groups[1].with_q(1e-7 * groups[1].b)
@@ -444,7 +444,7 @@ def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
 
 
 def test_one_group_without_an_answer_makes_all_infeasible() -> None:
-    """One contact that nothing opens makes the entire problem INFEASIBLE, with a proof for all contacts."""
+    """One contact that nothing opens makes the problem INFEASIBLE, with a proof."""
     good = planted_contacts(5, 4, 1e3, np.random.default_rng(0))[0]
     problem = together(good, FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5))
     result = solve(problem)
@@ -458,7 +458,7 @@ def test_one_group_without_an_answer_makes_all_infeasible() -> None:
 
 
 def test_a_row_on_the_edge_has_one_sided_derivatives() -> None:
-    """A row with z = w = 0 in a half-line is degenerate, with the one-sided derivatives of the LCP."""
+    """A row with z = w = 0 in a half-line is degenerate, with one-sided derivatives."""
     found = derivative(solve(ConeProblem([[2, 1], [1, 2]], [-1, -2], [("nonnegative", 2)])))
     assert found.degenerate.tolist() == [0]
     np.testing.assert_allclose(found.jvp(dq=[-1.0, 0.0]), [2.0 / 3.0, -1.0 / 3.0], rtol=1e-12)
@@ -520,7 +520,7 @@ def test_a_limit_of_1e20_is_none() -> None:
 
 
 def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
-    """With μ‖u_T‖ = 27 nearly canceling in R and a reference of 2e-5, few steps suffice for SOLVED."""
+    """With μ‖u_T‖ = 27 nearly canceling in R and a reference of 2e-5, few steps suffice."""
     W = np.array([[3.128, -2.472], [-2.472, 3.872]])
     for algorithm in ("auto", "newton", "npgs", "interior_point", "fixed_point"):
         result = solve(
@@ -604,7 +604,7 @@ def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
 
 
 def test_a_start_beyond_all_sizes_harms_nothing() -> None:
-    """From impulses of 1e300 the central path is the last method, and no overflow raises a warning."""
+    """From impulses of 1e300 the central path is the last method, without overflow."""
     W = [
         [1.0, 0.0, 1.0, 2.0],
         [0.0, 0.0, 0.0, 0.0],
@@ -679,7 +679,7 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
 
 
 def test_more_friction_than_a_solution_has_ends_soon() -> None:
-    """With coefficients of 1000, for which W may jam any contact, the status is correct after a few seconds."""
+    """Coefficients of 1000, which may jam any contact, give a correct status in seconds."""
     W = [[3.0, -1.0, 0.0], [-1.0, 1.0, -1.0], [0.0, -1.0, 2.0]]
     with pytest.warns(ModelWarning):
         problem = FrictionalContact(W, [-3.0, 1.0, 1.0], 1000.0)
@@ -691,7 +691,7 @@ def test_more_friction_than_a_solution_has_ends_soon() -> None:
 
 
 def test_components_that_are_solved_alone_are_seen_by_the_callback() -> None:
-    """The callback receives samples and points of the entire problem for each component, and ends the run."""
+    """The callback receives samples and points of the entire problem, and ends the run."""
     rngs = [np.random.default_rng(seed) for seed in (0, 2)]
     groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
     groups[1] = groups[1].with_q(1e-7 * groups[1].b)
@@ -719,7 +719,7 @@ def test_warm_steps_of_a_pile_obey_their_limit() -> None:
 
 
 def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
-    """For W in few digits, sparse, b flat: gap / time step is added to normal velocities, W is unchanged."""
+    """For W in few digits, sparse, b flat: gap / time step is added, W is unchanged."""
     W = np.eye(6)
     W[0, 3], W[3, 0] = 0.1, 0.101
     b, gaps = np.concatenate([SLIDES, SLIDES]), [0.01, 0.0]
@@ -749,7 +749,7 @@ def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
 def test_a_damaged_file_over_cones_is_told_what_is_wrong(
     changed: Any, words: str, tmp_path: Path
 ) -> None:
-    """Invalid shapes, indices, types and row numbers in a file raise UnreadableFile with the reason."""
+    """Invalid shapes, indices, types and row numbers in a file raise UnreadableFile."""
     ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
         tmp_path / "p.npz"
     )

@@ -1,4 +1,4 @@
-"""Least squares within bounds: known solutions, other solvers' results, exact gaps, statuses, errors."""
+"""Least squares within bounds: known solutions, exact gaps, statuses, errors."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -
 @pytest.mark.parametrize("condition", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("shape", [(60, 30), (30, 60), (300, 280), (400, 400)])
 def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: float) -> None:
-    """A dense A of condition up to 1e8, tall, square or wide, gives SOLVED, the known cost, x in its bounds."""
+    """A dense A of condition up to 1e8, tall, square or wide, gives SOLVED and the known cost."""
     A, b, upper, x = planted(of_condition(*shape, condition), boxed=0.2)
     result = bounded_least_squares(A, b, upper=upper).require_solved()
     best = 0.5 * np.sum((A @ x - b) ** 2)
@@ -336,7 +336,7 @@ def exact_cost(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, x:
 
 @pytest.mark.parametrize("form", [np.ascontiguousarray, np.asfortranarray, sp.csr_array])
 def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> None:
-    """The exact residual and gradient lie within the proved radii, by blocks of rows, columns and sparse."""
+    """The exact residual and gradient lie within the proved radii, dense and sparse."""
     rng = np.random.default_rng(2)
     A, b, x = (
         10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)),
@@ -370,7 +370,7 @@ def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> Non
     st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]),
 )
 def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
-    """Rational arithmetic confirms cost − min ≤ gap and SOLVED for all tolerances, ranks and weights."""
+    """Rational arithmetic confirms cost − min ≤ gap and SOLVED for all ranks and weights."""
     rng = np.random.default_rng(seed)
     A, b, weights = rng.integers(-4, 5, (m, n)), rng.integers(-6, 7, m), rng.integers(0, 3, m)
     upper = [None if rng.random() < 0.6 else int(rng.integers(0, 3)) for _ in range(n)]
@@ -409,7 +409,7 @@ def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
 
 
 def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
-    """With mixed scaling, any rank and exact fits there is no false SOLVED, and at most 2 % are unsolved."""
+    """Mixed scaling, any rank and exact fits give no false SOLVED, and 2 % unsolved."""
     found = [
         finding.what
         for number in draws(360)
@@ -421,7 +421,7 @@ def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
 
 @given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
 def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None:
-    """Scaled rows (× 2^k, weights ÷ 4^k) and columns (× 2^k) give the same status, and the same x bit for bit.
+    """Scaled rows (× 2^k, weights ÷ 4^k) and columns (× 2^k) give the same x bit for bit.
 
     Without weights nnls may solve the unscaled problem, with the same status and, up to rounding error, the same
     cost.
@@ -459,7 +459,7 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
 def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
     lower: float, upper: float
 ) -> None:
-    """Half the singular values × 1e-8, mixed: a gradient of 1e-8 hides a third of the cost, so not SOLVED."""
+    """Half the singular values × 1e-8, mixed: a small gradient hides a third of the cost."""
     rng = np.random.default_rng(0)
     mix = np.linalg.qr(rng.standard_normal((100, 100)))[0]
     sizes = np.repeat([1.0, 1e-8], 50)
@@ -504,7 +504,7 @@ def test_empty_and_trivial_problems(A: Any, b: Any, lower: float, x: list[float]
 
 
 def test_statuses_say_why_a_run_ended() -> None:
-    """Limits end a run with their status and the best point; a point at rounding level is SOLVED."""
+    """Limits end a run with their status and the best point; rounding level is SOLVED."""
     A, b, _, _ = planted(random_rows(3000, 600, 8))
     none = bounded_least_squares(A, b, max_iterations=0)
     few = bounded_least_squares(aslinearoperator(A), b, max_iterations=5)
@@ -554,7 +554,7 @@ def test_advice_names_what_is_wrong_with_an_operator() -> None:
 
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e160, 1e300])
 def test_data_whose_squares_are_no_doubles_are_refused(size: float) -> None:
-    """An A, a b or weights of 1e±160 raise InvalidProblem with the number; one tiny entry is accepted."""
+    """An A, a b or weights of 1e±160 raise InvalidProblem; one tiny entry is accepted."""
     A, b = np.array([[1.0, 0.5], [0.5, 1.0], [2.0, 1.0]]), np.ones(3)
     for data in ((size * A, b), (sp.csr_array(size * A), b), (A, size * b)):
         with pytest.raises(InvalidProblem, match=r"divide A and b by a number"):
@@ -684,7 +684,7 @@ def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small: float) ->
 
 
 def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
-    """Equations with right-hand side 0 and large x leave a rounding error at any solution: still SOLVED."""
+    """Equations with right-hand side 0 and large x are SOLVED at rounding level."""
     A, b = [[3.0, -2.0, 2.0], [-1.0, -3.0, 2.0], [1.0, -2.0, -2.0]], [1e15, -3.0, -2.0]
     bounds = {"lower": [0.0, 0.0, -np.inf], "upper": [np.inf, 1.0, np.inf]}
     assert solve(BoundedLeastSquares(A, b, **bounds)).is_solved
@@ -696,7 +696,7 @@ def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
 
 
 def test_a_cost_is_that_of_its_x() -> None:
-    """For nearly dependent columns x is large, the residual cancels, and its cost is accurate to 1e-7."""
+    """For nearly dependent columns x is large, the residual cancels, its cost accurate to 1e-7."""
     A, b = [[2.0, 2.0], [1.0, 1.0 + 1e-12], [3.0, 3.0]], [1.0, 2.0, 3.0]
     result = solve(BoundedLeastSquares(A, b, lower=-np.inf))
     off = [
@@ -708,7 +708,7 @@ def test_a_cost_is_that_of_its_x() -> None:
 
 
 def test_a_vandermonde_matrix_is_solved() -> None:
-    """An exact fit with powers up to 11 on [0, 1] is SOLVED, with x accurate relative to the condition."""
+    """An exact fit with powers up to 11 on [0, 1] is SOLVED, to the accuracy of the condition."""
     A = np.vander(np.linspace(0.0, 1.0, 120), 12)
     result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
     np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)

@@ -157,7 +157,7 @@ def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
-    """The product ⟨g, dz⟩ equals the product of gradients and changes, for all steps and for the last step."""
+    """The product ⟨g, dz⟩ equals the product of gradients and changes, for all steps."""
     done = CASES[case]()
     found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
     change["dM"] = sp.csr_array(
@@ -377,7 +377,7 @@ def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
 
 
 def test_what_marches_of_several_matrices_refuse() -> None:
-    """Different sizes, different numbers of marches and other classes raise errors before the first step."""
+    """Different sizes, different numbers of marches and other classes raise errors at once."""
     one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
     forcing = np.zeros((2, 3))
     with pytest.raises(
@@ -595,7 +595,7 @@ def test_a_march_takes_what_a_solve_takes() -> None:
 
 
 def test_a_march_ends_where_a_step_is_not_solved() -> None:
-    """A march ends at an unsolved step; steps outside of the compiled loop are solved one by one."""
+    """A march ends at an unsolved step; others run outside of the compiled loop."""
     problem = LCP(
         sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0
     )

@@ -1,4 +1,4 @@
-"""Nonlinear complementarity: published and manufactured solutions, statuses, proofs, derivatives, errors."""
+"""Nonlinear complementarity: published and manufactured solutions, statuses, proofs."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
     [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)],
 )
 def test_nash_cournot(F: Callable[..., Any], published: list[float], start: float) -> None:
-    """Oligopolies of 5 and 10 firms have their published equilibria; the result reports that F(0) is undefined."""
+    """Oligopolies of 5 and 10 firms have their published equilibria, with F undefined at 0."""
     result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
     np.testing.assert_allclose(solved(result), published, rtol=1e-4)
     assert "the distance from the point of the bounds" in str(result.certificate)
@@ -230,7 +230,7 @@ def test_steps_do_not_grow_under_refinement(size: int) -> None:
 
 
 def test_differences_on_a_pattern() -> None:
-    """Differences on a five-point pattern take at most 7 evaluations, and give the same solution."""
+    """Differences on a five-point pattern take 7 evaluations, and give the same solution."""
     problem, A = models.membrane(15)
     calls = []
 
@@ -313,7 +313,7 @@ def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) ->
 
 
 def test_slack_at_a_bound_lends_no_tolerance() -> None:
-    """Unknown x₀ runs to 7e11 while slack of 5e10 keeps x₁ at its bound: row 0, flat at −0.1, must not pass."""
+    """Unknown x₀ runs to 7e11 while slack of 5e10 keeps x₁ at its bound: row 0 must not pass."""
 
     def F(x: np.ndarray) -> np.ndarray:
         return np.array([-(x[0] ** -3.0) - 0.1 + 0.1 * x[1], 0.1 * x[0] + x[1] - 1.0])
@@ -375,7 +375,7 @@ def test_a_bound_of_1e20_is_none(none: float) -> None:
 
 @pytest.mark.full
 def test_a_hill_climber_finds_no_wrong_point_that_passes() -> None:
-    """Random search finds no point off by 1 % that passes, in ten scaled problems with known solutions."""
+    """Random search finds no point off by 1 % that passes, in ten scaled problems."""
     from campaigns.attack_nonlinear import attack_nonlinear
 
     with np.errstate(all="ignore"):  # of large norm F leaves the range of doubles
@@ -421,7 +421,7 @@ def test_of_several_solutions_one_near_the_start_is_found(
 
 
 def test_lotka_volterra_stays_inside() -> None:
-    """Two competitors from (0.7, 0.7) reach their interior equilibrium, not the extinction of both."""
+    """Two competitors from (0.7, 0.7) reach their interior equilibrium."""
     problem = NonlinearProblem(
         lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]])
     )
@@ -433,7 +433,7 @@ def test_lotka_volterra_stays_inside() -> None:
 def test_two_problems_in_units_of_their_own(
     jacobian: Callable[..., Any] | None, start: tuple[float, float]
 ) -> None:
-    """The equations x₀ = 1e10 and 1/x₁ = 2 are two components, and each is solved relative to its size."""
+    """The equations x₀ = 1e10 and 1/x₁ = 2 are two components, each solved at its size."""
     problem = NonlinearProblem(lambda x: np.array([x[0] - 1e10, 1.0 / x[1] - 2.0]), jacobian)
     np.testing.assert_allclose(solved(solve_nonlinear(problem, start)), [1e10, 0.5], rtol=1e-7)
 
@@ -458,7 +458,7 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
 
 @pytest.mark.full
 def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
-    """Algorithm psor requires a positive diagonal, and auto replaces it for linearizations without one."""
+    """Algorithm psor requires a positive diagonal, and auto replaces it otherwise."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0])
     )
@@ -492,7 +492,7 @@ UNSOLVABLE = {
 @pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
 @pytest.mark.parametrize("name", UNSOLVABLE)
 def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
-    """Every algorithm ends long before max_iterations on an unsolvable LCP, or raises UnsuitableMatrix."""
+    """Every algorithm ends long before max_iterations on an unsolvable LCP."""
     try:
         result = solve(LCP(*UNSOLVABLE[name]), algorithm)
     except (UnsuitableMatrix, UnsuitableProblem):
@@ -514,7 +514,7 @@ def test_prices_near_zero_lend_no_tolerance() -> None:
 
 @pytest.mark.full
 def test_rounding_in_f_is_a_precision_limit() -> None:
-    """Rounding error in F above the tolerance gives PRECISION_LIMIT, a wrong derivative does not."""
+    """Rounding error in F above the tolerance gives PRECISION_LIMIT, a wrong derivative not."""
     noisy = NonlinearProblem(
         lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3,
         lambda x: np.diag(3 * x**2),
@@ -682,7 +682,7 @@ def test_a_right_jacobian_is_not_warned_of(seed: int, kind: str, n: int) -> None
 
 
 def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
-    """Unknown x₂ appears only in a row at its bound, and so does not affect the small and correct x₁."""
+    """Unknown x₂ appears only in a row at its bound, and does not affect the small x₁."""
 
     def F(v: np.ndarray) -> np.ndarray:
         return np.array(

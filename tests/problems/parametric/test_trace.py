@@ -29,7 +29,7 @@ INF = np.inf
 
 
 def assert_pieces_join(path: Path) -> None:
-    """Require that each segment begins where the previous one ends, in θ and, except at jumps, in value."""
+    """Require that each segment begins where the previous one ends, in θ and, without jumps, z."""
     for one, other in itertools.pairwise(path.pieces):
         if other.begin in (*path.jumps, *path.segments):
             continue
@@ -193,7 +193,7 @@ def test_no_solution_at_the_start() -> None:
 
 
 def test_a_solution_that_jumps_is_said_to() -> None:
-    """If M is not monotone a path may turn back: the solution jumps, and is right beyond the jump."""
+    """If M is not monotone a path may turn back: the solution jumps, and is right beyond."""
     path = trace(LCP([[-1]], [2], upper=1), {"q": [-1]}, 0, 3)
     assert path.jumps == pytest.approx([2.0])
     assert path.at(1.9).z == pytest.approx([0.0])
@@ -295,7 +295,7 @@ def test_a_path_is_shown_in_words_tables_and_pictures() -> None:
 
 
 def short_lcp(seed: int) -> tuple[LCP, np.ndarray] | None:
-    """Return a strictly monotone LCP with one decimal and the direction of q, or None if not monotone."""
+    """Return a strictly monotone LCP and a direction of q, or None."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 4))
     B, K = (np.round(rng.standard_normal((n, n)), 1) for _ in range(2))
@@ -306,7 +306,7 @@ def short_lcp(seed: int) -> tuple[LCP, np.ndarray] | None:
 
 @pytest.mark.full
 def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
-    """A path is right if z and w both vanish up to rounding; a fifth of these once ended STALLED."""
+    """A path is right if z and w both vanish up to rounding; some once ended STALLED."""
     path = trace(LCP([[5.0]], [-1.0]), {"q": [-3.0]}, 1.5, -1.0).require_solved()
     assert path.at(path.breakpoints[1]).is_solved
     assert all(point.is_solved for point in path.points)
@@ -426,7 +426,7 @@ def assert_on_the_path(path: Path, solved: Any) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_between_pieces_there_is_no_gap(seed: int) -> None:
-    """Segments join without gaps, and at θ around every joint the path agrees with single solves."""
+    """Segments join without gaps, and around every joint the path agrees with solves."""
     rng = np.random.default_rng(seed)
     B, n = rng.standard_normal((6, 6)), 6
     program = QuadraticProgram(

@@ -52,7 +52,7 @@ SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", certify_campaign.KINDS)
 def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
-    """Programs of each class: numbers hold with rationals, right is proved, wrong points never are."""
+    """Programs of each class: right points are proved, wrong points never are."""
     off = []
     for seed in range(5):
         rng = np.random.default_rng([seed, 20])
@@ -86,7 +86,7 @@ def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
 
 
 def test_what_proves_is_said() -> None:
-    """The reason of an optimal verdict states the bound of the objective and the argument of the proof."""
+    """The reason of an optimal verdict states the bound and the argument of the proof."""
     said = certify(SIMPLE, [0.5, 1.5])
     assert re.fullmatch(
         r"no feasible x has an objective lower than this one's by more than \S+, which the multipliers prove by weak "
@@ -188,7 +188,7 @@ def test_an_error_that_the_objective_does_not_see_is_told_by_the_distance() -> N
 
 
 def test_multipliers_are_a_pair_or_a_solution() -> None:
-    """A pair of multipliers (G, A) and a QPSolution with bound multipliers have the same verdict."""
+    """A pair of multipliers (G, A) and a QPSolution have the same verdict."""
     zeros = np.zeros(2)
     for multipliers in (([1.0], []), QPSolution(SIMPLE, [0.5, 1.5], [1.0], [], zeros, zeros)):
         assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
@@ -237,7 +237,7 @@ def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> No
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
 def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float) -> None:
-    """A small row scale makes the violation of a distant x small, and its multipliers prove nothing."""
+    """A small row scale makes the violation of a distant x small, and proves nothing."""
     n = SMALL + 20
     P = sp.diags_array(np.append(1e3, np.ones(n - 1)))
     program = QuadraticProgram(
@@ -349,7 +349,7 @@ def test_a_result_claims_what_its_status_says() -> None:
 
 @pytest.mark.parametrize("miss", [1e-7, 1e-5])
 def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
-    """Constraints inconsistent by less than the tolerance are satisfied to it; else "infeasible" is proved."""
+    """Constraints inconsistent by less than the tolerance pass; else "infeasible" is proved."""
     program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
     claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
     assert (claimed.verdict, answered.verdict) == (
@@ -382,7 +382,7 @@ def test_weights_leave_a_semidefinite_matrix(
 def test_any_point_and_any_multipliers_give_a_lower_bound(
     kind: str, draws: Callable[[int], range]
 ) -> None:
-    """Multipliers of any sign, close to the right ones or not, give a lower bound in every variant."""
+    """Multipliers of any sign, close to the right ones or not, give a lower bound."""
     finite = 0
     for seed in draws(25):
         rng = np.random.default_rng([seed, 21])
@@ -408,7 +408,7 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(
 @pytest.mark.parametrize("kind", ["definite", "definite, equations"])
 @pytest.mark.parametrize("moved", [0.0, 1e-11, 1e-7])
 def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
-    """With rationals, the distance bounds ‖x − x*‖; usually it is the root of the error of the value."""
+    """With rationals, the distance bounds ‖x − x*‖; usually the root of the value's error."""
     small = 0
     for seed in range(14):
         rng = np.random.default_rng([seed, 58])
@@ -430,7 +430,7 @@ def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
 
 
 def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
-    """For equalities with a known solution the radius is at rounding level; dependent ones have none."""
+    """For equalities with a known solution the radius is at rounding level."""
     rng = np.random.default_rng(8)
     for n, p in ((1, 1), (6, 2), (30, 10), (12, 12)):
         A, x = rng.integers(-8, 9, (p, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
@@ -445,7 +445,7 @@ def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
 
 
 def test_what_is_called_feasible_is() -> None:
-    """A feasible point exists within the radius of points that violate rows, opposite rows included."""
+    """A feasible point exists within the radius of points that violate rows."""
     for seed in range(25):
         rng = np.random.default_rng(seed)
         n, m = int(rng.integers(2, 5)), int(rng.integers(1, 5))

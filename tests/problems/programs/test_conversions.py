@@ -1,4 +1,4 @@
-"""Conversions: the converted problem is equivalent to the original, including duals and their signs."""
+"""Conversions: the converted problem is equivalent, duals included."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def planted(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_planted_answers_are_optimal(seed: int) -> None:
-    """The residuals of a known solution are at rounding level, and each detects one type of error."""
+    """The residuals of a known solution are at rounding level, each detects one type of error."""
     answer = planted(seed, singletons=2)
     right = answer.solution()
     assert right.error < 1e-12
@@ -137,7 +137,7 @@ def test_direct_form_solved_and_recovered(seed: int) -> None:
 @pytest.mark.parametrize("rank", [None, 3, 0])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
-    """The triple (x, λ, ν) of any convex program solves the monotone KKT form and is recovered, for P = 0 too."""
+    """The triple (x, λ, ν) of any convex program solves the monotone KKT form and is recovered."""
     answer = planted(seed, rank=rank)
     problem = lcp_from_qp(answer.program)
     z = np.concatenate([answer.x, answer.inequality, answer.equality])
@@ -275,7 +275,7 @@ def test_gap_program_of_monotone_problems(seed: int) -> None:
 
 
 def game_of(*payoffs: Any) -> Any:
-    """Return a game: players with payoff arrays, each with the player's action on the first axis."""
+    """Return a game: players with payoff arrays, each the player's action on the first axis."""
     return SimpleNamespace(
         players=tuple(SimpleNamespace(payoff_array=payoff) for payoff in payoffs)
     )
@@ -455,7 +455,7 @@ def test_rounding_in_the_symmetry_is_averaged_away() -> None:
 
 
 def test_data_are_read_only_and_the_callers_own_stay_as_they_are() -> None:
-    """The program keeps read-only copies, sparse if the input is sparse; the input stays writable."""
+    """The program keeps read-only copies, sparse for sparse input; the input stays writable."""
     P, G = sp.csr_array([[2.0, 0.0], [0.0, 2.0]]), np.array([[1.0, 1.0]])
     before = P.toarray(), G.copy()
     program = QuadraticProgram(P, [1, 2], G, [3])
@@ -574,7 +574,7 @@ def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", SOLVABLE)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
-    """Method with_vectors gives the complementarity problem and measures of a fresh program, bit by bit."""
+    """Method with_vectors gives the LCP and measures of a fresh program, bit by bit."""
     rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
     first, _ = case(kind, seed, 0, 12)
     lcp_from_qp(first)

@@ -1,4 +1,4 @@
-"""Convex programs of every family: solved to their optimality conditions, or proved infeasible or unbounded."""
+"""Convex programs of every family: solved, or proved infeasible or unbounded."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ INTERIOR = InteriorPoint()
 
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
-    """Two programs of each family reach the known value and the conditions, which are measured here."""
+    """Two programs of each family reach the known value and the conditions."""
     for seed in (77, 78):
         case, value = convex_programs.case(kind, seed, 0, 25)
         result = solve_program(case)
@@ -121,7 +121,7 @@ HARD = (
 @pytest.mark.parametrize("largest", [60, 400])
 @pytest.mark.parametrize("kind", HARD)
 def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> None:
-    """Hard programs reach the known value with row-wise KKT residuals of 1e-6, in about twelve steps."""
+    """Hard programs reach the known value with row-wise KKT residuals of 1e-6 in twelve steps."""
     for seed in range(4):
         made = chain(6 * largest, np.random.default_rng(seed)) if kind == HARD[0] else None
         program, value = made or convex_programs.case(kind, seed, 11, largest)
@@ -159,7 +159,7 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     seed: int, largest: int, case: int
 ) -> None:
-    """Equalities inconsistent by 2e-9 of their size exceed the row tolerance: PRECISION_LIMIT, x is close."""
+    """Equalities inconsistent by 2e-9 of their size exceed the tolerance: PRECISION_LIMIT."""
     program, value = convex_programs.case("redundant, rounded", seed, case, largest)
     result = solve(program)
     assert result.status is Status.PRECISION_LIMIT
@@ -168,7 +168,7 @@ def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
 
 
 def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
-    """A proof with a margin of 1e-12, valid only for the stored numbers, is not returned as the result."""
+    """A proof with a margin of 1e-12, valid only for the stored data, is not returned."""
     program = QuadraticProgram(
         np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf]
     )
@@ -215,7 +215,7 @@ def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
 
 
 def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
-    """At 1e8 along a slope of 1e-10 the objective is off by 2e-2 relative to terms of 2e8: not optimal."""
+    """At 1e8 along a slope of 1e-10 the objective is off by 2e-2 at terms of 2e8: not optimal."""
     program = QuadraticProgram(
         np.zeros((2, 2)), [1.0, 1e-10 - 1.0], A=[[1.0, -1.0]], b=[0.0], lower=-1e8, upper=1e8
     )
@@ -269,7 +269,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
-    """Programs with a known minimum have no accepted proof; rounded data may have one of small margin."""
+    """Programs with a known minimum have no accepted proof; rounded data may have one."""
     case, _ = convex_programs.case(kind, seed, 6, 10)
     assert case.facts.accepted_proof(1e-6) is None
     assert convex_programs.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
@@ -305,7 +305,7 @@ def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
 def test_a_run_that_a_proof_ends_says_so(
     program: Any, word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An infeasible program has no multipliers, and the last line of verbose=True names the proof."""
+    """An infeasible program has no multipliers, and verbose=True ends with the proof."""
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
     assert end.startswith(f"{word.upper()}: ")
@@ -355,7 +355,7 @@ def falling(n: int) -> QuadraticProgram:
 def test_large_dense_programs_are_proved_infeasible_before_methods_creep(
     made: Any, status: Status, n: int
 ) -> None:
-    """A proof within a radius is accepted in seconds, without a search for an exact rational proof."""
+    """A proof within a radius is accepted in seconds, without a search for an exact proof."""
     result = solve(made(n), max_seconds=60.0)
     assert result.status is status
     assert result.proof is not None
@@ -374,7 +374,7 @@ def test_a_rounded_bound_proves_nothing() -> None:
 
 
 def test_a_linear_program_under_a_limit_of_seconds_is_refuted() -> None:
-    """Σ x = 1 and x₀ = 2 are infeasible; there are few rows, but too many unknowns for an active set."""
+    """Σ x = 1 and x₀ = 2 are infeasible; there are too many unknowns for an active set."""
     rows = sp.csr_array(np.vstack([np.ones(240), np.eye(1, 240)]))
     program = QuadraticProgram(None, np.arange(1.0, 241.0), A=rows, b=[1.0, 2.0], lower=0.0)
     result = solve(program, max_seconds=60.0)
@@ -451,7 +451,7 @@ def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
 
 
 def test_data_of_single_precision_are_convex_enough() -> None:
-    """A covariance of fewer samples than assets, rounded to seven digits, is accepted at any scale."""
+    """A covariance of fewer samples than assets, rounded to seven digits, is accepted."""
     rng = np.random.default_rng(0)
     P = np.cov(rng.standard_normal((20, 40)).T.astype(np.float32)).astype(np.float32).astype(float)
     gains = 0.3 * rng.random(40)
@@ -526,7 +526,7 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
 def test_an_exact_descent_counts_beside_its_own_costs(
     program: QuadraticProgram, along: Any
 ) -> None:
-    """A recession direction with a small cost, relative to other costs, proves unboundedness exactly."""
+    """A recession direction with a small cost, relative to others, proves unboundedness."""
     point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
     proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
     assert proof.is_exact
@@ -553,7 +553,7 @@ def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
 
 
 def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
-    """If constraints are inconsistent by rounding, the proof reports the violation and no feasible point."""
+    """If constraints are inconsistent by rounding, the proof reports the violation."""
     found = solve(
         QuadraticProgram(None, [-1.0, -1.0, -1.0], [[-4, -1, 2], [4, 1, -2]], [2e6, -2000000.001])
     )
@@ -579,7 +579,7 @@ def test_infeasible_and_unbounded_carry_their_proof() -> None:
 
 
 def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
-    """A named method that needs a positive diagonal raises an error with advice for a linear program."""
+    """A named method that needs a positive diagonal rejects a linear program."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
     with pytest.raises(UnsupportedModel, match=r'psor needs a positive diagonal.*algorithm="auto"'):
@@ -604,7 +604,7 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
 def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
-    """x₁ − x₂ = 1 and = 2 hold to 5e-7 of their terms at x = 1e6, but the exact proof is infeasible."""
+    """x₁ − x₂ = 1 and = 2 hold to 5e-7 of their terms at x = 1e6, but are infeasible."""
     program = QuadraticProgram(
         np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0]
     )
@@ -616,7 +616,7 @@ def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
-    """A block [[1, 2], [2, 1]] next to entries up to 1e12 larger, with scaled columns, is never a minimum."""
+    """A block [[1, 2], [2, 1]] next to entries up to 1e12 larger, scaled, is never a minimum."""
     random = np.random.default_rng(seed)
     units, A = 10.0 ** random.integers(-6, 7, 4), random.standard_normal((4, 4))
     P = A.T @ A
@@ -644,7 +644,7 @@ def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
 
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e9])
 def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
-    """Multipliers along a recession direction have a dual residual of at least the proof's margin."""
+    """Multipliers along a recession direction have a dual residual above the proof's margin."""
     program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
     flat = QuadraticProgram(np.zeros((2, 2)), [-2.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
     assert program.facts.accepted_proof() is None  # both costs cancel along (1, 1)

@@ -82,7 +82,7 @@ def by_cvxpy(far: float) -> Any:
     "answer", [by_bounds, by_rows, by_other_vectors, by_batch, by_qpsolvers, by_cvxpy]
 )
 def test_limits_of_1e20_say_nothing(answer: Callable[[float], Any], far: float) -> None:
-    """An upper limit of 1e20 and beyond means none in every interface, as a lower one of −1e20 does."""
+    """An upper limit of 1e20 and beyond means none in every interface."""
     np.testing.assert_allclose(answer(far), NEAREST, rtol=1e-9)
 
 
@@ -184,7 +184,7 @@ FELL = {
 
 @pytest.mark.parametrize("name", FELL)
 def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
-    """Wrong objectives with large multipliers, idle unknowns and slacks do not pass the criterion."""
+    """Wrong objectives with large multipliers, idle unknowns and slacks do not pass."""
     program, x, multipliers = FELL[name]
     y = np.array(multipliers[: program.constraints.right.size], np.float64)
     errors = Errors.of(program, np.array(x, np.float64), y)
@@ -194,7 +194,7 @@ def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("limit", [1e9, 1e11, 1e12, 1e14, 1e17])
 def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
-    """With P d = 0 and only a loose row to bound x along d, the value is right to 1e-6, or not SOLVED."""
+    """With P d = 0 and only a loose row along d, the value is right to 1e-6, or not SOLVED."""
     P, c = [[2.691650390625, 0.41015625], [0.41015625, 0.0625]], [-0.984375, -0.171875]
     G = [[-1.296875, 0.015625], [-0.03125, -0.296875]]
     for algorithm in ("auto", "piqp", "daqp", "interior_point"):
@@ -204,7 +204,7 @@ def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
 
 
 def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
-    """The term xᵀP x is rounding error at x = 1e41 along P d = 0, where an optimum of −2.667 must not pass."""
+    """The term xᵀP x is rounding error at x = 1e41 along P d = 0, where −2.667 must not pass."""
     P = [
         [8.0, 10.0, -4.0, -6.0],
         [10.0, 13.0, -3.0, -9.0],
@@ -297,14 +297,14 @@ NEARLY_SINGULAR = (
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 @pytest.mark.parametrize("algorithm", ["auto", "daqp", "piqp", "clarabel"])
 def test_products_that_cancel_hide_no_cost(algorithm: str, kind: Any) -> None:
-    """Cost c₁ is 7e-8 of the terms of its component, and 2 % of the objective, which must be right."""
+    """Cost c₁ is 7e-8 of the terms of its component, and 2 % of the objective."""
     P, c, G, h = NEARLY_SINGULAR
     result = solve(QuadraticProgram(kind(P), c, kind(G), h), algorithm)
     assert wrong_by(NEARLY_SINGULAR, result.x) <= 1e-6 or not result.is_solved
 
 
 def nearly_singular(rng: Generator) -> tuple[Any, ...]:
-    """Draw an integer P of low rank plus 1e-6 to 1e-13 on its diagonal, with costs and loose rows."""
+    """Draw an integer P of low rank plus 1e-6 to 1e-13 on its diagonal, with loose rows."""
     n, m, least = int(rng.integers(2, 5)), int(rng.integers(0, 4)), 10.0 ** -rng.integers(6, 14)
     B = rng.integers(-3, 4, (int(rng.integers(1, n)), n)) * (rng.random((1, n)) < 0.7)
     P = B.T @ B + np.diag(least * 10.0 ** rng.integers(-2, 3, n) ** (rng.random() < 0.5))
@@ -343,7 +343,7 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
 def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
     draw: Callable[[Generator], Any], tolerance: float, draws: Callable[[int], range]
 ) -> None:
-    """The objective of SOLVED results is right to ten times the tolerance, and most draws are SOLVED.
+    """The objective of SOLVED results is right to ten times the tolerance, mostly SOLVED.
 
     If x violates a row by at most the tolerance, the reference uses the right-hand side that x satisfies, because
     so small a violation of a loose row may change the objective considerably.
@@ -419,7 +419,7 @@ def test_constructed_points_are_refused(name: str, kind: Any) -> None:
 
 
 def test_documented_limits_of_the_test() -> None:
-    """A row violated by 9e-10 of its terms passes, as does a program within 1e-11 of a bounded one."""
+    """A row violated by 9e-10 of its terms passes, also a program within 1e-11 of a bounded one."""
     row = QuadraticProgram(np.diag([1.0, 0.0]), [0, 0], [[0, 1], [-1, -1e11]], [1, -1e11 - 50])
     assert Errors.of(row, np.array([0, 1 + 9e-10]), np.zeros(2)).meet(1e-6)
     nearly = QuadraticProgram(None, [1, -(1 + 1e-11)], [[-1, 1]], [-1])

@@ -1,4 +1,4 @@
-"""Derivatives of a batch: those of each problem, by one compiled loop, and none of them lost to its neighbours."""
+"""Derivatives of a batch agree with single derivatives, and bad problems do not affect others."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def of(data: tuple[Any, ...], **options: Any) -> BatchDerivative:
 
 
 def condition(found: BatchDerivative, k: int) -> float:
-    """That of the block of the free rows of problem k."""
+    """Return the condition number of the free block of problem k."""
     one = found[k]
     block = one.problem.csr.toarray()[np.ix_(one.free, one.free)]
     return float(np.linalg.cond(block)) if block.size else 1.0
 
 
 def assert_each(found: BatchDerivative, seed: int = 0) -> None:
-    """Each row is what the problem's own Derivative gives, to rounding; entries of M included."""
+    """Compare each row with the Derivative of the problem, entries of M included."""
     rng = np.random.default_rng(seed)
     z = found.batch.z
     g, gw, dq, dlower, dupper = ([rng.normal(size=len(row)) for row in z] for _ in range(5))
@@ -63,7 +63,7 @@ def assert_each(found: BatchDerivative, seed: int = 0) -> None:
 @pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize("n", [1, 2, 9, 30])
 def test_a_batch_has_the_derivatives_of_each(symmetric: bool, shared: bool, n: int) -> None:
-    """Gradients, changes, z and free rows of arrays, of one M for all and of a list are those one by one."""
+    """Arrays, one M for all and lists have the derivatives, z and free rows of single problems."""
     data = planted(20, n, n, symmetric=symmetric, shared=shared)
     found = of(data)
     assert not found._left  # the compiled loop has done it all
@@ -103,7 +103,7 @@ def test_problems_of_any_sizes_and_kinds() -> None:
 
 
 def test_entries_of_the_matrix() -> None:
-    """∂L/∂M is that of each for an M each; the sum for one M, on the pattern of a sparse one; dM is its adjoint."""
+    """Gradient ∂L/∂M has one matrix per problem, or the sum for a shared M; dM is adjoint."""
     rng = np.random.default_rng(1)
     g = rng.normal(size=(12, 8))
     M, q, lower, upper = planted(12, 8, 3, symmetric=False)
@@ -138,7 +138,7 @@ def test_gradients_and_changes_are_adjoint(symmetric: bool) -> None:
 
 
 def test_kinks() -> None:
-    """Degenerate rows are named, changes are one-sided, gradients hold them, as one by one; others are as before."""
+    """Degenerate rows are named, with one-sided changes and fixed gradients."""
     M, q, lower, upper = planted(40, 6, 8)
     plain = of((M, q, lower, upper))
     q[:10], lower[:10], upper[:10] = 0.0, 0.0, INF  # z = 0 = w
@@ -157,7 +157,7 @@ def test_kinks() -> None:
 
 
 def test_zero_rows_that_are_free_together_with_a_kink() -> None:
-    """Where holding the degenerate rows leaves a singular block, those are free, as one by one."""
+    """If fixed degenerate rows leave a singular block, they are free, as one by one."""
     M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]])
     found = derivative(
         solve_batch(M, np.array([[0.0, 1.0, -2.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0])
@@ -210,7 +210,7 @@ def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
 
 
 def test_a_bad_problem_costs_itself_alone() -> None:
-    """NaN where a problem is none, has no solution or can not follow; `errors` says why; the rest is untouched."""
+    """Invalid or unsolved problems have NaN rows and an error; other problems are unaffected."""
     M, q, lower, upper = planted(8, 4, 9)
     lower[:], upper[:] = 0.0, INF
     clean = of((M, q, lower, upper)).vjp(np.ones(4))
@@ -243,7 +243,7 @@ def test_a_bad_problem_costs_itself_alone() -> None:
 
 
 def test_a_change_that_fails_spoils_no_gradient() -> None:
-    """Where w = −z, z = 0 has no one-sided derivative, and its gradients, with z held, are there before and after."""
+    """For w = −z, z = 0 has no one-sided derivative, but its gradients with fixed z exist."""
     found = derivative(solve_batch([[[-1.0]], [[1.0]]], [[0.0], [-1.0]]))
     before = found.vjp([[2.0], [3.0]])
     assert before.lower.tolist() == [[2.0], [0.0]]
@@ -257,7 +257,7 @@ def test_a_change_that_fails_spoils_no_gradient() -> None:
 
 
 def test_batches_of_nothing() -> None:
-    """No problems, and problems without unknowns."""
+    """Batches without problems, or without unknowns, have empty derivatives."""
     assert derivative(solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3)))).vjp(
         np.ones(3)
     ).M.shape == (0, 3, 3)
@@ -278,13 +278,13 @@ def test_batches_of_nothing() -> None:
     ],
 )
 def test_what_is_refused(call: Any, said: str) -> None:
-    """Other shapes and numbers that are not finite, in words that name the argument."""
+    """Other shapes and numbers that are not finite raise errors that name the argument."""
     with pytest.raises(InvalidProblem, match=said):
         call(of(planted(5, 4, 10)))
 
 
 def test_a_slack_of_rounding_need_not_be_a_kink() -> None:
-    """The second row hardly depends on its own variable: in exact arithmetic that is free, and large."""
+    """The second row barely depends on its variable, which is exactly free and large."""
     found = derivative(solve_batch([[[10.0, 0.0], [1.0, 1e-11]]], [[-1.0, -0.1]]))
     assert found[0].is_unique
     assert not found.degenerate.any()

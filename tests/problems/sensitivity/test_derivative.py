@@ -1,4 +1,4 @@
-"""Derivatives of a solution: exact if they exist, one-sided if rows are degenerate, otherwise errors."""
+"""Derivatives of a solution: exact if they exist, one-sided if degenerate, otherwise errors."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def check_against(
 @settings.get_profile("few")
 @given(STRICT | strict(solved_lcps(h_plus_matrices(density=0.5).map(sp.csr_array))))
 def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
-    """Products at the known solution are exact for M, q and bounds, for all row types, dense and sparse."""
+    """Products at the known solution are exact for M, q and bounds and all row types."""
     problem, z = drawn
     found = found_of(problem)
     piece = piece_of(found, z)
@@ -202,7 +202,7 @@ def test_one_sided_derivatives_differ_by_side() -> None:
 
 
 def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
-    """If M_FF is singular and M_(F∪β) is not, vjp treats the degenerate rows as free, as `free` shows."""
+    """If M_FF is singular and M_(F∪β) is not, vjp treats the degenerate rows as free."""
     problem = LCP(
         [[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0]
     )  # solved by all z₀ ≤ 3, z₁ = 1
@@ -279,7 +279,7 @@ SINGULAR_ROOTS = ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]])
 
 @pytest.mark.parametrize("root", SINGULAR_ROOTS)
 def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[float]]) -> None:
-    """The derivative uses M⁺, also if rounding error gives Cholesky a last pivot, and reports it."""
+    """The derivative uses M⁺, also if rounding gives Cholesky a last pivot."""
     M, n = np.array(root) @ np.array(root).T, len(root)
     found, inverse = found_of(LCP(M, np.zeros(n), lower=-np.inf)), np.linalg.pinv(M)
     assert found.is_unique is False
@@ -359,7 +359,7 @@ def test_wrong_shapes_and_numbers_are_refused(call) -> None:
 
 @pytest.mark.parametrize("diagonal", [1e-6, 1e-9, 1e-12])
 def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
-    """Unknown z₀ = 1e-9 is determined by row 1 only, and is free in spite of rounding error at m₀₀."""
+    """Unknown z₀ = 1e-9 is determined by row 1 only, and free in spite of rounding at m₀₀."""
     M, z = np.array([[diagonal, 1.0], [-1.0, 1.0]]), np.array([1e-9, 1.0])
     found = derivative(solve(LCP(M, -M @ z)))
     assert found.degenerate.size == 0

@@ -74,10 +74,10 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     **options
         The options below, and the options of the named algorithm.
     z0 : array, shape (n,), or a number for n = 1, optional
-        Starting point, projected onto the bounds; x0 is the same option for problems in x. Default: the point of
-        [lower, upper] nearest to 0. ``interior_point`` and ``lemke`` start from the active set of z0 if the residual of
-        z0 is at most a tenth of the default start's residual; external solvers of programs ignore z0. ``explain()``
-        reports an unused start.
+        Starting point, projected onto the bounds; a NonlinearProblem and BoundedLeastSquares call it x0. Default: the
+        point of [lower, upper] nearest to 0. ``lemke`` tries the active set of z0 first; so does ``interior_point`` if
+        the residual of z0 is at most a tenth of the default start's residual. Otherwise both ignore z0, as external
+        solvers of programs do.
     tolerance : float
         Relative tolerance in [0, 1). Default 1e-8; for a QuadraticProgram and an EquilibriumProgram 1e-6 (duality gap).
         SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
@@ -95,8 +95,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         Keep samples of the run at geometric intervals in ``Result.history``; an external solver has a first and a last.
     callback : callable, optional
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
-        run with status INTERRUPTED. Its exceptions propagate. External solvers show no steps: it is called with their
-        point.
+        run with status INTERRUPTED. Its exceptions propagate. For an external solver it is called with the first and
+        the last point.
     error_bound : bool
         Compute a bound of |z − z*| when ``result.error_bound`` is read. None if M allows no bound; see
         :func:`lcp_plugin.error_bound`.
@@ -168,6 +168,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     known = options_of(name)
     if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x
         options["x0"] = options.pop("z0")
+    if "x0" in options and "x0" not in known:
+        raise InvalidOption(f"solve takes no x0 for {with_article(name)}; the start is called z0")
     for option in () if "options" in known else options:
         if option not in known:
             hint = did_you_mean(option, known)

@@ -169,6 +169,8 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
     if M.format in ("csr", "csc", "bsr"):  # scipy's flags are stale if M.data was written to
         M = type(M)((M.data, M.indices, M.indptr), shape=M.shape)
         M.check_format(full_check=True)
+        if (np.diff(M.indptr) < 0).any():  # scipy does not look at them if the last one is 0
+            raise ValueError("index pointer values must form a non-decreasing sequence")
     elif M.format == "coo":
         M = sp.coo_array((M.data, (M.row, M.col)), shape=M.shape)
     elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):

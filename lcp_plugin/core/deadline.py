@@ -111,7 +111,7 @@ def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
 
 
 def seconds_left() -> float:
-    """Return the seconds until the limit, a tenth of one at least; ∞ where there is none.
+    """Return the seconds until the limit, at least 0.1; ∞ without a limit.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def seconds_left() -> float:
 
 
 def enforced_seconds_left() -> float:
-    """Return the seconds until the limit, less than 0 beyond it; ∞ where none is enforced."""
+    """Return the seconds until the limit, negative after it; ∞ without an enforced limit."""
     until, is_enforced = _limit.get()
     return until - _now() if is_enforced else math.inf
 

@@ -38,7 +38,7 @@ class Clarabel(Engine):
     defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
 
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
-        """Return Clarabel's point: equations in the zero cone, rows and finite bounds in the nonnegative one."""
+        """Return Clarabel's point: equalities in the zero cone, rows and finite bounds in the nonnegative cone."""
         import clarabel
 
         settings = clarabel.DefaultSettings()

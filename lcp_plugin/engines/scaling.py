@@ -99,7 +99,7 @@ def with_sides_about_one(fitted: ScaledProgram, given: ProgramData) -> ScaledPro
 
 
 def without_far_limits(given: ProgramData) -> ProgramData:
-    """Return the program with ∞ for right-hand sides and bounds above `FAR`; the same object if all are smaller.
+    """Return the program with ∞ for right-hand sides and bounds of extreme size; the same object if there are none.
 
     Examples
     --------

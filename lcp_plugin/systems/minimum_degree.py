@@ -236,7 +236,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
 
 @helper
 def _together(begin, size, weight, elements, is_gone, workspace, end):  # type: ignore[no-untyped-def]
-    """Move the lists still in use, before `end`, to the front; return where the free space behind them begins.
+    """Move the lists in use, before `end`, to the front; return the first index of the free space behind them.
 
     The first entry of a list meanwhile contains a negative number that identifies the list.
     """

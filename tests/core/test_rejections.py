@@ -154,6 +154,7 @@ MATRICES = [
     row(InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
     matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
     matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
+    matrix(damaged_csr(indptr=[0, 2, 1, 0]), r"damaged sparse.*decreasing"),
     matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
     matrix(damaged_csr(data=[1.0]), r"damaged sparse"),
 ]
@@ -257,6 +258,7 @@ RUNS = [
         lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
     ),
     run(r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
+    run(r"solve takes no x0 for an LCP; the start is called z0", x0=[0.0, 0.0, 0.0]),
     run(r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
     run(r"tolerance must be finite and not negative, got nan", tolerance=NAN),
     run(r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),

@@ -189,7 +189,7 @@ class Judge:
         return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
 
     def misses_by_rounding(self, z: FloatVector | None) -> bool:
-        """Return whether no z is a solution, but this one misses by no more than rounding of the data."""
+        """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
         certificate, problem = self.certificate_of(z), self.problem
@@ -211,7 +211,7 @@ class Judge:
         return bool(excludes)
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
-        """Return the certificate of the answer: z, or z cleaned up by the last algorithm if that is no worse."""
+        """Return the certificate of the result: z, or z finished by the last algorithm if that is not worse."""
         certificate = self.certificate_of(z)
         if not (certificate.is_linearised or self.is_solved_by(certificate)):
             plain = Certificate.of(

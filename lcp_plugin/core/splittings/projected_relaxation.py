@@ -261,9 +261,9 @@ class AdaptiveRelaxation:
         return self._checkpoint is not None
 
     def next_relaxation(self, size: float, z: FloatVector) -> float:
-        """Return ω for the next sweep, given Σ|z⁺ − z| of the last one; z is put back where a trial failed."""
+        """Return ω for the next sweep, given Σ|z⁺ − z| of the last sweep; z is restored after a failed trial."""
         self._sizes.append(size)
-        if self._first > 1.0:  # one sweep of Gauss–Seidel is there to compare with
+        if self._first > 1.0:  # the increment of one Gauss–Seidel sweep is known for comparison
             self._record, self._omega, self._first = size, self._first, 1.0
             self._begin_trial(z)
         elif self._checkpoint is None:

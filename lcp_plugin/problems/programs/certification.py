@@ -252,7 +252,7 @@ class ProgramProofs:
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> ProgramProofs:
-        """Return the proofs that are kept with a program: the answers of several solvers need them once."""
+        """Return the proofs cached with a program, because points of several solvers share them."""
         kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
         return kept
 

@@ -144,7 +144,7 @@ class Constraints:
 
 
 def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
-    """Return P x + Gᵀy + Aᵀv + c with the signs that the bounds ask for, y ≥ 0; of P some rows that span the others."""
+    """Return P x + Gᵀy + Aᵀv + c with the signs that bounds require, y ≥ 0; P may contain only spanning rows."""
     rows = as_csr(program.G)[np.flatnonzero(np.isfinite(program.h))]
     matrix = sp.csr_array(sp.vstack([P, rows, as_csr(program.A)], format="csr").T)
     free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])

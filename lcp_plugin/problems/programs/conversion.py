@@ -211,7 +211,7 @@ class QPOrigin:
         )
 
     def recover(self, answer: Any) -> QPSolution:
-        """Return the program's solution that an answer of the complementarity problem stands for.
+        """Return the solution of the program from a solution of the complementarity problem.
 
         Parameters
         ----------

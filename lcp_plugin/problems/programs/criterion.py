@@ -1,4 +1,4 @@
-"""When a quadratic program is solved: the one test of a point x with multipliers y of the rows.
+"""Stopping criterion of a quadratic program: the test of a point x with multipliers y of the rows.
 
 The program is min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. Multipliers serve only as a proof, so the test
 cleans them: a wrong sign becomes 0, and the gradient r = P x + c + Cᵀy gives the multiplier of a bound. Two measures

@@ -186,7 +186,7 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
 
 
 def _is_feasible(statement: ProgramData, x: FloatVector) -> bool:
-    """Return whether x meets the rows to their tolerance, relative to their right-hand sides."""
+    """Return whether x satisfies the rows to their tolerance, relative to their right-hand sides."""
     over, off = statement.G @ x - statement.h, np.abs(statement.A @ x - statement.b)
     limits = ROWS * np.abs(statement.h), ROWS * np.abs(statement.b)
     return bool((over <= limits[0]).all() and (off <= limits[1]).all())

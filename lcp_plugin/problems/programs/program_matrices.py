@@ -527,7 +527,7 @@ def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
 
 
 def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
-    """Return the diagonal matrix of the entries, or of one number for all, as CSR, shape (n, n).
+    """Return the diagonal matrix of the entries, or of one number for all rows, as CSR, shape (n, n).
 
     Examples
     --------

@@ -226,7 +226,7 @@ class QuadraticProgramBatch:
 
 
 def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> QuadraticProgram:
-    """Return programs of one shape as one program of independent parts: of `QuadraticProgramBatch.arrays`, finite."""
+    """Return programs of one shape as one block diagonal program, from finite `QuadraticProgramBatch.arrays`."""
     count = len(c)
     matrices = ProgramMatrices(
         *(

@@ -134,7 +134,7 @@ def positive_definite(matrix: Matrix) -> Verdict:
             True,
             f"{'SPD: ' if symmetric(matrix).value else ''}{what} has a Cholesky factor, with rounding margin",
         )
-    return Verdict(False, f"{what} does not factorise, rounding margin included")
+    return Verdict(False, f"{what} has no Cholesky factor, rounding margin included")
 
 
 @fact

@@ -1,1 +1,1 @@
-"""An algebraic multigrid hierarchy of one matrix, and its truncation to the unknowns that are free."""
+"""Algebraic multigrid hierarchy of one matrix, and its truncation to the free unknowns."""

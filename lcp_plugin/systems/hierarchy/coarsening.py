@@ -81,7 +81,7 @@ def unmirrored(begin, last, columns, first_row, end_row):  # type: ignore[no-unt
 def choose_coarse(  # type: ignore[no-untyped-def]
     begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
 ):
-    """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
+    """Fill kind with COARSE and FINE; an unknown without dependents is FINE.
 
     Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] depend on i. If both sets agree
     for all i (`is_mutual`), all of them are FINE once i is COARSE.
@@ -322,7 +322,7 @@ def _through_fine(  # type: ignore[no-untyped-def]
 
 @kernel
 def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
-    """Keep MOST_WEIGHTS of the weights and none below LEAST_WEIGHT; return how many, and their share of the sum."""
+    """Keep at most MOST_WEIGHTS weights, none below LEAST_WEIGHT; return their number and share of the sum."""
     total, kept = 0.0, 0.0
     for k in range(count):  # all are negative: the largest ones first
         total += weights[k]

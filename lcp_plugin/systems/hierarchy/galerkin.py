@@ -67,7 +67,7 @@ def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> floa
 def galerkin_product(
     matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int
 ) -> Arrays:
-    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows."""
+    """Return R M P in CSR with sorted rows and every diagonal entry stored; R has at most as many rows as P columns."""
     n = restriction[0].size - 1
     longest = int(np.diff(prolongation[0]).max(initial=1))
     operands = *matrix, *prolongation, *restriction, longest

@@ -46,11 +46,11 @@ def residual_after_first_sweep(
     x: FloatVector,
     residual: FloatVector,
 ) -> None:
-    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then others changed."""
+    """Write b − M x after `first_sweep` into `residual`: row i was exact until later rows changed."""
     split, reach = rows[1], blocks.reach
     shared(_product_of(rows, split, 1, inverse, -1.0, b, 0.0, x, residual), inverse.size)
     whole = _product_of(rows, rows[0], 0, inverse, -1.0, b, 1.0, x, residual)
-    for edge in blocks.edges[2:-1:2].tolist():  # here others had changed before
+    for edge in blocks.edges[2:-1:2].tolist():  # next to these edges, other rows changed before
         whole(edge - reach, edge + reach)
 
 

@@ -21,7 +21,7 @@ FACTORISED_UP_TO = 150  # unknowns: no slower than sweeps over a few thousand en
 
 
 class TruncatedGrid:
-    """The values of one grid while some unknowns are fixed, and its vectors."""
+    """Values and vectors of one grid while some unknowns are fixed."""
 
     def __init__(self, grid: Grid, *, is_finest: bool) -> None:
         self.grid = grid
@@ -85,7 +85,7 @@ class TruncatedGrid:
 
 
 class Truncation:
-    """A hierarchy seen from one of its grids, with the unknowns of that grid that are fixed taken out of all."""
+    """Hierarchy from one of its grids downwards, without the fixed unknowns of this grid."""
 
     def __init__(self, hierarchy: Hierarchy) -> None:
         self.transfers = hierarchy.transfers
@@ -96,7 +96,7 @@ class Truncation:
         self.work = 0.0
         self.spare: list[
             FloatVector
-        ] = []  # memory touched for the first time is dearer than what is done with it
+        ] = []  # the first access to new memory costs more than the arithmetic
 
     def vector(self) -> FloatVector:
         """Return an uninitialized vector for the local values of the finest grid, shape (n,)."""
@@ -108,7 +108,7 @@ class Truncation:
         return work
 
     def start_at(self, top: int) -> None:
-        """Look from the grid `top`: its unknowns and all below are free again."""
+        """Use `top` as the finest grid, and make all unknowns of this grid and of coarser grids free."""
         self.top = top
         for level in self.grids[top:]:
             self.work += level.release()
@@ -256,7 +256,7 @@ class KrylovCorrection:
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
 
     def give_back(self) -> None:
-        """Leave the workspace to the next correction; this one has ended."""
+        """Return the workspace for the next correction, at the end of this correction."""
         self.truncation.spare.append(self._sum)
         self._forget_directions()
 
@@ -272,13 +272,13 @@ class KrylovCorrection:
         z += origin
 
     def largest(self) -> float:
-        """Return the largest scaled residual that is left."""
+        """Return the largest scaled remaining residual."""
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
         return float(self.unit * scaled)
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
-        """Take one step; return False if the matrix allows none."""
+        """Take one step; return False if the step fails for this matrix."""
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual

@@ -79,7 +79,7 @@ def add_within(
 
 
 def largest_product(one: FloatVector, other: FloatVector) -> float:
-    """Return the largest |one_i other_i|, NaN if one is; 0 of none."""
+    """Return the largest |one_i other_i|: NaN if a product is NaN, 0 for empty vectors."""
     return float(
         np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0)
     )
@@ -111,7 +111,7 @@ TRIAL_SWEEPS, SWEEPS = 3, 12  # forward and backward: to choose the start, and f
 
 
 def scaling_of_unknowns(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
-    """Return v > 0, shape (n,), and the matrix entries touched; None if no scaling is as good as any tried.
+    """Return v > 0, shape (n,), and the matrix entries touched; None instead of v if no scaling helps.
 
     Parameters
     ----------

@@ -43,13 +43,13 @@ def each_call(old: Any, note: Callable[[], None]) -> Any:
 
 
 class Instead(NamedTuple):
-    """What is put in place of something.
+    """Replacement of a definition.
 
     Attributes
     ----------
     off : callable, old -> new
     watch : callable, (old, note) -> new
-        What does the same as the old one, and calls ``note()`` where the new one would do something else.
+        Acts as the old definition, and calls ``note()`` if the new one would act differently.
     """
 
     off: Callable[[Any], Any]
@@ -58,14 +58,14 @@ class Instead(NamedTuple):
 
 @dataclass
 class Patch:
-    """One place, ``module:name`` or ``module:Class.name`` from the package on, and what stands there instead.
+    """Patch of one definition, ``module:name`` or ``module:Class.name`` in the package.
 
     Attributes
     ----------
     place : str
     instead : Instead
     times : int
-        How often what stood there, watched, has done what the other does not.
+        Number of calls in which the new definition would have acted differently.
     """
 
     place: str
@@ -77,7 +77,7 @@ class Patch:
     _modules: Modules = field(default_factory=Modules, repr=False)
 
     def find(self) -> tuple[Any, str, Any]:
-        """Return the owner, the name and what stands there; fail where nothing does."""
+        """Return the owner, the name and the definition; fail if it does not exist."""
         module, path = self.place.split(":")
         *owners, name = path.split(".")
         owner: Any = import_module(f"{PACKAGE}{module}")
@@ -90,7 +90,7 @@ class Patch:
         )
 
     def make(self, *, watched: bool) -> None:
-        """Find what stands there, and make what is to stand there."""
+        """Find the old definition, and build the new one."""
         _, _, self._old = self.find()
         old, kind = self._old, type(self._old)
         if kind in (staticmethod, classmethod):
@@ -111,7 +111,7 @@ class Patch:
         self.times += 1
 
     def put(self, *, on: bool) -> None:
-        """Let the old one stand there, or the new one, and wherever the package has it from there."""
+        """Install the old or the new definition, also in modules that import it."""
         now, then = (self._new, self._old) if on else (self._old, self._new)
         owner, name, _ = self.find()
         if callable(self._old):
@@ -128,7 +128,7 @@ class Patch:
 
 @contextmanager
 def replaced(patches: list[Patch], *, watched: bool = False) -> Iterator[None]:
-    """Let all stand there inside a ``with`` statement; what the package has kept of answers before is forgotten."""
+    """Install all patches inside a ``with`` statement, with empty caches of the package."""
     for one in patches:
         one.make(watched=watched)
         one.put(on=False)

@@ -1,10 +1,9 @@
-"""Random convex programs stated in cvxpy, solved by QPSolver and judged by solvers that nobody here wrote.
+"""Random convex programs in cvxpy, solved by QPSolver and compared with external solvers.
 
-A program is a sum of atoms
-of affine expressions of several variables, with constraints; one in eight is made infeasible, one in eight may be
-unbounded. The other opinions are Clarabel's and SCS's (OSQP's where SCS refuses); where they differ from
-ours or from each other, the point with the smaller violation and the better value is right, whoever found it. With
-``--second-solve`` the same Problem object has been solved by Clarabel, then by us.
+A program is a sum of atoms of affine expressions of several variables, with constraints. One in eight is made
+infeasible, and one in eight may be unbounded. The references are Clarabel and SCS (OSQP if SCS fails). If the
+results differ, the point with the smaller violation and the better value counts as right. With ``--second-solve``
+the same Problem object is solved by Clarabel first, and then by QPSolver.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import scipy.sparse as sp
 from lcp_plugin import QPSolver
 
 RELATIVE = 1e-5  # an optimal value that differs by more is wrong
-SOFT = 1e-6  # what the others may violate their constraints by
+SOFT = 1e-6  # tolerated violation of constraints by the references
 KINDS = ("free", "signed", "bounded", "parameterised")
 OUTCOMES = ("agreed", "wrong value", "wrong status", "undecided", "not judged")
 
@@ -50,7 +49,7 @@ def regulariser(e: Any, draw: Draw) -> Any:
 
 
 def largest(e: Any, draw: Draw) -> Any:
-    """Return the sum of the largest entries; of all of them only where this cvxpy can evaluate that."""
+    """Return the sum of the largest entries; of all entries only if this cvxpy supports it."""
     return (
         cp.sum_largest(e, int(draw.integers(1, e.size + ALL_OF_THEM)))
         if e.size >= 2 - ALL_OF_THEM
@@ -225,7 +224,7 @@ def variable(kind: str, draw: Draw) -> Any:
 
 @dataclass
 class Case:
-    """A program and what is known about it: nothing, or that its constraints contradict each other."""
+    """A program, and whether its constraints are known to be inconsistent."""
 
     problem: Any
     is_infeasible: bool
@@ -292,7 +291,7 @@ def program(draw: Draw) -> Case:
 
 @dataclass
 class Opinion:
-    """What a solver said: a status, the value of the objective to be minimised, and the largest violation."""
+    """Status, value of the minimized objective, and largest violation of a solver's result."""
 
     status: str
     value: float = np.nan
@@ -304,7 +303,7 @@ class Opinion:
 
 
 def opinion(problem: Any, solver: Any, **options: Any) -> Opinion:
-    """Return what the solver says about the problem."""
+    """Return the status, value and violation of a solver's result."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -337,7 +336,7 @@ def others(problem: Any) -> list[Opinion]:
 
 
 def verdict(case: Case, ours: Opinion, theirs: list[Opinion]) -> str:
-    """Return one of the outcomes."""
+    """Return the outcome of the comparison."""
     if ours.status not in ("optimal", "infeasible", "unbounded"):
         return "undecided"
     scale = 1.0 + abs(ours.value) if ours.is_solved() else 1.0
@@ -351,7 +350,7 @@ def verdict(case: Case, ours: Opinion, theirs: list[Opinion]) -> str:
         if better and min(other.violation for other in better) <= SOFT:
             return "wrong value"
         agreeing = [other for other in solved if abs(other.value - ours.value) <= RELATIVE * scale]
-        # A point as feasible as anybody's with a smaller value is what a minimum is: the others stopped early.
+        # A feasible point with a smaller value than the references is right, because these stopped early.
         if agreeing or (solved and ours.violation <= SOFT):
             return "agreed"
         return (

@@ -1,12 +1,14 @@
-"""Derivatives of random small problems against those in rational arithmetic.
+"""Derivatives of random small problems compared with rational arithmetic.
 
-Each problem has the rows of its
-answer drawn beforehand; a fraction decides whether they are those of the exact solution. There jvp (by M, q and the
-bounds) and vjp (to M, q and the bounds, from z and w) must equal the exact ones to 1e-12 κ(M_FF) relative, and
-⟨vjp(g), h⟩ must be ⟨g, jvp(h)⟩ to 1e-13 of its terms, times κ(M_FF) where that is above 100. Planted degenerate
-problems are of short numbers, so that they are exactly degenerate: `is_unique` must not be True, `degenerate` be the
-planted rows, jvp the exact one-sided derivative and vjp the gradient of the piece that `free` names. Exit code 0 only
-where nothing else was found and `is_unique` is True on 90 % of the nondegenerate problems with H₊-matrices.
+The active set of each problem is drawn beforehand, and rational arithmetic decides whether it belongs to the exact
+solution. In this case jvp (by M, q and the bounds) and vjp (to M, q and the bounds, from z and w) must equal the
+exact products to 1e-12 κ(M_FF) relative. ⟨vjp(g), h⟩ must be ⟨g, jvp(h)⟩ to 1e-13 of its terms, times κ(M_FF) if
+that is above 100.
+
+Degenerate problems have short numbers, so that they are exactly degenerate. `is_unique` must not be True,
+`degenerate` must be the degenerate rows, jvp the exact one-sided derivative, and vjp the gradient of the piece of
+`free`. The exit code is 0 only if no other fault was found and `is_unique` is True for 90 % of the nondegenerate
+problems with H₊-matrices.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ def definite(n: int, rng: Generator, digits: float = 3.0) -> np.ndarray:
 
 
 def p_matrix(n: int, rng: Generator) -> np.ndarray:
-    """All principal minors positive: a triangle in any order, or a cycle of odd length."""
+    """Return a P-matrix: a permuted triangle, or a cycle of odd length."""
     if n % 2:
         return np.eye(n) + rng.uniform(0.5, 3.0) * np.roll(np.eye(n), -1, axis=0)
     order, M = rng.permutation(n), np.triu(2.0 * rng.normal(size=(n, n)), 1)
@@ -65,7 +67,7 @@ def ill_conditioned(n: int, rng: Generator) -> np.ndarray:
 
 
 def scaled(n: int, rng: Generator) -> np.ndarray:
-    """Rows and columns in any unit."""
+    """Return an H₊-matrix with random scaling of rows and columns."""
     return h_plus(n, rng) * 10.0 ** rng.integers(-6, 7, n)[:, None] * 10.0 ** rng.integers(-6, 7, n)
 
 
@@ -126,7 +128,7 @@ def delivered(M: np.ndarray, rng: Generator) -> object:
 
 
 def drawn(family: str, kind: str, largest: int, rng: Generator) -> LCP:
-    """Return a problem whose answer, but for rounding of q, was drawn before."""
+    """Return a problem whose solution was drawn, up to the rounding error of q."""
     n = int(rng.integers(2, largest + 1))
     M, states = FAMILIES[family](n, rng), drawn_states(kind, n, rng)
     z = rng.normal(size=n)
@@ -144,7 +146,7 @@ def drawn(family: str, kind: str, largest: int, rng: Generator) -> LCP:
 
 
 def degenerate(kind: str, largest: int, rng: Generator) -> tuple[LCP, np.ndarray, np.ndarray]:
-    """Return a problem of integers, its answer and the rows that are planted at a bound with w = 0."""
+    """Return a problem of integers, its solution and the degenerate rows."""
     n = int(rng.integers(2, largest + 1))
     M = rng.integers(-3, 4, (n, n)).astype(float)
     if rng.random() < 0.5:
@@ -167,7 +169,7 @@ def degenerate(kind: str, largest: int, rng: Generator) -> tuple[LCP, np.ndarray
 
 
 class Judged:
-    """What is wrong with the derivative of one problem."""
+    """Errors of the derivative of one problem."""
 
     def __init__(self, found: Derivative, piece: Piece, rng: Generator) -> None:
         self.found, self.piece, self.wrong = found, piece, list[str]()
@@ -222,7 +224,7 @@ class Judged:
 def judge_strict(
     family: str, kind: str, largest: int, rng: Generator
 ) -> Iterator[tuple[str, bool]]:
-    """Yield (what happened, whether it is wrong) of one problem that is not degenerate."""
+    """Yield (outcome, whether it is wrong) for one nondegenerate problem."""
     problem = drawn(family, kind, largest, rng)
     tolerance = rng.choice([1e-8, 1e-8, COARSE])
     result = solve(problem, tolerance=tolerance, max_seconds=SECONDS)
@@ -250,7 +252,7 @@ def judge_strict(
 
 
 def judge_degenerate(kind: str, largest: int, rng: Generator) -> Iterator[tuple[str, bool]]:
-    """Yield (what happened, whether it is wrong) of one planted problem."""
+    """Yield (outcome, whether it is wrong) for one degenerate problem."""
     problem, z, planted = degenerate(kind, largest, rng)
     result = solve(problem, max_seconds=SECONDS)
     if not result.is_solved:
@@ -287,5 +289,5 @@ def judge(arguments: tuple[int, int, int, bool]) -> list[tuple[str, str, str]]:
             else judge_strict(family, kind, largest, rng)
         )
         return [(family, what, where if is_wrong else "") for what, is_wrong in found]
-    except Exception as error:  # a campaign counts what a caller would see
+    except Exception as error:  # a campaign counts all exceptions that a user would see
         return [(family, f"EXCEPTION {type(error).__name__}: {error}", where)]

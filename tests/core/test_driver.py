@@ -27,7 +27,7 @@ OBSTACLE = gallery.build("obstacle_2d", size=20)
 
 @dataclass(frozen=True, kw_only=True)
 class Scripted(Algorithm):
-    """Yields the given iterates, then the last one for ever."""
+    """Yields the given iterates, then repeats the last one."""
 
     name: ClassVar[str] = "scripted"
     points: tuple[tuple[float, ...], ...]
@@ -58,7 +58,7 @@ def test_solved_means_the_certificate_passes(name: str) -> None:
 
 
 def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
-    """A best iterate that passes is SOLVED even where a limit ended the run at that very step."""
+    """A best iterate that passes is SOLVED even if a limit ended the run at this step."""
     result = solve(TWO, Scripted(points=((0.0, 0.0), (2.5, 0.0))), max_iterations=1)
     assert result.status is Status.SOLVED
     assert result.iterations == 1
@@ -78,7 +78,7 @@ def test_iteration_limit_is_exact(name: str, limit: int) -> None:
 
 
 def test_best_iterate_is_returned() -> None:
-    """Where the iteration gets worse again, the best point comes back, not the last."""
+    """If the iteration gets worse again, the best point is returned, not the last one."""
     points = ((0.0, 0.0), (2.4, 0.0), (2.0, 3.0))
     result = solve(TWO, Scripted(points=points), max_iterations=5)
     np.testing.assert_array_equal(result.z, (2.4, 0.0))
@@ -92,7 +92,7 @@ def test_nan_in_the_middle_is_diverged_with_the_best_so_far() -> None:
 
 
 def test_explosion_is_diverged() -> None:
-    """A residual above 1e8 times that of the start that rose ten times in a row ends the run."""
+    """A residual that rises ten times in a row, to 1e8 times its start, ends the run."""
     growing = tuple((10.0**k, 10.0**k) for k in range(1, 30))
     result = solve(TWO, Scripted(points=((0.0, 0.0), *growing)))
     assert (result.status, result.iterations) == (Status.DIVERGED, 10)
@@ -100,7 +100,7 @@ def test_explosion_is_diverged() -> None:
 
 @pytest.mark.parametrize("name", ["npsor", "npgs"])
 def test_a_guaranteed_run_over_a_mountain_arrives(name: str) -> None:
-    """A residual that rises by ten decades on the way is no divergence where it falls again."""
+    """A residual that rises by ten decades and falls again does not count as divergence."""
     problem = LCP([[1.0, -1e10], [0.0, 1.0]], [0.0, -1.0])
     assert convergence_guarantee(problem, name).is_guaranteed
     result = solve(problem, name)
@@ -125,7 +125,7 @@ def test_rounding_level_is_a_precision_limit() -> None:
 
 
 def test_warm_start_is_used_and_left_alone() -> None:
-    """A start at the answer needs no iteration; the caller's z0 is not modified; a start outside is projected."""
+    """A start at the solution needs no iteration, is not modified, and is projected if outside."""
     answer = np.array(EXAMPLE.exact)
     assert solve(EXAMPLE.problem, "npsor", z0=answer).iterations == 0
     start = np.full(EXAMPLE.n, -5.0)
@@ -140,7 +140,7 @@ TRAP = [[110.0, 100, 0], [0, 110, 100], [-100, 0, 110]]
 
 
 class FakeClock:
-    """A clock that moves only when told to."""
+    """A clock that advances only on request."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
@@ -173,7 +173,7 @@ def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.Monkey
 
 @dataclass(frozen=True, kw_only=True)
 class GivingUp(Ticking):
-    """Ends by itself after a set-up of 3 s, as what finds the time over in the midst of a step does."""
+    """Ends by itself after a set-up of 3 s, like a method that notices the time limit in a step."""
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         yield Step(z0)
@@ -188,7 +188,7 @@ def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.Monkey
 
 
 def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a callback takes is not the algorithm's time, but it counts against max_seconds."""
+    """Time in a callback is not the algorithm's time, but counts against max_seconds."""
     clock = FakeClock(monkeypatch)
     samples: list[Sample] = []
 
@@ -206,7 +206,7 @@ def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "auto"])
 def test_recording_changes_nothing(name: str) -> None:
-    """With and without record, with and without callback: the same z, iterations and work, bit for bit."""
+    """Results are the same bit for bit with and without record and callback."""
     problem = EXAMPLE.problem if name == "mgs" else OBSTACLE.problem
     plain = solve(problem, name, max_iterations=300)
     watched = solve(
@@ -253,7 +253,7 @@ def test_recorded_residuals_are_those_of_the_certificate() -> None:
 
 
 def test_callback_stops_the_run_and_cannot_write() -> None:
-    """A truthy return value ends with INTERRUPTED at that iterate; the view is read-only; its exceptions propagate."""
+    """A true return value ends with INTERRUPTED at this iterate, and exceptions propagate."""
     result = solve(OBSTACLE.problem, "npgs", callback=lambda sample, z: sample.iteration == 5)
     assert (result.status, result.iterations) == (Status.INTERRUPTED, 5)
 
@@ -294,7 +294,7 @@ class InterruptedFinish(Scripted):
 
 
 def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
-    """SIGINT while the result is being judged still gives the result."""
+    """SIGINT during the final test still returns the result."""
     result = solve(TWO, InterruptedFinish(points=((0.0, 0.0), (2.4, 0.0))), max_iterations=3)
     assert result.status is Status.INTERRUPTED
     np.testing.assert_array_equal(result.z, (2.4, 0.0))
@@ -328,7 +328,7 @@ def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray
 
 
 def test_error_bound_goes_into_the_result() -> None:
-    """error_bound=True bounds the true error, and the bound is told by explain() and JSON; nothing is computed else."""
+    """Option error_bound=True bounds the true error, and explain() and JSON report the bound."""
     result = solve(EXAMPLE.problem, error_bound=True)
     assert result.error_bound is not None
     assert EXAMPLE.exact is not None
@@ -350,7 +350,7 @@ def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result])
 
 
 def test_where_no_bound_exists_the_result_says_why() -> None:
-    """On a matrix that allows no bound, error_bound=True gives None and the reason."""
+    """If a matrix allows no bound, error_bound=True gives None and the reason."""
     game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
     result = solve(game, error_bound=True)
     assert result.error_bound is None
@@ -378,7 +378,7 @@ def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
 
 
 def test_what_a_pile_leaves_open_is_said_calmly() -> None:
-    """Where M is singular on the free rows, how many entries of w are determined, and how many of z are not."""
+    """If M is singular on the free rows, the explanation counts undetermined entries of z."""
     J = np.array([[1.0, 0.3], [0.7, 0.9], [0.4, 1.1]])  # three forces, two motions
     told = solve(LCP(J @ J.T, -J @ J.T @ [0.1, 0.7, 0.3]), "psor").explain()
     assert "3 entries of z are not determined" in told
@@ -411,7 +411,7 @@ def test_stiffer_data_are_said_to_be() -> None:
 
 
 def test_a_nearly_singular_system_is_not_said_to_have_several_answers() -> None:
-    """Its answer is unique, 10¹² times as far as its residual may tell: of more unknowns than a dense inverse takes."""
+    """A nearly singular M with a unique solution is not reported as having several solutions."""
     M = sp.block_diag(
         [[[1.0, -1.0 + 2.0**-40], [-1.0 + 2.0**-40, 1.0]], sp.eye_array(600) * 2.0], format="csr"
     )
@@ -421,7 +421,7 @@ def test_a_nearly_singular_system_is_not_said_to_have_several_answers() -> None:
 
 
 def test_a_program_says_what_was_asked_of_its_residuals() -> None:
-    """Rows are tested to 10⁻⁹ at every tolerance, the duality gap to the tolerance, and the explanation says so."""
+    """Rows are tested to 10⁻⁹, the duality gap to the tolerance, and the explanation shows both."""
     program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[1.0])
     for tolerance, options in ((1e-6, {}), (1e-12, {"tolerance": 1e-12})):
         told = solve(program, **options).explain()

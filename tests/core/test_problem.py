@@ -56,7 +56,7 @@ def assert_read_only(*arrays: np.ndarray) -> None:
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_every_sparse_format_means_the_same(form: str) -> None:
-    """Each scipy format, as array and as the older matrix, gives the same canonical CSR and is left as it was."""
+    """Each scipy format, as array and as matrix, gives the same CSR and is not modified."""
     M = getattr(sp, form)(A)
     p = LCP(M, Q)
     assert_canonical(p, A)
@@ -130,7 +130,7 @@ def with_data(M: sp.csr_array, data: np.ndarray) -> sp.csr_array:
 def test_duplicates_are_summed_and_zeros_dropped(
     n: int, triplets: list[tuple[int, int, int]], form: str
 ) -> None:
-    """Triplets in any order, repeated, cancelling or zero give the matrix of their sums, whatever the flags claim."""
+    """Repeated, cancelling or zero triplets in any order are summed, in spite of wrong flags."""
     expected = np.zeros((n, n))
     rows, columns, values = [], [], []
     for i, j, value in triplets:
@@ -168,7 +168,7 @@ def uncompressed(
 
 
 def test_stale_flags_do_not_fool_it() -> None:
-    """A matrix that calls itself canonical and is not, and one overwritten after it was checked, are put in order."""
+    """Matrices with stale canonical flags, or overwritten after a check, are sorted again."""
     M = sp.csr_array(
         (np.array([1.0, 2.0, 3.0, 0.0]), np.array([1, 0, 0, 1]), np.array([0, 3, 4])), shape=(2, 2)
     )
@@ -204,7 +204,7 @@ def test_canonical_csr_is_not_copied() -> None:
 
 
 def test_dense_matrices_are_copies_of_their_own() -> None:
-    """What the owner of a dense M writes into it later reaches neither the problem nor what was proved about it."""
+    """Later changes of a dense M affect neither the problem nor its proved properties."""
     M = np.array([[4.0, -1.0], [-1.0, 4.0]])
     p = LCP(M, [-3.0, 5.0])
     result = solve(p, error_bound=True)
@@ -268,7 +268,7 @@ def test_large_sparse_problem_is_never_dense() -> None:
 
 @pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "npsplitting"])
 def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
-    """The same matrix given dense and sparse is solved in the same steps to the same bits."""
+    """A matrix is solved in the same steps to the same bits, dense and sparse."""
     dense = solve(LCP(A, Q), name)
     sparse = solve(LCP(sp.csr_array(A), Q), name)
     assert dense.z.tobytes() == sparse.z.tobytes()
@@ -283,7 +283,7 @@ def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
 
 
 def test_with_q_changes_q_and_the_bounds_given() -> None:
-    """The bounds not given are kept, those given replaced, z° follows, and the first problem stays as it is."""
+    """Given bounds are replaced, others kept, z° follows, and the first problem is unchanged."""
     p = LCP(A, Q, lower=1.0, upper=3.0)
     assert p.nearest_to_zero.tolist() == [1.0] * 4
     other = p.with_q(-Q, lower=[-2.0, -2.0, 2.0, 0.0])
@@ -296,7 +296,7 @@ def test_with_q_changes_q_and_the_bounds_given() -> None:
     assert_read_only(other.q, other.lower, other.upper, other.nearest_to_zero)
 
 
-# --- copies and pictures ---------------------------------------------------------------------------------------
+# --- copies and attributes -------------------------------------------------------------------------------------
 
 
 def same(one: Any, other: Any) -> bool:
@@ -308,7 +308,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def test_a_problem_shows_what_its_users_want() -> None:
-    """dir() lists data, what is said of them, and ways in and out; what solvers find out is inside."""
+    """Function dir() lists data, properties, and conversions; internal attributes are private."""
     problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-1.0, -1.0])
     program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
     shown = [{name for name in dir(one) if not name.startswith("_")} for one in (problem, program)]
@@ -342,6 +342,6 @@ def test_a_problem_shows_what_its_users_want() -> None:
 def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(
     wrong: Any, words: str
 ) -> None:
-    """What newcomers write first, of every kind of problem."""
+    """Common mistakes in the first call of every problem class raise errors with the remedy."""
     with pytest.raises(LCPError, match=words):
         wrong()

@@ -44,7 +44,7 @@ CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family]()]
 @settings.get_profile("few")
 @given(solved_lcps(drawn_scaling.nearly_singular(), bounds=True))
 def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
-    """From the planted answer the exact answer is that of another exact method."""
+    """The exact solution from the known solution agrees with another exact method."""
     problem, z = drawn
     assert exact_answer(problem, [float(value) for value in z]) == exact_solution(problem).z
 
@@ -63,13 +63,13 @@ def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase)
 
 
 def test_a_wrong_guess_far_from_any_answer_is_refused() -> None:
-    """Where a guess gives none the exact answer is refused in words, not guessed."""
+    """If a guess does not lead to an exact solution, an error is raised."""
     with pytest.raises(UnsuitableProblem, match=r"no exact answer .* give one on the right bounds"):
         exact_answer(LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]), [1.0, 1.0])
 
 
 def test_errors_are_exact() -> None:
-    """An error of one ulp is seen as such, a line of solutions has its nearest point, ∞ stands for x/0."""
+    """Errors of one ulp are exact, segments of solutions use the nearest point, and x/0 is ∞."""
     third = (Fraction(1, 3), Fraction(0))
     assert relative_error(np.array([1.0 / 3.0, 0.0]), third, np.ones(2)) == pytest.approx(
         2.0**-54, rel=1e-12
@@ -103,7 +103,7 @@ def test_no_status_of_the_atlas_is_false(name: str) -> None:
 
 @pytest.mark.full
 def test_the_atlas_shows_status_residual_and_true_error(tmp_path: Path) -> None:
-    """Most cells are SOLVED, none raised; print() lists every other cell, and those whose residual hides an error."""
+    """Most cells are SOLVED, none raised; print() lists unsolved cells and hidden errors."""
     some = stability_atlas(["npsor", "newton"], quick=True)
     assert not [cell for cell in some.cells if cell.status == "ERROR"]
     assert len(some.unsolved) < 0.2 * len(some.cells)
@@ -123,7 +123,7 @@ def test_the_atlas_shows_status_residual_and_true_error(tmp_path: Path) -> None:
 
 
 def test_a_refused_problem_is_a_cell_with_its_reason() -> None:
-    """A box is no problem for the modulus methods: REFUSED, and why."""
+    """A box is not supported by the modulus methods: its cell is REFUSED, with the reason."""
     found = stability_atlas(["mgs"], ["degeneracy"], quick=True)
     (refused,) = (cell for cell in found.cells if cell.status == "REFUSED")
     assert refused.stress == "degenerate at both bounds of a box"
@@ -146,13 +146,13 @@ def test_a_refused_problem_is_a_cell_with_its_reason() -> None:
 def test_wrong_names_are_refused(
     arguments: tuple[Any, ...], error: type[Exception], message: str
 ) -> None:
-    """An algorithm or stress that does not exist is refused before anything runs."""
+    """An unknown algorithm or stress raises an error before anything runs."""
     with pytest.raises(error, match=message):
         stability_atlas(*arguments)
 
 
 def test_overflow_is_never_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run in which NumPy warns of an overflow is an ERROR, whatever it would have returned."""
+    """A run in which NumPy warns of an overflow is an ERROR, regardless of its result."""
 
     def careless(*args: Any, **options: Any) -> Any:
         np.exp(np.array([1e4]))
@@ -198,9 +198,9 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name: str) -> None:
-    """M, q and rows times 2^k, k from −900 to 900: the same iterations, and answers that are bit for bit the scaled.
+    """M, q and rows times 2^k, k from −900 to 900, give the same iterations and exactly scaled z.
 
-    Of multigrid this holds where one factor multiplies all rows: its grids see the rows beside one another.
+    For multigrid this requires the same power of two for all rows, because its grids compare rows.
     """
     for problem in (*BASES, half_active("", grid(12, 4.5)).problem):
         plain = solve(problem, name)
@@ -221,7 +221,7 @@ def test_powers_of_two_change_no_bit(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["newton", "lemke", "multigrid", "auto"])
 def test_no_overflow_is_silent_at_the_edge(name: str) -> None:
-    """In a box of ±1e308, and where partial sums overflow, no run warns and none claims what it cannot know."""
+    """In a box of ±1e308, and for overflowing partial sums, no run warns or has a false status."""
     M = np.eye(5)
     M[0] = [1e308, 1e308, 1e308, -1.5e308, -1.5e308]
     box = LCP([[4.0, -1.0], [-1.0, 4.0]], [-1.0, 1.0], lower=-1e308, upper=1e308)

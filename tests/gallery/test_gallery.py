@@ -1,4 +1,4 @@
-"""The gallery: what its scenes declare is true, and what they cannot build they refuse in words."""
+"""The gallery: declared properties are true, and invalid parameters raise errors."""
 
 from __future__ import annotations
 
@@ -210,22 +210,22 @@ def test_description_is_one_line_and_every_parameter_is_documented() -> None:
 def test_bad_parameters_are_refused_by_name_and_value(
     name: str, parameters: dict, message: str
 ) -> None:
-    """A wrong scene, parameter, type or range is an InvalidOption that says what is right."""
+    """A wrong test problem, parameter, type or range raises InvalidOption with the valid values."""
     with pytest.raises(InvalidOption, match=message):
         gallery.build(name, **parameters)
 
 
-# --- What every scene declares ----------------------------------------------------------------------------
+# --- Declared properties ----------------------------------------------------------------------------------
 
 
 def test_symmetry_is_as_declared(scene: gallery.Scene) -> None:
-    """M equals its transpose exactly where the scene says so, and nowhere else in this table."""
+    """M equals its transpose exactly if the test problem declares symmetry."""
     M = scene.problem.csr.toarray()
     assert np.array_equal(M, M.T) == scene.is_symmetric
 
 
 def test_h_plus_is_as_declared(scene: gallery.Scene) -> None:
-    """The diagonal is positive and ρ(D⁻¹|B|) < 1 exactly where the scene says H+, and nowhere else in this table."""
+    """The diagonal is positive and ρ(D⁻¹|B|) < 1 exactly if the test problem declares H+."""
     M = scene.problem.csr.toarray()
     diagonal = M.diagonal()
     is_h_plus = bool(diagonal.min() > 0.0)
@@ -244,13 +244,13 @@ def test_differential_scenes_have_m_matrices(text: str) -> None:
 
 @pytest.mark.parametrize("text", PLANTED)
 def test_exact_answers_are_exact(text: str) -> None:
-    """In rational arithmetic on the stored data every planted answer is complementary without any error."""
+    """Every declared exact solution is exactly complementary in rational arithmetic."""
     scene = gallery.parse(text)
     assert ExactData(scene.problem).is_solution(scene.exact)
 
 
 def test_active_share_is_as_declared(scene: gallery.Scene) -> None:
-    """The declared share of active components is that of the declared answer."""
+    """The declared share of active components agrees with the declared solution."""
     answer = scene.exact if scene.exact is not None else scene.continuum
     if answer is None:
         assert scene.active_share is None
@@ -312,7 +312,7 @@ def test_half_active_is_half_active_and_degenerate_on_request() -> None:
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
-    """At r* value and slope agree, the equation for r* holds, u > ψ beyond, and ψ is concave."""
+    """Value and slope agree at r*, the equation for r* holds, u > ψ beyond, and ψ is concave."""
     contact = CONTACT_RADIUS[dimension]
     equation = (
         contact**2 * (1.0 - np.log(contact / 2.0))
@@ -386,7 +386,7 @@ def test_american_put_march_agrees_with_the_binomial_tree() -> None:
 
 
 def test_unique_equilibria_are_equilibria() -> None:
-    """The equilibria declared for games leave nobody anything to gain."""
+    """The equilibria declared for games have regret 0."""
     declared = 0
     for game in ("prisoners_dilemma", "matching_pennies", "rock_paper_scissors", "shapley"):
         scene = gallery.build("bimatrix_game", game=game)
@@ -398,7 +398,7 @@ def test_unique_equilibria_are_equilibria() -> None:
 
 
 def test_market_clears_and_nobody_runs_at_a_loss() -> None:
-    """At the planted answer paid goods are in balance, running activities break even, and some goods are free."""
+    """Paid goods are in balance at the known solution, and running activities break even."""
     scene = gallery.build("market_equilibrium", running=0.2)
     w = scene.problem.slack(scene.exact)
     assert w.min() == 0.0
@@ -412,7 +412,7 @@ def test_market_clears_and_nobody_runs_at_a_loss() -> None:
 
 
 def plastic(scene: gallery.Scene, z: np.ndarray) -> np.ndarray:
-    """Return which of the nodes that can move are at a bound."""
+    """Return a mask of the movable nodes at a bound."""
     lower, upper = scene.problem.lower, scene.problem.upper
     return ((z <= lower) | (z >= upper))[lower < upper]
 
@@ -424,7 +424,7 @@ def twisted(text: str) -> tuple[gallery.Scene, np.ndarray]:
 
 
 def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
-    """On the disc refinement shrinks the error, and the declared share of it yields."""
+    """Refinement on the disc reduces the error, and the declared share is plastic."""
     errors = []
     for size in (15, 30, 60):
         scene, z = twisted(f"size={size},section=disc,plastic_share=0.75")
@@ -436,7 +436,7 @@ def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
 
 @pytest.mark.parametrize("size", [30, 31])
 def test_mixed_torsion_touches_both_bounds(size: int) -> None:
-    """With the halves twisted in opposite directions u is odd and rests on −dist as often as on dist."""
+    """With halves twisted in opposite directions u is odd, and at −dist as often as at dist."""
     from lcp_plugin import solve
 
     scene = gallery.build("elastic_plastic_torsion", size=size, plastic_share=0.9, mixed=True)

@@ -1,4 +1,4 @@
-"""Every example runs without a warning, draws its picture, and agrees with what it compares itself with."""
+"""Every example runs without a warning, saves its figure, and agrees with its reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NUMBER = r"([\d.]+(?:e[+-]\d+)?%?)"
 
-# What each example promises on a line "check: …": a pattern for its number, and the largest that is right.
+# Each example prints a line "check: …": a pattern for its number, and the largest valid value.
 CHECKS = [
     ("two_by_two_in_cvxpy", f"all four cases by hand differ by {NUMBER}", 1e-9),
     ("obstacle_problem", f"the heights differ from the closed form by {NUMBER}", 1e-3),
@@ -137,7 +137,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_example_keeps_its_promise(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An example ends well, saves one picture and nothing else, and its printed comparison is as close as it should."""
+    """An example ends normally, saves only one figure, and its printed comparison is close."""
     run(name, tmp_path, monkeypatch)
     printed = capsys.readouterr().out
     for _, pattern, largest in (check for check in CHECKS if check[0] == name):
@@ -154,7 +154,7 @@ def test_example_keeps_its_promise(
 def test_the_command_draws_the_picture_of_the_readme(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It solves the three problems, and what it draws is as large as the picture that the README shows."""
+    """The script solves the three problems, and its figure has the size of README's figure."""
     readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
     assert "(examples/pictures/three_problems.png)" in readme
     assert "`python examples/pictures/three_problems.py`" in readme
@@ -167,7 +167,7 @@ def test_the_command_draws_the_picture_of_the_readme(
 
 
 def test_every_example_is_tested_and_in_the_readme() -> None:
-    """The folder, the table above and that of its README name the same examples, the last two in the same order."""
+    """The directory, the table above and the README list the same examples, in the same order."""
     readme = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
     assert sorted(file.stem for file in EXAMPLES.glob("*.py")) == sorted(NAMES)
     assert re.findall(r"^\| `(\w+)\.py`", readme, re.M) == NAMES

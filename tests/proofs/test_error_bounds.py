@@ -67,7 +67,7 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
     scaled_solved(solved_lcps(h_plus_matrices(), bounds=True), 60, 60), POINTS, STEPS, st.booleans()
 )
 def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
-    """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
+    """The bound exceeds the exact error, and rows are classified correctly, for H₊-matrices."""
     problem, exact = drawn
     z = near(exact, direction, step)
     bound = error_bound(problem, z, sharp=sharp)
@@ -100,7 +100,7 @@ def near_singular_problem(seed: int) -> LCP:
 @pytest.mark.full
 @pytest.mark.parametrize("block", range(10))
 def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> None:
-    """Each M that `analyze` proves H₊ has a bound that holds; a definite M is refused if only fractions prove it."""
+    """Each M proved H₊ has a valid bound; definite M that only rationals prove raise an error."""
     proved = 0
     for seed in range(60 * block, 60 * block + 60):
         problem = near_singular_problem(seed)
@@ -186,7 +186,7 @@ def test_v_certificate_is_attained(M, exponent) -> None:
 
 
 def test_bound_of_the_exact_solution_is_zero() -> None:
-    """Where z = z* and w* is free of rounding, the bound is 0, relative too, and every row is proven."""
+    """If z = z* and w* has no rounding error, the bounds are 0 and every row is proved."""
     scene = gallery.half_active(n=400, degenerate=False)
     for sharp in (True, False):
         bound = error_bound(scene.problem, scene.exact, sharp=sharp)
@@ -196,7 +196,7 @@ def test_bound_of_the_exact_solution_is_zero() -> None:
 
 
 def test_large_five_point_matrix() -> None:
-    """With n = 90 000, no zeroth-order term: certified, bound/error ≤ 1.6, every row proven."""
+    """A bound with n = 90 000 and no zeroth-order term has bound/error ≤ 1.6, all rows proved."""
     scene = gallery.half_active(n=90_000, delta=0.0, degenerate=False)
     z = scene.exact + 1e-7 * np.sin(np.arange(90_000))
     bound = error_bound(scene.problem, z)
@@ -208,7 +208,7 @@ def test_large_five_point_matrix() -> None:
 
 @pytest.mark.full
 def test_large_matrix_with_both_signs() -> None:
-    """A large H₊-matrix that is no Z-matrix is sharpened by a Krylov method."""
+    """The bound of a large H₊-matrix with both signs is tightened by a Krylov method."""
     generator = np.random.default_rng(0)
     n = 60_000
     rows = np.repeat(np.arange(n), 4)
@@ -234,7 +234,7 @@ def test_no_bound_of_no_number(value, M) -> None:
 
 
 def test_relative_bound_at_zero() -> None:
-    """At z = 0 the relative bound is 0 where z* = 0 is proven and ∞ elsewhere."""
+    """The relative bound at z = 0 is 0 if z* = 0 is proved, and otherwise ∞."""
     M = [[2.0, 1.0], [1.0, 2.0]]
     assert error_bound(LCP(M, [1, 1]), [0, 0]).relative == 0.0
     assert error_bound(LCP(M, [-1, 1]), [0, 0]).relative == np.inf
@@ -249,7 +249,7 @@ def test_points_outside_the_bounds() -> None:
 
 
 def test_free_and_fixed_rows_are_known() -> None:
-    """A free row is inactive and a fixed row active, whatever z is."""
+    """A free row is inactive and a fixed row active for any z."""
     problem = LCP(np.eye(2) * 3, [-1, 1], lower=[-np.inf, 2], upper=[np.inf, 2])
     bound = error_bound(problem, [1e3, 1e3], sharp=False)
     assert bound.proven_inactive.tolist() == [True, False]
@@ -376,7 +376,7 @@ def test_rounding_is_upwards(a, b) -> None:
 
 
 def test_numbers_near_the_end_of_the_range_are_refused_without_a_warning() -> None:
-    """Why there is no bound is told of a matrix whose quotients overflow, too."""
+    """A matrix whose quotients overflow raises an error with the reason, without a warning."""
     with pytest.raises(UnsuitableMatrix, match="needs an H₊-matrix"):
         error_bound(LCP([[1e-300, 1e300], [1e300, 1e-300]], [1.0, 1.0]), [0.0, 0.0])
 
@@ -410,7 +410,7 @@ def test_a_residual_without_blur_counts() -> None:
 
 @pytest.mark.parametrize("power", [-600, 0, 600])
 def test_norms_are_not_below_the_exact_ones(power) -> None:
-    """‖x‖₂ in rational arithmetic is not above its bound, and that is no looser than 1 + 10⁻¹⁰, in any unit."""
+    """The bound of ‖x‖₂ is at least its exact value, and at most 1 + 10⁻¹⁰ times, at any scale."""
     rng = np.random.default_rng(0)
     for n in (1, 2, 3, 50):
         x = np.ldexp(np.abs(rng.standard_normal(n)), power)
@@ -458,7 +458,7 @@ def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
 
 @pytest.mark.parametrize("sharp", [True, False])
 def test_the_unit_of_z_changes_nothing(sharp) -> None:
-    """With z and q in a unit of 2⁻²⁰ or 2²⁰ the bound is the same to the bit, and so is what it proves."""
+    """The bound, and the rows that it proves, scale exactly with z and q by 2⁻²⁰ or 2²⁰."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         B = rng.standard_normal((12, 12)) * (rng.random((12, 12)) < 0.5)
@@ -478,7 +478,7 @@ def test_the_unit_of_z_changes_nothing(sharp) -> None:
 
 @pytest.mark.parametrize("power", [0, -30, 30, -1000, 1000])
 def test_rounding_at_powers_of_two_is_upwards(power) -> None:
-    """Where a result a little above a power of two is rounded down to it, the next double is returned."""
+    """If a result above a power of two is rounded down to it, the next double is returned."""
     one, unit = 2.0**power, 2.0**-52
     assert sum_above(one, one * unit / 2.0) > one
     assert product_above(one * (1.0 + unit), 1.0 - unit / 2.0) > one

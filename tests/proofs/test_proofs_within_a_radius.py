@@ -1,4 +1,4 @@
-"""Rows that should depend on each other but do not as doubles: what is excluded within a radius, and what not."""
+"""Rows that are dependent except for rounding: claims that hold only within a radius."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def decimals(rng: np.random.Generator, *shape: int) -> Any:
 
 
 def redundant_program(kind: str, seed: int) -> QuadraticProgram:
-    """Decimal equations of which the last combines the others: met, contradictory, or met with a direction of descent.
+    """Return decimal equalities, the last a combination: feasible, infeasible or unbounded.
 
-    In every other program the objective is curved; in every third there are bounds that nobody reaches.
+    The objective of every other program is curved. Every third program has inactive bounds.
     """
     rng = np.random.default_rng([seed, 31])
     n = int(rng.integers(3, 10))
@@ -61,7 +61,7 @@ def redundant_program(kind: str, seed: int) -> QuadraticProgram:
     ],
 )
 def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status: str) -> None:
-    """Rows that are redundant but for rounding: infeasible, unbounded or optimal, as every other solver says."""
+    """Rows that are redundant up to rounding have the same status as in other solvers."""
     x = cp.Variable(3)
     problem = cp.Problem(
         cp.Minimize(cp.sum(x) if is_linear else cp.sum_squares(x)), [DECIMAL @ x == b]
@@ -76,7 +76,7 @@ def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status
 
 @pytest.mark.parametrize(("c", "b"), [([0.0, 0.0, 0.0], CONTRADICTORY), ([1.0, 1.0, 1.0], MET)])
 def test_the_advice_names_the_radius(c: list[float], b: list[float]) -> None:
-    """INFEASIBLE and UNBOUNDED within a radius say so, with its first digit rounded down; of all x they say nothing."""
+    """INFEASIBLE and UNBOUNDED within a radius report it with its first digit rounded down."""
     result = solve(QuadraticProgram(None, c, A=DECIMAL, b=b))
     assert result.has_no_solution
     digits = f"{result.proof.radius:.15e}"
@@ -91,7 +91,7 @@ def test_the_advice_names_the_radius(c: list[float], b: list[float]) -> None:
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
-    """All of 200 random programs get a proof that verifies and says so within a wide radius, or plainly."""
+    """All of 200 random programs get a proof that verifies, for all x or within a wide radius."""
     within = 0
     for seed in range(200):
         program = redundant_program(kind, seed)
@@ -105,7 +105,7 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
 
 @pytest.mark.full
 def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
-    """None of 200 consistent programs with the same rows has a proof that counts; one rounded may fall for ever."""
+    """All 200 consistent programs with the same rows have no accepted proof of infeasibility."""
     proofs = [redundant_program("optimal", seed).facts.accepted_proof() for seed in range(200)]
     assert [
         seed
@@ -117,7 +117,7 @@ def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
-    """Every x up to the radius misses some row by the margin, in exact arithmetic; far beyond it one meets them all."""
+    """Every x up to the radius violates some row by the margin, exactly; distant x may not."""
     rng = np.random.default_rng(seed)
     program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
     proof = program.facts.accepted_proof()
@@ -167,7 +167,7 @@ def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
 
 @pytest.mark.parametrize("small", [1e-6, 1e-9, 1e-12, 1e-15])
 def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
-    """x₁ = 0, x₁ + small x₂ = 1 has the solution x₂ = 1/small, however far out: never infeasible."""
+    """Equations x₁ = 0, x₁ + small x₂ = 1 with the solution x₂ = 1/small is never infeasible."""
     A, b = np.array([[1.0, 0.0], [1.0, small]]), np.array([0.0, 1.0])
     for P in (np.zeros((2, 2)), np.eye(2)):
         assert QuadraticProgram(P, [0.0, 0.0], A=A, b=b).facts.proof_of_no_minimum is None
@@ -178,7 +178,7 @@ def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
 
 @pytest.mark.full
 def test_certify_proves_nothing_within_a_radius() -> None:
-    """What `certify` says holds of all x: a proof within a radius proves neither infeasible nor unbounded."""
+    """A proof within a radius is not sufficient for `certify`, whose claims hold for all x."""
     infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
     unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET)
     assert math.isfinite(infeasible.facts.proof_of_no_minimum.radius)  # type: ignore[union-attr]
@@ -187,7 +187,7 @@ def test_certify_proves_nothing_within_a_radius() -> None:
 
 
 def test_values_of_another_solver_far_out_disprove_no_answer() -> None:
-    """An earlier value of 4e16 in the variables, where rows that should cancel do not, says nothing of an optimum."""
+    """Initial values of 4e16, for which rows do not cancel, do not affect the result."""
     A = np.array([[0.8, 0.4, 0.9, 0.6, -0.7, 0.1, 0.5, 0.9]] * 2)
     x = cp.Variable(8)
     problem = cp.Problem(cp.Minimize(-0.4 * A[0] @ x), [A @ x == A @ np.full(8, 0.4)])
@@ -199,7 +199,7 @@ def test_values_of_another_solver_far_out_disprove_no_answer() -> None:
 
 
 def test_multipliers_of_1e21_excuse_no_gradient() -> None:
-    """Rows in units 1e±6, unbounded but for rounding: no "optimal" whose gradient is wrong beside the objective's."""
+    """Rows scaled by 1e±6, unbounded up to rounding, are not "optimal" with a wrong gradient."""
     scale, x = np.array([1e-6, 1e6, 1e-3]), cp.Variable(3)
     rows = [(scale[:, None] * DECIMAL) @ x == scale * np.array(MET)]
     problem = cp.Problem(cp.Minimize(cp.sum(x)), rows)

@@ -1,4 +1,4 @@
-"""Convex programs of Maros and Mészáros: value and violations by every way in, beside what was published."""
+"""Convex programs of Maros and Mészáros: value and violations by every interface."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Answer = tuple[np.ndarray, float]
 
 
 def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
-    """The rows that are no bounds, as G x ≤ h and A x = b, and the bounds."""
+    """Return the rows that are not bounds, as G x ≤ h and A x = b, and the bounds."""
     rows, low, high, lower, upper = of.split()
     is_equation = low == high
     above, below = np.isfinite(high) & ~is_equation, np.isfinite(low) & ~is_equation
@@ -54,7 +54,7 @@ def as_rows(of: PublishedProgram, name: str) -> Answer:
 
 
 def as_arrays(of: PublishedProgram, name: str) -> Answer:
-    """No limit is written as ±1e20."""
+    """Solve the program with ±1e20 for infinite bounds."""
     *rows, lower, upper = one_sided(of)
     result = solve(
         QuadraticProgram(of.P, of.q, *rows, np.maximum(lower, -1e20), np.minimum(upper, 1e20))
@@ -71,7 +71,7 @@ def in_qpsolvers(of: PublishedProgram, name: str) -> Answer:
 
 
 def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> Answer:
-    """No limit is written as ±1e20."""
+    """Solve the program in cvxpy with ±1e20 for infinite bounds."""
     G, h, A, b, lower, upper = one_sided(of)
     limits = [np.maximum(lower, -1e20), np.minimum(upper, 1e20)]
     x = cp.Variable(of.q.size, bounds=None if are_rows else limits)
@@ -91,7 +91,7 @@ def in_cvxpy_by_rows(of: PublishedProgram, name: str) -> Answer:
 
 
 def in_a_batch(of: PublishedProgram, name: str) -> Answer:
-    """Beside itself at twice the objective."""
+    """Solve the program in a batch with a copy of twice the objective."""
     G, h, A, b, lower, upper = one_sided(of)
     found = solve_batch(
         [QuadraticProgram(scale * of.P, scale * of.q, G, h, A, b, lower, upper) for scale in (1, 2)]
@@ -101,7 +101,7 @@ def in_a_batch(of: PublishedProgram, name: str) -> Answer:
 
 
 def in_a_stack(of: PublishedProgram, name: str) -> Answer:
-    """Beside itself."""
+    """Solve the program in a stack with a copy."""
     G, h, A, b, lower, upper = one_sided(of)
     found = solve_batch(
         QuadraticProgramBatch(of.P, np.array([of.q, of.q]), G, h, A, b, lower, upper)
@@ -115,7 +115,7 @@ WAYS: list[Callable[[PublishedProgram, str], Answer]] = [
 
 
 def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
-    """Check value and violations of an answer, and the value that was told."""
+    """Check value and violations of a solution, and the reported value."""
     error, violated = of.errors(x)
     assert error <= of.digits, f"the value is off by {error:.1e}"
     assert violated <= TOLERANCE, f"a row is violated by {violated:.1e} of its terms"
@@ -129,7 +129,7 @@ def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
 def test_value_and_violations_are_those_published(
     name: str, way: Callable[[PublishedProgram, str], Answer]
 ) -> None:
-    """From arrays, a file, qpsolvers and cvxpy, with infinite limits and with 1e20 for none."""
+    """All interfaces give the published value, with ∞ and with 1e20 for infinite bounds."""
     of = PublishedProgram.read(name)
     agrees(of, *way(of, name))
 
@@ -162,6 +162,6 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str)
 @pytest.mark.few(1)
 @pytest.mark.parametrize("name", BY_SIZE)
 def test_certify_proves_every_answer_of_ours(name: str) -> None:
-    """Rows that a solve excuses beside what acts on them are excused by certify, too."""
+    """Rows that a solve accepts relative to their terms are also accepted by certify."""
     result = solve(load_program(str(FOLDER / f"qp_{name}.npz")).program)
     assert certify(result).verdict == "proved"

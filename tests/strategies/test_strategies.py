@@ -1,4 +1,4 @@
-"""The strategies: whatever they draw is, in exact arithmetic, what they promise, and it shrinks well."""
+"""The strategies: drawn problems have their documented properties exactly, and shrink well."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def exact_slack(problem: LCP, z: tuple[Fraction, ...]) -> list[Fraction]:
 
 
 def kind(z: Fraction, w: Fraction, lower: float, upper: float) -> str:
-    """The place of a row: between or at which bound, and the sign of its slack; "wrong" where it is no solution."""
+    """Return the position of a row and the sign of its slack; "wrong" if it is not satisfied."""
     at_lower, at_upper = z == lower, z == upper
     if not lower <= z <= upper or (w > 0 and not at_lower) or (w < 0 and not at_upper):
         return "wrong"
@@ -117,7 +117,7 @@ def kinds(problem: LCP, z: tuple[Fraction, ...]) -> list[str]:
 
 @pytest.mark.parametrize("name", H_PLUS)
 def test_h_plus_matrices_are_h_plus(name: str) -> None:
-    """In rational arithmetic the comparison matrix of every drawn matrix is a nonsingular M-matrix."""
+    """The comparison matrix of every drawn matrix is exactly a nonsingular M-matrix."""
 
     @given(H_PLUS[name])
     def check(matrix: object) -> None:
@@ -130,7 +130,7 @@ def test_h_plus_matrices_are_h_plus(name: str) -> None:
 
 @pytest.mark.parametrize("name", POSITIVE_DEFINITE)
 def test_positive_definite_matrices_are_positive_definite(name: str) -> None:
-    """In rational arithmetic every drawn matrix is symmetric with positive pivots."""
+    """Every drawn matrix is exactly symmetric, with positive pivots."""
 
     @given(POSITIVE_DEFINITE[name])
     def check(matrix: object) -> None:
@@ -143,7 +143,7 @@ def test_positive_definite_matrices_are_positive_definite(name: str) -> None:
 
 @pytest.mark.parametrize("name", SOLVED)
 def test_solved_lcps_are_solved(name: str) -> None:
-    """In rational arithmetic on the stored data the drawn z lies within the bounds and is complementary."""
+    """The drawn z is exactly within the bounds and complementary, for the stored data."""
 
     @given(SOLVED[name])
     def check(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
@@ -156,7 +156,7 @@ def test_solved_lcps_are_solved(name: str) -> None:
 
 
 def test_exact_checks_can_fail() -> None:
-    """The oracles of this file refuse a matrix that is neither, and a point that is no solution."""
+    """The exact checks of this file reject wrong matrices and wrong points."""
     matrix = np.array([[1.0, 2.0], [1.0, 1.0]])
     assert not is_h_plus(matrix)
     assert not is_positive_definite(matrix)
@@ -289,7 +289,7 @@ INFEASIBLE = {
 
 @pytest.mark.parametrize("name", INFEASIBLE)
 def test_infeasible_lcps_have_a_proof(name: str) -> None:
-    """The Farkas vector holds in fractions, for plain problems by its definition, and M is monotone where asked."""
+    """The Farkas vector is exact, and M is monotone if requested."""
 
     @settings.get_profile("few")
     @given(INFEASIBLE[name])
@@ -400,7 +400,7 @@ def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
 
 
 def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
-    """On a nearly singular matrix a small residual does not hide a wrong answer, unless that is asked for."""
+    """A small residual does not hide a wrong z for a nearly singular matrix, unless allowed."""
     nearly = st.just(np.array([[1.0 + 2.0**-30, -1.0], [-1.0, 1.0]]))
 
     def careless(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -416,7 +416,7 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
 
 
 def test_the_judge_refuses_wrong_options() -> None:
-    """Options out of range are refused before anything is drawn."""
+    """Options out of range raise errors before anything is drawn."""
     for options, message in (
         (
             {"matrices": np.eye(2)},
@@ -462,7 +462,7 @@ def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
     assert exact_rows(simplest) == [[1]]
 
 
-# --- What cannot be drawn ---------------------------------------------------------------------------------
+# --- Errors -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -486,7 +486,7 @@ def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
     ],
 )
 def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
-    """An option out of range is refused when the strategy is made, with the value and the range."""
+    """An option out of range raises an error with the value and the range at once."""
     with pytest.raises(InvalidOption, match=message):
         build()
 
@@ -497,7 +497,7 @@ def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
     ids=["wide", "huge"],
 )
 def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
-    """Where a double cannot hold q = w − M z the problem is refused, not drawn with a wrong answer."""
+    """If q = w − M z is not representable, an error is raised instead of a wrong problem."""
     with pytest.raises(InvalidProblem, match="not free of rounding in row 0"):
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 

@@ -1,4 +1,4 @@
-"""Each subcommand × each format of files: it works, or it says in a line which command does; so does each mistake."""
+"""Each subcommand with each file format works, or names the right command in one line."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def mat(path: str, **arrays: Any) -> None:
     savemat(path, {name: np.asarray(array, dtype=float) for name, array in arrays.items()})
 
 
-FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: what it holds, who writes it
+FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: problem class, writer
     "lcp.npz": ("LCP", lambda path: np.savez(path, M=M, q=q)),
     "saved.npz": ("LCP", LCP(M, q).save),
     "lcp.mat": ("LCP", lambda path: mat(path, M=M, q=q)),
@@ -80,7 +80,7 @@ FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: what it holds
 DONE, REFUSED = 0, r"needs an LCP, got (?:QuadraticProgram|BoundedLeastSquares)"
 CELLS: dict[
     str, dict[str, Any]
-] = {  # subcommand: by what the file holds, its exit code or the words of its refusal
+] = {  # subcommand: its exit code, or the pattern of its error message, for each problem class
     "solve": {"LCP": DONE, "program": DONE, "least squares": DONE},
     "check": {"LCP": DONE, "program": REFUSED, "least squares": REFUSED},
     "analyze": {"LCP": DONE, "program": REFUSED, "least squares": REFUSED},
@@ -137,7 +137,7 @@ SOLUTIONS = {
     [name for name in FILES if name not in ("qp.qps", "lp.mps", "lp.lp", "qp.nl", "folder/M.mtx")],
 )
 def test_solve_saves_and_tells_the_answer(name: str) -> None:
-    """--out holds z or x, --json one object with the status, and a person reads the first values of x."""
+    """Option --out stores z or x, --json prints one object, and the text shows the first x_i."""
     kind, write = FILES[name]
     write(name)
     done = lcp_plugin("solve", name, "--out", "out.npz", "--json")
@@ -155,7 +155,7 @@ def test_solve_saves_and_tells_the_answer(name: str) -> None:
 
 
 def test_files_of_mps_are_answered_in_their_own_terms() -> None:
-    """Names of the variables; the objective with its constant, and as the file states it where it maximises."""
+    """The output uses the names of variables, and the objective of the file with its constant."""
     pytest.importorskip("highspy")
     Path("qp.qps").write_text(QPS)
     done = lcp_plugin("solve", "qp.qps", "--out", "out.npz")
@@ -170,7 +170,7 @@ def test_files_of_mps_are_answered_in_their_own_terms() -> None:
 
 
 def test_the_tolerance_of_the_command_reaches_a_program() -> None:
-    """--tolerance is passed on whatever it is; without it a program has the default of its own."""
+    """Option --tolerance is passed on unchanged; without it a program uses its default."""
     np.savez("qp.npz", **PROGRAM)
     given = [
         json.loads(lcp_plugin("solve", "qp.npz", "--json", *words).stdout)["tolerance"]
@@ -194,7 +194,7 @@ def test_no_minimum_is_told_and_shows_no_point() -> None:
 
 
 def mistakes() -> dict[str, str]:
-    """Write the files that newcomers give; the words of their refusal, by name."""
+    """Write invalid files, and return a part of their error messages by name."""
     Path("nothing").mkdir()
     Path("called.npz").mkdir()
     for ending in (".npz", ".mat", ".qps", ".nl"):
@@ -238,7 +238,7 @@ def mistakes() -> dict[str, str]:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("command", CELLS)
 def test_mistakes_cost_one_line(command: str) -> None:
-    """Missing, empty, damaged, misnamed, a folder, without q, with NaN: exit code 2 and a line that names the file."""
+    """Missing, empty, corrupt or misnamed files give exit code 2 and a line with the name."""
     for name, words in mistakes().items():
         done = lcp_plugin(command, name)
         assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), (
@@ -290,7 +290,7 @@ def test_options_of_other_kinds_are_refused(arguments: str, words: str) -> None:
 
 
 def test_each_example_in_a_help_page_is_a_command() -> None:
-    """What stands below each help page has a subcommand, and options, that exist."""
+    """The examples below each help page use existing subcommands and options."""
     group: Any = typer.main.get_command(app)
     for name, command in group.commands.items():
         known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}

@@ -1,4 +1,4 @@
-"""Interface for qpsolvers: x, duals in its conventions, found only where the program's own residuals are optimal."""
+"""Interface for qpsolvers: x and duals in its conventions, found only if they are optimal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ G, H = np.array([[1.0, 1.0]]), np.array([2.0])
 
 @pytest.mark.parametrize("name", [name for name in dir(published) if name.startswith("get_qp")])
 def test_published_programs(name: str) -> None:
-    """The programs that qpsolvers is tested with: its own residuals are below 1e-9, beside the objective."""
+    """The test programs of qpsolvers have residuals below 1e-9, relative to the objective."""
     problem, reference = getattr(published, name)()
     solution = solve_problem(problem, NAME)
     assert solution.found, solution.extras
@@ -38,7 +38,7 @@ def test_published_programs(name: str) -> None:
 
 @given(convex_qps())
 def test_random_programs_sparse_and_dense(drawn: Any) -> None:
-    """Whatever is missing of G, A and bounds: the planted objective, and duals that qpsolvers itself finds optimal."""
+    """Programs with or without G, A and bounds have the known objective and optimal duals."""
     program, answer = drawn
     none = [None if matrix.shape[0] == 0 else matrix for matrix in (program.G, program.A)]
     h, b = (
@@ -66,7 +66,7 @@ def test_random_programs_sparse_and_dense(drawn: Any) -> None:
 
 
 def test_duals_have_the_signs_of_qpsolvers() -> None:
-    """Signs: z ≥ 0 of G, y of A, z_box > 0 at an upper bound < 0 at a lower one; empty where there is no such row."""
+    """Duals have the signs of qpsolvers: z ≥ 0, z_box > 0 at an upper bound, empty without rows."""
     solution = solve_problem(Problem(P, Q, lb=np.array([2.0, 0.0]), ub=np.array([3.0, 1.0])), NAME)
     assert solution.x.tolist() == [2.0, 1.0]
     assert solution.z_box.tolist() == [-2.0, 2.0]
@@ -79,7 +79,7 @@ def test_duals_have_the_signs_of_qpsolvers() -> None:
 
 @pytest.mark.parametrize("sparse", [None, True, False])
 def test_least_squares(sparse: bool | None) -> None:
-    """``solve_ls`` within bounds, by either of its conversions: what scipy's nnls finds."""
+    """``solve_ls`` within bounds agrees with scipy's nnls for both of its conversions."""
     rng = np.random.default_rng(2)
     R, s = rng.standard_normal((9, 4)), rng.standard_normal(9)
     x = qpsolvers.solve_ls(R, s, lb=np.zeros(4), solver=NAME, sparse_conversion=sparse)
@@ -87,7 +87,7 @@ def test_least_squares(sparse: bool | None) -> None:
 
 
 def test_infeasible_comes_with_a_proof() -> None:
-    """None for x, INFEASIBLE in the extras, and a proof that verifies."""
+    """An infeasible program has x None, INFEASIBLE in the extras, and a proof that verifies."""
     problem = Problem(P, Q, np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([1.0, -2.0]))
     solution = solve_problem(problem, NAME)
     assert (solution.found, solution.x, solution.extras["status"]) == (
@@ -100,7 +100,7 @@ def test_infeasible_comes_with_a_proof() -> None:
 
 
 def test_a_limit_is_no_solution() -> None:
-    """A run that is ended too early has found nothing, and its best x stands beside what it lacks."""
+    """A run that ended early has found False, and its best x with residuals in the extras."""
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((80, 60))
     problem = Problem(np.diag(rng.random(60)), rng.standard_normal(60), rows, rng.random(80))
@@ -156,14 +156,14 @@ def test_initvals_start_a_program_with_bounds() -> None:
     ids=lambda value: str(value)[:24] if isinstance(value, (str, dict)) else "",
 )
 def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: str) -> None:
-    """Refusals are qpsolvers' own exceptions, in words."""
+    """Invalid arguments raise qpsolvers' exceptions, with a message."""
     with pytest.raises(error, match=words):
         solve_qp(**{"P": P, "q": Q, "solver": NAME, **given})
 
 
 @pytest.mark.full
 def test_qpsolvers_is_loaded_by_its_interface_alone() -> None:
-    """Neither import nor a solve loads it; without it the interface says what to install."""
+    """An import or a solve does not load qpsolvers; without it the error names the package."""
     code = (
         "import sys, lcp_plugin\nlcp_plugin.solve(lcp_plugin.LCP([[2.0]], [-1.0]))\nprint('qpsolvers' in sys.modules)\n"
         "sys.modules['qpsolvers'] = None\nfrom lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers\n"

@@ -1,4 +1,4 @@
-"""What may go wrong with SCIP, in words, through each way in; and what the advice is worth that comes with it."""
+"""Failures of SCIP in each interface: messages, and the effect of their advice."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Toll:
 
 
 def toll_in_pyomo() -> pe.ConcreteModel:
-    """Return it in Pyomo."""
+    """Return the toll problem in Pyomo."""
     m = pe.ConcreteModel()
     m.toll, m.least = pe.Var(within=pe.NonNegativeReals), pe.Var()
     m.flow = pe.Var([0, 1], within=pe.NonNegativeReals)
@@ -117,7 +117,7 @@ class _Broken:
 
 @pytest.mark.full
 def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path: Path) -> None:
-    """A leader that is not convex gets no point, no bound, and both ways out, from arrays, cvxpy, Pyomo and AMPL."""
+    """Without SCIP a nonconvex leader gets no point, no bound, and advice in every interface."""
     solver = pe.SolverFactory("lcp_plugin")
     solver.solve(toll_in_pyomo())
     for result in (minimize_over_solutions(bilinear()), Toll(most=20.0).solved()[1], solver.result):
@@ -183,11 +183,11 @@ def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
         minimize_over_solutions(knapsack(), callback=fails)
 
 
-# --- What cannot be, or is not known ---
+# --- Infeasible, unbounded and invalid problems ---
 
 
 def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
-    """Integers beside pairs that no equilibrium has: from arrays, cvxpy, Pyomo, AMPL; nothing else is advised."""
+    """Infeasible integers with pairs are reported by all interfaces, with the matching advice."""
     toll, half = Toll(), cp.Variable(integer=True)
     for more in (
         [2 * half == toll.toll, half >= 0.2, half <= 0.8],
@@ -225,7 +225,7 @@ def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> None:
-    """Products, integers, exponentials; the point that is kept is finite; an upper bound makes it optimal."""
+    """Unbounded products and exponentials keep a finite point; an upper bound makes it optimal."""
     toll = Toll()
     problem, result = toll.solved(cp.square(toll.toll))
     assert (problem.status, result.status, result.bound_by) == (
@@ -252,7 +252,7 @@ def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> Non
 
 
 def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:
-    """Of rows, objectives, pairs, starts; from arrays, cvxpy, Pyomo."""
+    """NaN in rows, objectives, pairs or starts raises errors in arrays, cvxpy and Pyomo."""
     nan = float("nan")
     with pytest.raises(InvalidProblem, match=r"finite|NaN|nan"):
         EquilibriumProgram(QuadraticProgram(None, [nan, 0], lower=0), [0], [1])
@@ -283,7 +283,7 @@ def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:
 
 
 def test_functions_that_scip_does_not_know_have_names(tmp_path: Path) -> None:
-    """Pyomo and AMPL hear of atan in a row; a function of Python has no terms."""
+    """Pyomo and AMPL report atan in a row by name; a Python function has no terms."""
     m = toll_in_pyomo()
     m.row = pe.Constraint(expr=pe.atan(m.toll) <= 1)
     with pytest.raises(UnsupportedModel, match="SCIP knows no atan"):
@@ -329,7 +329,7 @@ def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere
 
 
 def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
-    """In cvxpy; without it the bound is SCIP's, and said to be."""
+    """A proof for a nonconvex cvxpy problem raises an error; otherwise the bound is SCIP's."""
     with pytest.raises(
         UnsupportedModel,
         match=r"an objective that is not convex; leave it out: the bound is SCIP's",
@@ -359,11 +359,11 @@ def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
     )
 
 
-# --- Followers that are hard to solve keep nobody waiting ---
+# --- Followers that are hard to solve do not delay the search ---
 
 
 def hard_followers(seed: int, pairs: int = 42) -> EquilibriumProgram:
-    """Leaders x within [−1, 1]⁴, followers 0 ≤ z ⟂ M z + C x + q ≥ 0 with a planted solution, M of no class."""
+    """Return leaders x within [−1, 1]⁴ and followers z ⟂ M z + C x + q with a known solution."""
     rng = np.random.default_rng(seed)
     M, C, leaders = (
         rng.standard_normal((pairs, pairs)),

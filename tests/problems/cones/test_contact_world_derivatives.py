@@ -1,4 +1,4 @@
-"""Derivatives of many worlds with contact at once: those of differences, and of each world by itself."""
+"""Derivatives of a batch of contact problems: differences, and single derivatives."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def close(a: Any, b: Any, tolerance: float) -> bool:
 
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.full)])
 def test_gradients_are_those_of_differences(count: int) -> None:
-    """By W, b and friction, forwards and backwards, of every world whose contacts stay what they are."""
+    """Both products by W, b and friction agree with differences if contact modes do not change."""
     rng = np.random.default_rng(count)
     W, b, mu = drawn(count, rng)
     db, dmu, dW = (
@@ -71,7 +71,7 @@ def test_gradients_are_those_of_differences(count: int) -> None:
 
 
 def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
-    """By the pseudo-inverse of D⁻¹W, whatever direction the rounding of velocities has; the motion's is unique."""
+    """The gradient uses the pseudo-inverse of D⁻¹W, and is independent of rounding directions."""
     rng = np.random.default_rng(0)
     J = rng.standard_normal((40, 12, 6))
     W, r = J @ J.swapaxes(1, 2), np.tile([1.0, 0.1, -0.1], 4)
@@ -90,7 +90,7 @@ def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
 
 
 def test_worlds_of_different_size() -> None:
-    """Behind a world's last contact nothing moves, whatever stands there in the data and in the changes."""
+    """Data and changes of absent contacts have no effect on instances of different size."""
     rng = np.random.default_rng(2)
     W, b, mu = drawn(15, rng)
     counts = np.arange(15) % 5
@@ -111,7 +111,7 @@ def test_worlds_of_different_size() -> None:
 
 
 def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
-    """Mixed units go one by one; NaN and no solution are errors of their own worlds, 0 where nobody asks."""
+    """Badly scaled instances are solved singly; NaN rows belong only to failed instances."""
     scale = np.array([1.0, 1.0, 1.0, 1e4, 1e4, 1e4])
     coupled = np.eye(6) + 0.3 * np.fliplr(np.eye(6))
     W, b = np.stack([np.eye(6)] * 4), np.tile([-1.0, 3.0, 4.0, -1.0, 0.1, 0.0], (4, 1))
@@ -164,7 +164,7 @@ REFUSED: dict[str, tuple[Any, type[Exception], str]] = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_wrong_changes_are_refused_in_words(name: str) -> None:
-    """With what they must be."""
+    """Wrong changes raise errors with the required shapes."""
     ask, error, words = REFUSED[name]
     with pytest.raises(error, match=words):
         ask(derived(np.eye(3)[None], np.array([[-1.0, 3.0, 4.0]]), 0.5))

@@ -1,4 +1,4 @@
-"""What is known of each elementary function: value and derivative.
+"""Elementary functions with their values and derivatives.
 
 All work entry by entry. Outside its domain a function is NaN or infinite, never an exception.
 """

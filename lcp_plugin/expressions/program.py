@@ -1,9 +1,9 @@
 """A smooth map as a short program: levels of elementary functions between sparse matrices.
 
-A level takes linear combinations of all quantities before it, the unknowns first, and puts elementary functions on
-them, thousands at once. The result is a linear combination of everything. The sparsity of a derivative never
-changes: the entries of the Jacobian are kept as one vector of numbers, and a level maps those before it to its own by
-a sparse matrix and the factors of the chain rule, so that no pattern is computed twice.
+A level takes linear combinations of all previous quantities, beginning with the unknowns, and applies elementary
+functions to thousands of them at once. The result is a linear combination of all quantities. The sparsity of a
+derivative never changes, so the entries of the Jacobian are stored as one vector. A level maps the previous entries to
+its entries by a sparse matrix and the factors of the chain rule, so that no pattern is computed twice.
 """
 
 from __future__ import annotations
@@ -103,12 +103,12 @@ class Program:
     def of(
         cls, compiler: Compiler, results: Sequence[Rows], first: Mapping[int, int], n: int
     ) -> Program:
-        """Return the program whose results are these rows, one below the other.
+        """Return the program with these rows, stacked, as results.
 
         Parameters
         ----------
         compiler : Compiler
-            That made the rows.
+            Compiler that created the rows.
         results : sequence of Rows
         first : mapping
             From the key of a source to the number of its first unknown.
@@ -152,7 +152,7 @@ class Program:
             return self.result(self._swept(x)[0])
 
     def jacobian(self, x: FloatVector) -> sp.csr_array:
-        """Return F′(x) as CSR, shape (m, n), its pattern the same for every x; its indices are not to be changed."""
+        """Return F′(x) as CSR, shape (m, n), with a constant pattern; do not change its indices."""
         return self._patterns[-1].matrix(self._derivative(x))
 
     def change(self, x: FloatVector, dx: FloatVector) -> FloatVector:
@@ -262,7 +262,7 @@ class _Pattern:
     Parameters
     ----------
     known : _Places
-        Of the quantities before.
+        Pattern of the previous quantities.
     arguments : pair of Combination
         The functions with a second argument come first; both have the entries that either has.
     n : int
@@ -300,7 +300,7 @@ class _Pattern:
 
 
 def _terms(known: _Places, matrix: sp.csr_array, n: int) -> tuple[Indices, Indices, FloatVector]:
-    """Return of matrix · derivatives, term by term: the place in the result, the entry it comes from, the factor."""
+    """Return the terms of matrix · derivatives: result indices, source entries, coefficients."""
     indptr, indices = known
     counts = np.diff(indptr)[matrix.indices]
     total = int(counts.sum())

@@ -32,14 +32,14 @@ class Rows:
     Attributes
     ----------
     blocks : dict
-        By the keys of sources: unknowns, or results of functions.
+        Coefficients by the keys of sources: unknowns, or results of functions.
     offset : ndarray
     shape : tuple
-        Of the array.
+        Shape of the array.
     places : ndarray of int or None
-        Which entries the rows are, ascending, all others being zero; None for all of them.
+        Indices of the entries in the array, ascending, if all others are zero; None for all entries.
     level : int
-        Of the highest source in it; unknowns have 0.
+        Level of the highest source; unknowns have level 0.
     """
 
     blocks: dict[int, Block]
@@ -81,7 +81,7 @@ class Rows:
 
     @property
     def is_source(self) -> bool:
-        """Whether the rows are the entries of one source and nothing else."""
+        """True if the rows are exactly the entries of one source."""
         blocks = list(self.blocks.values())
         return (
             len(blocks) == 1
@@ -91,7 +91,7 @@ class Rows:
         )
 
     def array(self, entries: FloatVector) -> Any:
-        """Return the array that has these entries in the places of the rows, sparse where they are not all."""
+        """Return the array with these entries at the indices of the rows, sparse if not all."""
         if self.places is None:
             return entries.reshape(self.shape, order="F")
         columns, rows = np.divmod(self.places, max(self.shape[0], 1))
@@ -132,7 +132,7 @@ class Rows:
         return self.spread(self.shape)
 
     def scaled(self, factor: Any, operation: np.ufunc = np.multiply) -> Rows:
-        """Return the rows times, or divided by, a number or one number a row."""
+        """Return the rows times, or divided by, a number or one number per row."""
         if np.ndim(factor) == 0:
             if factor == 1.0:
                 return self
@@ -161,7 +161,7 @@ class Rows:
     def summed(
         self, targets: Indices, shape: tuple[int, ...] = (), places: Indices | None = None
     ) -> Rows:
-        """Return sums: row k belongs to the one with the number targets[k]."""
+        """Return sums of rows: row k is added to the sum with the number targets[k]."""
         size = math.prod(shape) if places is None else places.size
         by_columns = sp.csc_array(
             (np.ones(self.size), targets, np.arange(self.size + 1)), shape=(size, self.size)
@@ -170,7 +170,7 @@ class Rows:
 
 
 def entries_behind(places: Indices, shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
-    """Return the places in an array that entries of it broadcast to a shape come from."""
+    """Return the source indices of entries after broadcasting to a shape."""
     if shape == source:
         return places
     if math.prod(source) == 1:
@@ -245,7 +245,7 @@ def assembled(
             return matrix, offset
     if all(
         len(part.blocks) <= 1 for part in parts
-    ):  # one below the other as they are, without sorting
+    ):  # blocks with one source are concatenated without sorting their entries
         stored = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))]
         for part in parts:
             if not part.blocks:
@@ -295,7 +295,7 @@ def uniform(value: Any) -> Any:
 
 
 def _total(terms: list[Block], size: int) -> Block:
-    """Return the sum; of many at once, because one after the other would copy the first ones every time."""
+    """Return the sum; many matrices at once, because repeated addition copies the first terms."""
     multiple = sum(term for term in terms if isinstance(term, float))
     matrices = [term for term in terms if not isinstance(term, float)]
     if not matrices:
@@ -312,7 +312,7 @@ def _total(terms: list[Block], size: int) -> Block:
 
 
 def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
-    """Return the block with other numbers in the same places, whose indices both share."""
+    """Return the block with changed numbers; both blocks share their indices."""
     if isinstance(block, float):
         return float(operation(block, factor))
     return sp.csr_array(
@@ -428,7 +428,7 @@ def _is_sparse(operand: Any) -> bool:
 
 
 def _factors(constant: Any, shape: tuple[int, ...], places: Indices | None) -> Any:
-    """Return the entries of a constant broadcast to a shape, a single number where its layout shows that it is one."""
+    """Return the entries of a constant broadcast to a shape, or a number if it is uniform."""
     number = uniform(constant)
     return Rows.of(constant).spread(shape, places).offset if number is None else number
 

@@ -49,7 +49,7 @@ class StatedRows:
         Expression of the language that the rows were read from: rows = sign · origin − slacks.
     sign : ndarray or float
     z : ndarray of int or None
-        Unknowns that the rows complement: sign · rows ≥ 0 where z = low, ≤ 0 where z = high, 0 between.
+        Unknowns complementary to the rows: sign · rows ≥ 0 if z = low, ≤ 0 if z = high, and 0 between.
     slacks : ndarray of int or None
         Unknowns that the rows define.
     """
@@ -76,10 +76,10 @@ class SquareModel:
     stored : csr_array, csr_array
         The entries of the pairs and of the equations, over all unknowns; empty in a nonlinear problem.
     places : ndarray of int, shape (n,)
-        Which row is each row of the problem, up to `signs`: of the pairs, then of the equations that define nothing.
+        Row number of each row of the problem, up to `signs`: pairs first, then equations that are not definitions.
     signs : ndarray, shape (n,)
     matched : ndarray of int
-        Of the equations that define nothing, one after the other: the unknown that each goes with.
+        Unknown matched with each equation that is not a definition, in order.
     dropped : ndarray of int
         Unknowns with bounds that no pair states or implies: the problem does not have them.
     """
@@ -131,7 +131,7 @@ class Statement:
     Parameters
     ----------
     compiler : Compiler
-        That made the rows.
+        Compiler that created the rows.
     first : mapping
         From the key of a source to the number of its first unknown.
     lower, upper : ndarray, shape (count,)
@@ -200,7 +200,7 @@ class Statement:
     # --- a complementarity problem ---
 
     def square(self, variable_of: Indices, *, keeps_bounds: bool = False) -> SquareModel:
-        """Return the complementarity problem: definitions put in, equations matched with the unknowns left.
+        """Return the complementarity problem, with substituted definitions and matched equations.
 
         Parameters
         ----------
@@ -212,14 +212,14 @@ class Statement:
         Raises
         ------
         NotSquare
-            Where inequalities or bounds without a pair leave more unknowns than equations.
+            If inequalities or bounds without a pair leave more unknowns than equations.
         UnsupportedModel
-            Where the numbers of equations and unknowns differ otherwise.
+            If the numbers of equations and unknowns differ for another reason.
 
         Notes
         -----
-        Of a nonlinear model nothing is eliminated: an unknown that an equation defines stays, and with it the sparsity
-        of everything that it would be put in.
+        A nonlinear model keeps all unknowns, also unknowns that an equation defines, because a substitution would fill
+        its sparse matrices.
         """
         free = np.flatnonzero(~self.is_paired)
         sizes = sum(one.rows.size for one in self.pairs), sum(one.rows.size for one in self.rows)
@@ -292,7 +292,7 @@ class Statement:
         )
 
     def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:
-        """Return the bounds of all unknowns; raise where an unknown has others than its pair states."""
+        """Return the bounds of all unknowns; raise UnsupportedModel if a pair conflicts."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for pair in self.pairs:
             for own, stated in ((lower, pair.low), (upper, pair.high)):
@@ -396,7 +396,7 @@ class Statement:
 
 
 def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:
-    """Return these attributes of all, one below the other."""
+    """Return these attributes of all rows, concatenated."""
     return [
         np.concatenate([*(getattr(one, name) for one in stated), np.zeros(0)]) for name in names
     ]
@@ -417,7 +417,7 @@ def _arranged(
     places: Indices,
     signs: FloatVector,
 ) -> tuple[sp.csr_array, FloatVector]:
-    """Return the rows in their places, with their signs: the user's own matrix, without a copy, where nothing moves."""
+    """Return the rows in order, with their signs; the user's matrix is not copied if unchanged."""
     if e.size:
         M, q = sp.csr_array(sp.vstack([M, E], format="csr")), np.append(q, e)
     if not np.array_equal(places, np.arange(q.size)):
@@ -434,9 +434,9 @@ def solve_from(
     ----------
     problem : LCP, NonlinearProblem or Blocks
     start : array, shape (n,), or None
-        The present values of the unknowns, where all have one; ``z0`` among the options goes before.
+        Present values of the unknowns, ignored unless all are finite; ``z0`` in the options has priority.
     options : dict
-        Of `solve`, of `solve_nonlinear` or of `solve_cones`.
+        Options of `solve`, `solve_nonlinear` or `solve_cones`.
     """
     is_given = "z0" in options or start is None or not np.isfinite(start).all()
     run: Any = solve_lcp

@@ -88,9 +88,10 @@ def eliminate_definitions(
 
     Notes
     -----
-    One constraint after the other: its rows in which one variable has a single entry, distinct free unknowns that its
-    other rows do not hold, define these unknowns; they are put in everywhere else, so that chains of definitions need
-    no order. A definition whose substitution would fill the matrices is left an equation.
+    Constraints are treated one after the other. A row of a constraint defines a free unknown if its variable has only
+    one entry in the row, and if other rows of the constraint do not contain the unknown. The unknown is substituted
+    everywhere else, so that chains of definitions need no order. A definition remains an equation if its substitution
+    would fill the matrices.
     """
     n = is_free.size
     back: sp.csr_array | None = None
@@ -152,8 +153,8 @@ def put_in_all(
 ) -> tuple[sp.csr_array, FloatVector]:
     """Return rows matrix · z + offset without the unknowns in the columns; the rows `definitions` = 0 define them.
 
-    Definitions may hold unknowns of one another, in any order but a circle: a chain takes as many products of matrices
-    as its length has binary digits.
+    Definitions may depend on each other in any order without cycles. A chain takes as many products of matrices as its
+    length has binary digits.
 
     Parameters
     ----------
@@ -244,9 +245,9 @@ def matched_for_monotony(
 
     Notes
     -----
-    Optimality conditions are monotone, and good to solve, only if stationarity in x goes with x and feasibility with
-    its multiplier. Their row and column then hold the same numbers up to signs: that is what is looked for, first
-    against the pairs, then against what is matched already. If it does not settle all, large diagonal entries decide.
+    Optimality conditions are monotone only if stationarity in x is matched with x and feasibility with its multiplier.
+    Row and column then have the same numbers up to signs. Such matches are searched first among the pairs, then among
+    matched rows. If this does not decide all rows, large diagonal entries decide.
     """
     order = _mirrored(equations, pairs, paired, free)
     if order is None:
@@ -264,7 +265,7 @@ def matched_for_monotony(
 
 
 def _row_dots(first: sp.csr_array, second: sp.csr_array) -> FloatVector:
-    """Return the products of the rows of one with the same rows of the other."""
+    """Return the dot products of the rows of two matrices."""
     return np.asarray(first.multiply(second).sum(axis=1), dtype=np.float64).ravel()
 
 

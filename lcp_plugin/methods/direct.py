@@ -59,6 +59,7 @@ PIVOTS_BEFORE_PIQP_UP_TO = (
 LARGE_FACTOR = (
     1e8  # operations; factorizing the program with M in its rows takes 4 to 11 times as many
 )
+AGAIN = "the other methods found no solution"
 GAME_PIVOTS = (
     20.0  # times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
 )
@@ -102,15 +103,24 @@ def direct_methods(
     order = _order(problem, goal, newton, lemke, interior, check)
     # A factorization that fills in is better than no result.
     fit = [stage for stage in order if stage.algorithm.name not in unfit]
-    yield from fit or [stage for stage in order if stage in (newton, interior)]
+    for stage in fit or [stage for stage in order if stage in (newton, interior)]:
+        if stage is lemke and stage.is_over is None and _is_unfinished(newton):
+            yield Stage(newton.algorithm, AGAIN)
+            newton.is_over = None
+        yield stage
     for stage in (newton, lemke):
-        if stage.iterations and stage.is_over is not None and stage.is_over(stage):
-            yield Stage(stage.algorithm, "the other methods found no solution")
+        if _is_unfinished(stage):
+            yield Stage(stage.algorithm, AGAIN)
     if is_searchable(problem):
         search = ExhaustiveSearch(prove_infeasibility=prove_infeasibility)
         yield Stage(search, "few enough unknowns to try every choice of bounds to the end")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Stage(last_resort(problem), "the direct methods failed: sweeps to the end")
+
+
+def _is_unfinished(stage: Stage) -> bool:
+    """Return whether the budget of a method ended it."""
+    return bool(stage.iterations and stage.is_over is not None and stage.is_over(stage))
 
 
 def factor_passes(problem: LCP) -> float:

@@ -111,7 +111,7 @@ def _trajectory(boxes: int, steps: int, *, is_warm: bool) -> str:
     for problem, _, result, spent in trajectory(boxes, steps, is_warm=is_warm):
         seconds.append(spent)
         unsolved += not result.is_solved
-        counts.add(problem.origin.normals.shape[0])
+        counts.add(problem.origin.friction.size)
     later = seconds[min(5, steps // 2) :]
     return (
         f"tower of {boxes}, {min(counts)} to {max(counts)} contacts, {'warm' if is_warm else 'from scratch'}: median "

@@ -86,7 +86,9 @@ class Safeguard:
         self._products = 0
 
     def is_out_of_hand(self, z: FloatVector, residual: float) -> bool:
-        """Return whether the residual is NaN or much larger than the least residual, without a fall of the energy."""
+        """Return whether z is not finite, or its residual is much larger and its energy has not fallen."""
+        if not np.isfinite(z).all():  # a NaN is left out of the largest residual
+            return True
         if residual <= OUT_OF_HAND * self.least:
             return False
         return not (self.is_symmetric and np.isfinite(residual) and self._energy_change(z)[0] < 0.0)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from planted import planted_lcp
 from scipy.sparse.linalg import spsolve
@@ -490,6 +490,7 @@ def planted_safeguard(seed: int, n: int) -> tuple[LCP, np.ndarray]:
 
 
 @given(st.integers(0, 10**6), st.integers(70, 150), st.sampled_from(sorted(WAYS)))
+@example(79, 79, "no number")
 def test_it_converges_on_positive_definite_matrices_from_any_start(
     seed: int, n: int, way: str
 ) -> None:

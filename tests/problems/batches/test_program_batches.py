@@ -363,5 +363,8 @@ def test_a_number_stands_for_a_vector_of_one() -> None:
     )
     answers = solve_batch(program, [{"b": 1}, {"b": 2, "h": 1}, {"b": [1, 2]}])
     np.testing.assert_allclose(answers.x[:2], [[1.0, 0.0], [1.0, 1.0]], atol=1e-9)
-    assert answers.advice == "program 2: no program: b must be a vector of length 1, got shape (2,): 1 too many"
+    assert (
+        answers.advice
+        == "program 2: no program: b must be a vector of length 1, got shape (2,): 1 too many"
+    )
     assert solve_batch(program, [{"b": 1}]).advice == solve(program).status.value

@@ -135,3 +135,10 @@ def test_gamma_is_an_upper_bound(terms: int) -> None:
     bound = gamma(terms)
     ku = terms * Fraction(UNIT)
     assert bound == np.inf or Fraction(bound) >= ku / (1 - ku)
+
+
+def test_ends_of_finite_sums_are_next_to_them() -> None:
+    """The ends are exact without a radius, enclose value ± radius, and are infinite if the radius is."""
+    value, radius = np.ones(3), np.array([0.0, UNIT, np.inf])
+    assert upper_end(value, radius).tolist() == [1.0, 1.0 + 2 * UNIT, np.inf]
+    assert (lower_end(-value, radius) == -upper_end(value, radius)).all()

@@ -104,12 +104,12 @@ def direct_methods(
     # A factorization that fills in is better than no result.
     fit = [stage for stage in order if stage.algorithm.name not in unfit]
     for stage in fit or [stage for stage in order if stage in (newton, interior)]:
-        if stage is lemke and stage.is_over is None and _is_unfinished(newton):
+        if stage is lemke and stage is fit[-1] and _is_unfinished(newton):
             yield Stage(newton.algorithm, AGAIN)
             newton.is_over = None
         yield stage
     for stage in (newton, lemke):
-        if _is_unfinished(stage):
+        if stage not in fit[-1:] and _is_unfinished(stage):
             yield Stage(stage.algorithm, AGAIN)
     if is_searchable(problem):
         search = ExhaustiveSearch(prove_infeasibility=prove_infeasibility)
@@ -150,6 +150,8 @@ def _order(
     is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
     steps = partial(_exceeds_steps, goal=goal)
     pivots = partial(_exceeds_pivots, problem=problem, most=PIVOTS if is_positive else GAME_PIVOTS)
+    if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
+        lemke.is_over = pivots
     if _seems_monotone(problem):
         if is_full and not is_positive:
             few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)

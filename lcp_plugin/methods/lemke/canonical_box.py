@@ -15,6 +15,7 @@ FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]
 
 WELL_CONDITIONED = 1e8
+ALIKE, EQUILIBRATIONS = 10, 8  # log2 of the sizes of columns that stay; passes over M at most
 LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
 
 
@@ -82,19 +83,33 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)
     base = np.where(is_free, 0.0, np.where(sign > 0.0, problem.lower, problem.upper))
     row_scale = np.minimum(row_scale, LARGEST_OFFSET - np.frexp(problem.q)[1])
-    M = np.ldexp(M, row_scale[:, None])
+    M, column_scale, more = _equilibrated(np.ldexp(M, row_scale[:, None]))
+    row_scale = row_scale + more
     is_void = (problem.q == 0.0) & ~M.any(axis=1)
     if is_void.any():
         # A zero row is always satisfied. With minus its column as row i, z_i acts like a multiplier of the other rows.
         M = np.where(is_void[:, None], -M.T, M)
     M = M * sign[:, None] * sign
-    start = base * sign
-    q = np.ldexp(problem.q, row_scale) * sign + M @ start
-    upper = np.where(is_free, np.inf, problem.upper - problem.lower)
+    q = np.ldexp(problem.q, row_scale) * sign + M @ np.ldexp(base * sign, -column_scale)
+    upper = np.where(is_free, np.inf, np.ldexp(problem.upper - problem.lower, -column_scale))
+    unit = np.ldexp(sign, column_scale)
     keep = np.flatnonzero(problem.lower < problem.upper)
     if keep.size < problem.n:
         M = M[np.ix_(keep, keep)]
-    return _without_free_rows(M, q[keep], upper[keep], sign, base, keep, is_free[keep])
+    return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
+
+
+def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, IndexVector, IndexVector]:
+    """Return M with columns and rows of size 1 and the exponents of both, which are 0 if the units are alike."""
+    column, row = np.zeros((2, len(M)), np.intp)
+    for _ in range(EQUILIBRATIONS):
+        change = -np.frexp(np.abs(M).max(axis=0, initial=0.0))[1]
+        if np.abs(change).max(initial=0) <= ALIKE:
+            break
+        M, column = np.ldexp(M, change), column + change
+        change = 1 - np.frexp(np.abs(M).max(axis=1, initial=0.0))[1]
+        M, row = np.ldexp(M, change[:, None]), row + change
+    return M, column, row
 
 
 def _without_free_rows(

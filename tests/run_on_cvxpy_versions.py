@@ -14,7 +14,7 @@ import venv
 from pathlib import Path
 
 VERSIONS = ("1.8.*", "1.9.*")
-FLOORS = {"1.8.0": ("numpy==1.26.4", "scipy==1.12.0", "numba==0.60.0")}
+FLOORS = {"1.8.0": ("numpy==2.0.0", "scipy==1.15.0", "numba==0.60.0")}
 NAMES = (
     *(
         "extraction",
@@ -48,6 +48,7 @@ def run_on(version: str) -> bool:
             "pytest",
             "pytest-xdist",
             "hypothesis",
+            "pyscipopt",
             str(ROOT),
         ]
         subprocess.run([python, "-m", "pip", "install", "-q", *wanted], check=True)

@@ -99,7 +99,9 @@ def plan(
     begin : {"npsor", "psor", "multigrid"}, optional
         The method that solved a problem with this M before.
     """
-    direct = partial(direct_stages, problem, goal, prove_infeasibility=prove_infeasibility)
+    from .methods.direct import direct_methods
+
+    direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
     if begin is None:
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
@@ -113,13 +115,6 @@ def plan(
     if has_positive_diagonal(problem.matrix).all():
         yield from _sweeping_stages(problem, goal, begin)
     yield from direct()
-
-
-def direct_stages(problem: LCP, goal: float, *, prove_infeasibility: bool) -> Iterator[Stage]:
-    """Yield the direct methods."""
-    from .methods.direct import direct_methods
-
-    yield from direct_methods(problem, goal, prove_infeasibility=prove_infeasibility)
 
 
 def _quick_stages(problem: LCP) -> Iterator[Stage]:

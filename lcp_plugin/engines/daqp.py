@@ -29,7 +29,6 @@ SAYS = {
     -3: EngineStatus.UNBOUNDED,
     -4: EngineStatus.STOPPED,
 }
-OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
 
 
 class DAQP(Engine):

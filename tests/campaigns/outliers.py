@@ -1,6 +1,6 @@
 """Campaign of problems with outliers in their data, for every problem class, checked externally.
 
-    python tests/campaigns/outliers.py --kind all --count 500 --csv now.csv --beside before.csv
+``run(kind, seed, k)`` returns the outcome of one problem; ``python tests/campaign.py --only outlier`` runs all kinds.
 
 The problems are small, have integer data, and contain one or two outliers. Outliers are right-hand sides and bounds
 of 1e10 … 1e19, 1e20 and ∞ for "none", cos(π/2) for a zero, a regularization of 1e-9, ties, zeros, a distant origin,
@@ -15,10 +15,6 @@ outcomes:
   of the proof, a wrong "proved", or an exception that is not an LCPError.
 - open: no reference solution is available, an optimum lies beyond the radius of the proof, or an x that satisfies
   rows and bounds to 1e-9 is better than the reference.
-
-The script prints the counts per problem class, and the first false outcomes. The exit code is 1 if any outcome is
-false. ``--csv`` writes the outcomes. ``--beside`` counts problems that are refused now and were right in that file,
-for example from another checkout.
 """
 
 from __future__ import annotations

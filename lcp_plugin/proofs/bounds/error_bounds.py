@@ -24,7 +24,6 @@ from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
 
 SMALL = 1000  # up to here every stage is cheap
 STEPS = 12  # each takes two digits off the bound, at the cost of a third of a linear solve
-LOOSE = 1e3  # times the residual: from here on a sharper bound is worth a linear solve
 SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = (
     0.05,
     0.5,
@@ -75,11 +74,6 @@ class ErrorBound:
     residual: float = np.nan
     near: NearPoint | None = field(default=None, repr=False)
     seconds: float = field(default=0.0, repr=False)
-
-    @property
-    def is_loose(self) -> bool:
-        """True if the bound exceeds a thousand times the residual: linear solves may make it much smaller."""
-        return self.infinity > LOOSE * self.residual
 
     def carried_to(self, z: FloatVector) -> FloatVector:
         """Return a bound of |z − z*|, componentwise, for any z of shape (n,): by its distance to `near`, in O(n).

@@ -7,7 +7,7 @@ The references that residuals are compared with are fractions: they reach beyond
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property
@@ -201,10 +201,6 @@ class Choices(NamedTuple):
         rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
         return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
 
-    def excluded_by(self, y: Mapping[int, Rational]) -> bool:
-        """Return whether a Farkas vector closes the case, for all z."""
-        return self.contradiction(y).holds
-
     def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
         """Return the certificate of the piece by a Farkas vector, for all z; None if it is not one."""
         found = self.contradiction(y)
@@ -307,8 +303,3 @@ class Infeasibility(NoSolutionProof):
 
     def __repr__(self) -> str:
         return f"Infeasibility({self})"
-
-
-def rescaled_multipliers(y: Sequence[Fraction], factors: Sequence[Fraction]) -> list[Fraction]:
-    """Return the Farkas vector of the problem whose rows are these divided by the factors."""
-    return [value * factor for value, factor in zip(y, factors, strict=True)]

@@ -30,7 +30,6 @@ from .h_matrix import h_verdict, positive_margin
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
 
 DENSE_LIMIT = 500
-LARGEST_COUNT = 1_000  # of diagonal blocks to look at one by one
 SYMMETRIC_TO_ROUNDING = 64 * UNIT
 SMALLEST_DIAGONAL = 2.0**-960  # of a symmetric part, whose subnormal entries are rounded absolutely
 UNDECIDED = "undecided: singular up to rounding"

@@ -109,7 +109,7 @@ def direct_methods(
             newton.is_over = None
         yield stage
     for stage in (newton, lemke):
-        if stage not in fit[-1:] and _is_unfinished(stage):
+        if _is_unfinished(stage) and (stage is newton or stage not in fit[-1:]):
             yield Stage(stage.algorithm, AGAIN)
     if is_searchable(problem):
         search = ExhaustiveSearch(prove_infeasibility=prove_infeasibility)

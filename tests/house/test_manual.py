@@ -91,6 +91,7 @@ def test_a_notebook_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     import matplotlib.pyplot as plt
 
     plt.switch_backend("agg")
+    plt.close("all")  # figures of other tests
     namespace: dict[str, object] = {"__name__": "notebook"}
     with plt.rc_context():
         for kind, text in cells_of(name):

@@ -22,7 +22,7 @@ from ..newton.active_set import classify, is_near, solve_active_set
 from .canonical_box import CanonicalBox, canonical_box
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
-ARBITRARY_STARTS = (10, 200)  # at least and at most
+ARBITRARY_STARTS = (10, 600)  # at least and at most
 START_SIZES = 20_000  # n times the number of arbitrary starts, between those
 WORK_A_BLOCK = 5e7  # entries touched between two steps, about
 CAREFUL_BLOCK = 5
@@ -39,7 +39,8 @@ class Lemke(Algorithm):
         Pivots of one path; 10 (n + 10) by default and, once every start was tried, 100 (n + 10) for those cut off.
     restarts : int, optional
         Arbitrary starts after the principled ones: every label of a bimatrix game (Lemke–Howson), r = 1 and
-        r = |q| of the equilibrated problem; 20 000/n by default, but 10 to 200.
+        r = |q| of the equilibrated problem; 20 000/n by default, but 10 to 600. An
+        arbitrary start lies inside a random active set.
 
     Notes
     -----
@@ -47,8 +48,9 @@ class Lemke(Algorithm):
     eliminated if their block is well conditioned; otherwise each becomes two nonnegative variables. The
     active set of z0 is tried first, by one factorization: after a small change of q it is often right; otherwise z0
     has no effect. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
-    no basis comes twice. A path from r > 0 ends in a solution if M is a P-matrix or all bounds are finite, and for
-    a copositive-plus M (for example a positive semidefinite one) if the problem is feasible.
+    no basis comes twice; a path from an arbitrary start may be a loop. A path from r > 0 ends in a solution if M is a
+    P-matrix or all bounds are finite, and for a copositive-plus M (for example a positive semidefinite one) if the
+    problem is feasible.
 
     Examples
     --------

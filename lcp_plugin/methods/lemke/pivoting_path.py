@@ -1,6 +1,6 @@
 """Paths of complementary pivoting: starts, state, and tests of their accuracy.
 
-They start along covering vectors or at the labels of a game.
+They start along covering vectors, at the labels of a game or inside random active sets.
 """
 
 from __future__ import annotations
@@ -26,10 +26,13 @@ from .tableau import (
     KEPT,
     LOST,
     LOW,
+    NOT_STARTED,
     OTHER,
     PLACE,
+    RETURNED,
     SIDE,
     SOLVED,
+    START,
     WIDTH,
     shapes,
 )
@@ -91,6 +94,15 @@ class LemkePath:
             covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
         )
 
+    def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
+        """Start at t = 1 from a complementary pair with the r that makes it exact; return False if it is singular."""
+        n = self.n
+        basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
+        covering = w - self.M @ z - self.q
+        is_started = self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=1.0)
+        self.whole[START, :n] = side
+        return is_started
+
     def start_at_vertex(
         self,
         covering: FloatVector,
@@ -105,6 +117,7 @@ class LemkePath:
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
         self.driven, self.value, self.direction = driven, level, direction
+        self.whole[START, : self.n] = NOT_STARTED
         self.pivots = 0
         return self._renew()
 
@@ -121,7 +134,7 @@ class LemkePath:
         A ray or an unreliable small pivot is tested again with a new tableau.
         """
         outcome = self._run(limit)
-        if outcome == SOLVED:
+        if outcome in (SOLVED, RETURNED):
             return outcome
         is_doubtful = outcome != GOING_ON and self.age > 0
         if not self._is_sound(is_doubtful):
@@ -293,7 +306,21 @@ def starts(path: LemkePath, restarts: int) -> Iterator[Start]:
         yield partial(LemkePath.start_along, covering=size)
     generator = np.random.default_rng(0)
     for _ in range(restarts):
-        yield partial(LemkePath.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
+        yield _random_cell(path, generator)
+
+
+def _random_cell(path: LemkePath, generator: np.random.Generator) -> Start:
+    """Return a start inside an arbitrary active set; r has both signs, so that its path may lead anywhere."""
+    n = path.n
+    is_between = generator.random(n) < generator.uniform(0.1, 0.9)
+    size = np.exp2(generator.uniform(-3.0, 3.0, size=n))
+    inside = np.where(path.upper < np.inf, generator.uniform(0.1, 0.9, size=n) * path.upper, size)
+    return partial(
+        LemkePath.start_in_cell,
+        side=np.where(is_between, BETWEEN, AT_LOWER),
+        z=np.where(is_between, inside, 0.0),
+        w=np.where(is_between, 0.0, size),
+    )
 
 
 def _lemke_howson(path: LemkePath, players: NDArray[np.bool_], k: int) -> bool:

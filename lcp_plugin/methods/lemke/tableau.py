@@ -17,8 +17,8 @@ import numpy as np
 from ...core.kernels.compilation import helper, inline, kernel
 
 KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
-SIDE, BASIC, PLACE, OTHER, CANDIDATE = range(5)  # rows of `whole`
-AT_LOWER, BETWEEN, AT_UPPER, FIXED = 0, 1, 2, 3
+SIDE, BASIC, PLACE, OTHER, CANDIDATE, START = range(6)  # rows of `whole`
+AT_LOWER, BETWEEN, AT_UPPER, FIXED, NOT_STARTED = 0, 1, 2, 3, 4
 HELD = 8  # pivots whose products are added to a large tableau at once
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 TIE = 1e-12
@@ -27,12 +27,12 @@ DOUBTFUL = (
 )
 ADDED_AT_ONCE_UP_TO = 64  # rows: such a tableau stays in the cache
 OWN_BOUND, NOTHING = -1, -2
-GOING_ON, SOLVED, RAY, LOST = 0, 1, 2, 3
+GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
 def shapes(n: int) -> tuple[tuple[int, int], ...]:
     """Return the shapes of `real`, `whole` and `matrix`."""
-    return (5, n + 1), (5, 2 * n + 6), (n + 2 * HELD, n + 1)
+    return (5, n + 1), (6, 2 * n + 6), (n + 2 * HELD, n + 1)
 
 
 @kernel
@@ -46,7 +46,8 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
     Parameters
     ----------
     real, whole, matrix : arrays
-        Rows KEPT, LOW, HIGH, WIDTH; rows BASIC, OTHER, PLACE, SIDE. `matrix` is the tableau. All but WIDTH are updated.
+        Rows KEPT, LOW, HIGH, WIDTH; rows BASIC, OTHER, PLACE, SIDE, START. `matrix` is the tableau. All but WIDTH and
+        START are updated.
     is_fresh : bool
         True if the tableau has just been computed: a first pivot of any size is then accepted.
     """
@@ -92,8 +93,14 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
                 for i in range(n):
                     _bring_up_to_date(matrix, n, factors, rows, held, i)
             held = 0
+        entered = BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER
+        is_back = True
+        for i in range(n):
+            is_back &= whole[START, i] == (entered if i == driven % n else whole[SIDE, i])
         if left == 2 * n:
             outcome = SOLVED
+        elif is_back:  # a path from an arbitrary active set may be a loop
+            outcome = RETURNED
     for i in range(n):
         _bring_up_to_date(matrix, n, factors, rows, held, i)
     return outcome, driven, value, direction, made

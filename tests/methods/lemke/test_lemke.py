@@ -362,3 +362,11 @@ def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
     result = solve(LCP(*EXTREME["q beyond, and no matter"]), "lemke")
     assert result.status is Status.SOLVED
     assert result.z.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_arbitrary_starts_reach_a_solution_of_an_indefinite_problem(seed: int) -> None:
+    """No theorem holds for these M; paths from random active sets find a solution."""
+    rng = np.random.default_rng(seed)
+    problem, _ = planted_lcp(rng.standard_normal((20, 20)), rng, bounds=False)
+    assert solve(problem, "lemke").is_solved

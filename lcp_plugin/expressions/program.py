@@ -1,16 +1,14 @@
 """A smooth map as a short program: levels of elementary functions between sparse matrices.
 
 A level takes linear combinations of all previous quantities, beginning with the unknowns, and applies elementary
-functions to thousands of them at once. The result is a linear combination of all quantities. The sparsity of a
-derivative never changes, so the entries of the Jacobian are stored as one vector. A level maps the previous entries to
-its entries by a sparse matrix and the factors of the chain rule, so that no pattern is computed twice.
+functions to thousands of them at once. The result is a linear combination of all quantities. Derivatives follow level
+by level from the chain rule.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -91,7 +89,7 @@ class Program:
     Notes
     -----
     Outside the domain of F entries are NaN or infinite; nothing is raised. A value costs a product with each matrix, a
-    change or a gradient two, a Jacobian one with each of the matrices that :class:`_Pattern` holds.
+    change or a gradient two, a Jacobian a product of sparse matrices for each level.
     """
 
     def __init__(self, n: int, levels: Sequence[Level], result: Combination) -> None:
@@ -152,8 +150,15 @@ class Program:
             return self.result(self._swept(x)[0])
 
     def jacobian(self, x: FloatVector) -> sp.csr_array:
-        """Return F′(x) as CSR, shape (m, n), with a constant pattern; do not change its indices."""
-        return self._patterns[-1].matrix(self._derivative(x))
+        """Return F′(x) as CSR, shape (m, n)."""
+        with np.errstate(all="ignore"):
+            known = sp.eye_array(self.n, format="csr")  # of all quantities so far
+            for level, values in zip(self.levels, self._swept(x)[1], strict=True):
+                own = _weighted(
+                    level.arguments, level.derivatives(values), level.size, known.shape[0]
+                )
+                known = sp.vstack([known, own @ known], format="csr")
+            return sp.csr_array(self.result.matrix @ known)
 
     def change(self, x: FloatVector, dx: FloatVector) -> FloatVector:
         """Return F′(x) dx without the Jacobian."""
@@ -197,38 +202,6 @@ class Program:
             quantities[span] = level.values(arguments[-1])
         return quantities, arguments
 
-    def _derivative(self, x: FloatVector) -> FloatVector:
-        """Return the entries of the Jacobian."""
-        with np.errstate(all="ignore"):
-            entries, arguments = np.ones(self._patterns[-1].stop), self._swept(x)[1]
-            for level, pattern, values in zip(self.levels, self._patterns, arguments, strict=False):
-                first, second = (
-                    pattern.repeated(slope) * combined(entries[: pattern.start])
-                    for slope, combined in zip(
-                        level.derivatives(values), pattern.combined, strict=True
-                    )
-                )
-                first[: second.size] += second
-                entries[pattern.start : pattern.stop] = first
-            last = self._patterns[-1]
-            return last.combined[0](entries[: last.start])
-
-    @cached_property
-    def _patterns(self) -> list[_Pattern]:
-        """The sparsity patterns of the levels' Jacobians, and of the result's Jacobian."""
-        rows = sp.csr_array(
-            (np.arange(self.n), np.arange(self.n), np.arange(self.n + 1)), shape=(self.n, self.n)
-        )
-        known = rows.indptr.astype(np.int64), rows.indices.astype(np.int64)
-        patterns = []
-        for level in self.levels:
-            patterns.append(_Pattern(known, level.arguments, self.n))
-            indptr = np.concatenate([known[0], known[0][-1] + patterns[-1].indptr[1:]])
-            known = indptr, np.concatenate([known[1], patterns[-1].indices])
-        nothing = Combination(sp.csr_array((0, self.result.matrix.shape[1])), np.zeros(0))
-        patterns.append(_Pattern(known, (self.result, nothing), self.n))
-        return patterns
-
 
 def _spans(groups: list[Any]) -> list[tuple[Function, slice]]:
     spans: list[tuple[Function, slice]] = []
@@ -252,72 +225,15 @@ def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> 
     return Combination(matrix, offset)
 
 
-#: Sparsity of the derivatives: quantity k depends on the unknowns indices[indptr[k] : indptr[k + 1]].
-_Places = tuple[Indices, Indices]
-
-
-class _Pattern:
-    """Sparsity pattern of the derivatives of functions of combinations, and the sources of its entries.
-
-    Parameters
-    ----------
-    known : _Places
-        Pattern of the previous quantities.
-    arguments : pair of Combination
-        The functions with a second argument come first; both have the entries that either has.
-    n : int
-    """
-
-    def __init__(self, known: _Places, arguments: tuple[Combination, Combination], n: int) -> None:
-        size = arguments[0].offset.size
-        terms = [_terms(known, argument.matrix, n) for argument in arguments]
-        keys, where = np.unique(np.concatenate([keys for keys, _, _ in terms]), return_inverse=True)
-        rows, self.indices = keys // n if n else keys, keys % n if n else keys
-        self._lengths = np.bincount(rows, minlength=size)
-        self.indptr: Indices = np.concatenate([[0], np.cumsum(self._lengths)]).astype(np.int64)
-        self.start = int(known[0][-1])
-        self.stop = self.start + keys.size
-        counts = (keys.size, int(self.indptr[arguments[1].offset.size]))
-        parts = np.split(np.ravel(where), [terms[0][0].size])
-        self.combined = [
-            _constant_apart(part, sources, factors, count, self.start, n)
-            for part, (_, sources, factors), count in zip(parts, terms, counts, strict=True)
-        ]
-        self._n = n
-
-    def repeated(self, values: FloatVector) -> FloatVector:
-        """Return the values of functions, each repeated once per entry of its derivative."""
-        return np.repeat(values, self._lengths[: values.size])
-
-    @cached_property
-    def _index(self) -> tuple[Any, Any]:
-        kind = np.int32 if max(self.indices.size, self._n) < 2**31 else np.int64
-        return self.indices.astype(kind), self.indptr.astype(kind)
-
-    def matrix(self, entries: FloatVector) -> sp.csr_array:
-        """Return the entries as a sparse matrix."""
-        return sp.csr_array((entries, *self._index), shape=(self.indptr.size - 1, self._n))
-
-
-def _terms(known: _Places, matrix: sp.csr_array, n: int) -> tuple[Indices, Indices, FloatVector]:
-    """Return the terms of matrix · derivatives: result indices, source entries, coefficients."""
-    indptr, indices = known
-    counts = np.diff(indptr)[matrix.indices]
-    total = int(counts.sum())
-    rows = np.repeat(np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)), counts)
-    before = np.cumsum(counts) - counts
-    sources = np.repeat(indptr[matrix.indices] - before, counts) + np.arange(total)
-    return rows * n + indices[sources], sources, np.repeat(matrix.data, counts)
-
-
-def _constant_apart(
-    places: Indices, sources: Indices, factors: FloatVector, count: int, before: int, n: int
-) -> Combination:
-    """Return the map of entries to entries; derivatives of the unknowns are 1, so their terms are constants."""
-    is_constant = sources < n
-    offset = np.zeros(count)
-    offset[places[is_constant]] = factors[
-        is_constant
-    ]  # one term an entry: the combinations hold no unknown twice
-    entries = (factors[~is_constant], (places[~is_constant], sources[~is_constant]))
-    return Combination(sp.csr_array(sp.coo_array(entries, shape=(count, before))), offset)
+def _weighted(
+    arguments: Sequence[Combination], slopes: Sequence[FloatVector], size: int, width: int
+) -> sp.csr_array:
+    """Return Σ slope · matrix over the arguments, their first columns; 0 times an infinite slope is NaN."""
+    parts = [
+        (argument.matrix.tocoo(), slope) for argument, slope in zip(arguments, slopes, strict=True)
+    ]
+    data = np.concatenate([slope[one.row] * one.data for one, slope in parts])
+    rows, columns = (
+        np.concatenate([getattr(one, name) for one, _ in parts]) for name in ("row", "col")
+    )
+    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(size, width)))

@@ -253,7 +253,7 @@ class Statement:
         columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
         if free.size:
             if program is not None:
-                derivative = _filled(program.jacobian(np.clip(1.0, lower, upper)))
+                derivative = _filled(program.jacobian(_generic_point(lower, upper)))
                 matrices = derivative[: sizes[0]], derivative[sizes[0] :]
             else:
                 matrices = M, E
@@ -400,6 +400,13 @@ def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:
     return [
         np.concatenate([*(getattr(one, name) for one in stated), np.zeros(0)]) for name in names
     ]
+
+
+def _generic_point(lower: FloatVector, upper: FloatVector) -> FloatVector:
+    """Return a point within the bounds, of different entries near 1, at which no slope is 0 by chance."""
+    near = np.random.default_rng(0).uniform(0.9, 1.1, lower.size)
+    x: FloatVector = np.clip(near, lower, upper)
+    return np.where(x == 0.0, -near, x)
 
 
 def _filled(derivative: sp.csr_array) -> sp.csr_array:

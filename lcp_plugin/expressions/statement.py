@@ -24,7 +24,7 @@ from ..problems.nonlinear.solving import solve_nonlinear
 from ..problems.programs.program import QuadraticProgram
 from . import functions
 from .program import Program
-from .rows import Compiler, Indices, Rows, as_matrix, assembled, is_definition
+from .rows import Compiler, Indices, Rows, added, as_matrix, assembled, is_definition
 from .substitution import Elimination, eliminate_definitions, matched_for_monotony
 
 BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
@@ -373,7 +373,7 @@ class Statement:
 
     def _quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
         """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None if it is something else."""
-        n = self.lower.size
+        n, goal = self.lower.size, self._without_copies(goal)
         c, shift = np.zeros(n), float(goal.offset[0])
         half = sp.csr_array((n, n))
         for key, block in goal.blocks.items():
@@ -382,17 +382,32 @@ class Statement:
                 c[self.first[key] : self.first[key] + weights.size] += weights
                 continue
             _, function, arguments, _ = self.compiler.groups[-1 - key]
-            if function not in (functions.PRODUCT, functions.SQUARE) or any(
-                one.level for one in arguments
-            ):
+            if function not in (functions.PRODUCT, functions.SQUARE):
                 return None
-            (A, a), (B, b) = (
-                assembled([one], self.first, n) for one in (arguments[0], arguments[-1])
-            )
+            sides = [self._without_copies(one) for one in (arguments[0], arguments[-1])]
+            if any(one.blocks.keys() - self.first.keys() for one in sides):
+                return None
+            (A, a), (B, b) = (assembled([one], self.first, n) for one in sides)
             half = sp.csr_array(half + A.T @ sp.diags_array(weights) @ B)
             c += A.T @ (weights * b) + B.T @ (weights * a)
             shift += float(weights @ (a * b))
         return sp.csr_array(half + half.T), c, shift
+
+    def _without_copies(self, rows: Rows) -> Rows:
+        """Return rows in which the results of functions that only name expressions are substituted."""
+        groups = self.compiler.groups
+        while names := [
+            key
+            for key in rows.blocks.keys() - self.first.keys()
+            if groups[-1 - key][1] is functions.SAME
+        ]:
+            left = {key: block for key, block in rows.blocks.items() if key not in names}
+            named = [
+                groups[-1 - key][2][0].applied(as_matrix(rows.blocks[key], rows.size), rows.shape)
+                for key in names
+            ]
+            rows = added([replace(rows, blocks=left), *named], rows.shape)
+        return rows
 
 
 def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:

@@ -284,19 +284,21 @@ class ProgramModel(NLModel):
     ----------
     sign : float
         −1 if the file maximizes the objective.
-    constant : float
-        Constant of the objective.
-    matrix : CSR array, shape (m, unknowns)
-        The rows of the file are matrix · unknowns + offset.
-    offset : ndarray, shape (m,)
-        NaN for a row without limits, which is left out.
+    offset : float
+        Constant of the objective that is minimized.
+    matrix : CSR array, shape (k, unknowns)
+        The rows of the program are matrix · unknowns + constants.
+    constants : ndarray, shape (k,)
+    rows : ndarray of int, shape (k,)
+        Their numbers in the file: rows without limits are left out.
     """
 
     problem: QuadraticProgram
     sign: float
-    constant: float
+    offset: float
     matrix: sp.csr_array
-    offset: FloatVector
+    constants: FloatVector
+    rows: Indices
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer, infeasible or unbounded only with a proof, ``answer.result.proof``."""
@@ -313,7 +315,8 @@ class ProgramModel(NLModel):
         words += f", objective {objective:.9g}" if has_objective else ""
         # The residuals of the program, on which the status relies, not the residuals of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
-        duals = -self.sign * found.solution.row_multipliers + 0.0
+        duals = np.zeros(self.content.row_lower.size)
+        duals[self.rows] = -self.sign * found.solution.row_multipliers + 0.0
         told = objective if has_objective else None
         return NLAnswer(x, duals, status, message, found, told, CODES[status])
 
@@ -321,12 +324,12 @@ class ProgramModel(NLModel):
         self, values: FloatVector, objective: float, found: QuadraticProgramResult
     ) -> str:
         """Return the name of a row or objective that differs between file and program; else ""."""
-        x, offset = found.solution.x, self.offset
-        rows = self.matrix @ x + offset
-        for k in mismatches(values, rows, abs(self.matrix) @ np.abs(x) + np.abs(offset))[:1]:
-            return _mismatch(self.content.row(int(k)), values[k], rows[k])
-        computed = self.sign * found.solution.objective + self.constant
-        terms = _objective_terms(self.problem, x) + abs(self.constant)
+        x, values = found.solution.x, values[self.rows]
+        rows = self.matrix @ x + self.constants
+        for k in mismatches(values, rows, abs(self.matrix) @ np.abs(x) + np.abs(self.constants)):
+            return _mismatch(self.content.row(int(self.rows[k])), values[k], rows[k])
+        computed = self.sign * (found.solution.objective + self.offset)
+        terms = _objective_terms(self.problem, x) + abs(self.offset)
         is_wrong = mismatches(objective, computed, terms).size > 0
         return _mismatch("the objective", objective, computed) if is_wrong else ""
 

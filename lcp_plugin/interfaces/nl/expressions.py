@@ -356,44 +356,6 @@ class Expressions:
         level = max([self._levels[one] for one in present], default=0)
         return Rows(blocks, self.offset[numbers], (numbers.size,), None, level)
 
-    def quadratic(self, number: int) -> tuple[sp.csr_array, FloatVector, float] | None:
-        """Return P, c, r of a combination that is ½ xᵀP x + cᵀx + r; None if it is none."""
-        n = self.unknowns.size
-        row, offset = self._without_copies(self.matrix[[number]], self.offset[[number]])
-        used = np.unique(row.indices[row.indices >= n]) - n
-        if any(self._functions[k] not in (functions.PRODUCT, functions.SQUARE) for k in used):
-            return None
-        weights = np.asarray(row[:, n + used].todense()).ravel()
-        is_product = np.array([self._functions[k] is functions.PRODUCT for k in used], dtype=bool)
-        first, second = (numbers[used] for numbers in self._arguments)
-        second = np.where(is_product, second, first)
-        (A, a), (B, b) = (
-            self._without_copies(self.matrix[k], self.offset[k]) for k in (first, second)
-        )
-        if (A.indices >= n).any() or (B.indices >= n).any():
-            return None
-        A, B, linear = A[:, :n], B[:, :n], np.asarray(row[:, :n].todense()).ravel()
-        half = sp.csr_array(A.T @ sp.diags_array(weights) @ B)
-        c = linear + A.T @ (weights * b) + B.T @ (weights * a)
-        return sp.csr_array(half + half.T), c, float(offset[0] + weights @ (a * b))
-
-    def _without_copies(
-        self, matrix: sp.csr_array, offset: FloatVector
-    ) -> tuple[sp.csr_array, FloatVector]:
-        """Return combinations in which quantities that only name others are substituted."""
-        n = self.unknowns.size
-        is_copy = np.array([function is functions.SAME for function in self._functions], dtype=bool)
-        while is_copy[matrix.indices[matrix.indices >= n] - n].any():
-            copies = np.flatnonzero(is_copy)
-            share, own = matrix[:, n + copies], self._arguments[0][copies]
-            left = matrix @ sp.diags_array(np.concatenate([np.ones(n), ~is_copy]))
-            matrix, offset = (
-                sp.csr_array(left + share @ self.matrix[own]),
-                offset + share @ self.offset[own],
-            )
-            matrix.eliminate_zeros()
-        return matrix, offset
-
 
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
     """Return the terms of sums, one row each, with their columns mapped to the given ones."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property
 from os import PathLike
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -55,13 +54,9 @@ def model_of(content: NLContent) -> NLModel:
         Naming the row or variable that is not taken.
     """
     statement = FileStatement(content)
-    if statement.pairs.size and (statement.has_objective() or content.is_integer.any()):
-        return statement.equilibrium_program()
-    return (
-        statement.complementarities()
-        if statement.is_complementarity_problem()
-        else statement.program()
-    )
+    has_goal = statement.has_objective() or content.is_integer.any()
+    is_square = statement.is_complementarity_problem() and not (statement.pairs.size and has_goal)
+    return statement.complementarities() if is_square else statement.best()
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
@@ -86,7 +81,7 @@ def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
     """Return the program of an ``.nl`` file, to be minimized, and the constant; else raise."""
     model = read_nl(path)
     if isinstance(model, ProgramModel):
-        return model.problem, model.sign * model.constant
+        return model.problem, model.offset
     raise UnsupportedModel(
         f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it"
     )
@@ -215,47 +210,28 @@ class FileStatement:
         row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
         return row is not None and row.nnz > 0
 
-    def equilibrium_program(self) -> EquilibriumModel:
-        """Return the program with complementarity constraints."""
+    def best(self) -> ProgramModel | EquilibriumModel:
+        """Return the program, with complementarity constraints if there are pairs."""
         self._put_in_definitions()
         content, found, m = self.content, self.expressions, self.m
         own, place = found.unknowns, np.full(self.n, -1)
         place[own] = np.arange(own.size)
-        stated = Statement(
-            found.compiler,
-            {UNKNOWNS: 0},
-            content.lower[own],
-            content.upper[own],
-            lambda column: content.variable(int(own[column])),
-            np.flatnonzero(content.is_integer[own]),
-        )
         others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
-        is_affine = found.is_affine()
-        for part in (others[is_affine[others]], others[~is_affine[others]]):
-            if part.size:
-                stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
-        rows = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")]
+        stated = self._statement(np.zeros(self.n, dtype=bool))
+        stated.integers = np.flatnonzero(content.is_integer[own])
+        for part in self._parts(others):
+            stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
         as_stated = bool(self.has_objective() or content.is_integer.any())
-        for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
-            if part.size:
-                bounds = pair_bounds(content, part, as_stated=as_stated)
-                stated.complement(place[content.partners[part]], found.rows(part), *bounds)
+        for part in (pairs := self._parts(self.pairs)):
+            bounds = pair_bounds(content, part, as_stated=as_stated)
+            stated.complement(place[content.partners[part]], found.rows(part), *bounds)
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
         goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
-        problem = stated.best(goal, sign, found.quadratic(m) if has_objective else None)
-        return EquilibriumModel(content, problem, own, self.known, sign, rows, problem.second)
-
-    def _put_in_definitions(self) -> None:
-        """Let no defined variable be an unknown."""
-        found = self.expressions
-        if found.definitions.size:
-            found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
-
-    def program(self) -> ProgramModel:
-        """Return the quadratic program, to be minimized."""
-        self._put_in_definitions()
-        content, found, m = self.content, self.expressions, self.m
+        problem = stated.best(goal, sign)
+        if pairs:
+            rows = np.concatenate(pairs)
+            return EquilibriumModel(content, problem, own, self.known, sign, rows, problem.second)
         if not self.is_affine.all():
             row = content.row(np.flatnonzero(~self.is_affine)[0])
             raise UnsupportedModel(
@@ -263,28 +239,25 @@ class FileStatement:
                 "affine; nonlinear are complementarities, rows beside these and an objective, and equations, as many "
                 "as variables without a complementarity"
             )
-        unknowns = found.unknowns
-        P: Any = sp.csr_array((unknowns.size, unknowns.size))
-        c, constant, sign = np.zeros(unknowns.size), 0.0, 1.0
-        if content.is_maximized.size:
-            sign = -1.0 if content.is_maximized[0] else 1.0
-            quadratic = found.quadratic(m)
-            if quadratic is None:
-                raise UnsupportedModel(
-                    "the objective is neither linear nor quadratic; convex quadratic ones are taken"
-                )
-            P, c, constant = quadratic
-        A, shift = sp.csr_array(found.matrix[:m, : unknowns.size]), found.offset[:m]
-        limits, bounds = (content.row_lower, content.row_upper), (content.lower, content.upper)
-        program = QuadraticProgram.from_ranges(
-            sign * P,
-            sign * c,
-            A,
-            *(limit - shift for limit in limits),
-            *(bound[unknowns] for bound in bounds),
-        )
-        rows = A, np.where(self.says_nothing, np.nan, shift)
-        return ProgramModel(content, program, unknowns, self.known, sign, constant, *rows)
+        if problem.smooth is not None:
+            raise UnsupportedModel(
+                "the objective is neither linear nor quadratic; convex quadratic ones are taken"
+            )
+        A = sp.csr_array(found.matrix[others, : own.size])
+        limits = A, found.offset[others], others
+        program, offset = problem.program, problem.offset
+        return ProgramModel(content, program, own, self.known, sign, offset, *limits)
+
+    def _parts(self, rows: Indices) -> list[Indices]:
+        """Return the affine rows, then the others, of each kind that there is."""
+        is_affine = self.expressions.is_affine()[rows]
+        return [part for part in (rows[is_affine], rows[~is_affine]) if part.size]
+
+    def _put_in_definitions(self) -> None:
+        """Let no defined variable be an unknown."""
+        found = self.expressions
+        if found.definitions.size:
+            found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""
@@ -308,17 +281,12 @@ class FileStatement:
         statement = self._statement(is_bounded)
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
-        is_affine = found.is_affine()
-        order = []
-        for rows in (pairs, equations):
-            for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
-                order.append(part)
-                if part.size and rows is pairs:
-                    z = place[content.partners[part]]
-                    bounds = statement.lower[z], statement.upper[z]
-                    statement.complement(z, found.rows(part), *bounds)
-                elif part.size:
-                    statement.constrain(found.rows(part))
+        order = [self._parts(pairs), self._parts(equations)]
+        for part in order[0]:
+            z = place[content.partners[part]]
+            statement.complement(z, found.rows(part), statement.lower[z], statement.upper[z])
+        for part in order[1]:
+            statement.constrain(found.rows(part))
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square(
             (~statement.is_paired).astype(np.int64), keeps_bounds=not pairs.size
@@ -334,8 +302,8 @@ class FileStatement:
             pairs,
             constants,
             beside,
-            np.concatenate(order),
-            lambda: FileStatement(content).equilibrium_program(),
+            np.concatenate([*order[0], *order[1]]),
+            lambda: FileStatement(content).best(),
         )
 
     def _statement(self, is_free: BoolVector) -> Statement:

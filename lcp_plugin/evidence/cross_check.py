@@ -26,7 +26,7 @@ from ..core.lcp import LCP
 from ..core.problem_classes import refusal
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..systems.factors import factorise
+from ..methods.newton.active_set import solve_active_set
 from .convex_program import PLAIN, ReferenceProgram, solve_by, solver_name
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
@@ -299,27 +299,13 @@ def _side(name: str, side: Certificate, seconds: float) -> str:
 
 def polish(certificate: Certificate) -> Certificate:
     """Return the solution of the equations on the certificate's own active set, if it is better."""
-    best = certificate
+    best, problem = certificate, certificate.problem
     for _ in range(POLISH_ROUNDS):
-        z = _solve_active_set(best)
-        found = best if z is None else Certificate.of(best.problem, z)
+        z, step = best.z, best.w / problem.residual_scale
+        at_lower, at_upper = z - problem.lower <= step, problem.upper - z <= -step
+        solved = solve_active_set(problem, at_lower, at_upper, near=z)
+        found = best if solved is None else Certificate.of(problem, solved.z)
         if not found.scaled_residual < best.scaled_residual:
             break
         best = found
     return best
-
-
-def _solve_active_set(certificate: Certificate) -> FloatVector | None:
-    """Return z with the active rows on their bounds and w = 0 on the others; None if that block is singular."""
-    problem, step = certificate.problem, certificate.w / certificate.problem.residual_scale
-    z = certificate.z.copy()
-    at_lower, at_upper = z - problem.lower <= step, problem.upper - z <= -step
-    z[at_lower], z[at_upper] = problem.lower[at_lower], problem.upper[at_upper]
-    free = np.flatnonzero(~(at_lower | at_upper))
-    if free.size == 0:
-        return z
-    factor = factorise(problem.csr[free][:, free])
-    if factor is None:
-        return None
-    z[free] -= factor.solve(problem.slack(z)[free])
-    return z if np.isfinite(z).all() else None

@@ -42,10 +42,6 @@ class Table:
     def __str__(self) -> str:
         return f"{self.title}\n\n{self.to_markdown()}"
 
-    def to_csv(self) -> str:
-        """Return the table as CSV."""
-        return csv_text([self.columns, *self.rows])
-
     def to_markdown(self) -> str:
         """Return the table as Markdown, numbers to the right."""
         columns = [[row[k] for row in self.rows] for k in range(len(self.columns))]

@@ -84,37 +84,12 @@ ATAN = Function("atan", 1, np.arctan, lambda u: (1.0 / (1.0 + u**2),))
 ASINH = Function("asinh", 1, np.arcsinh, lambda u: (1.0 / np.hypot(1.0, u),))
 ACOSH = Function("acosh", 1, np.arccosh, lambda u: (1.0 / np.sqrt((u - 1.0) * (u + 1.0)),))
 ATANH = Function("atanh", 1, np.arctanh, lambda u: (1.0 / ((1.0 - u) * (1.0 + u)),))
-_FUNCTIONS = {
-    function.name: function
-    for function in (
-        EXP,
-        LOG,
-        LOG1P,
-        RELATIVE_ENTROPY,
-        LOG_ADD_EXP,
-        PRODUCT,
-        QUOTIENT,
-        LOG10,
-        POWER,
-        SIN,
-        COS,
-        TAN,
-        SINH,
-        COSH,
-        TANH,
-        ASIN,
-        ACOS,
-        ATAN,
-        ASINH,
-        ACOSH,
-        ATANH,
-    )
-}
+FUNCTIONS = {one.name: one for one in [*globals().values()] if isinstance(one, Function)}
 
 
 def _named(name: str) -> Function:
     """Return the function of that name."""
-    return _FUNCTIONS[name] if name in _FUNCTIONS else power(float(name.removeprefix("power ")))
+    return FUNCTIONS[name] if name in FUNCTIONS else power(float(name.removeprefix("power ")))
 
 
 @cache

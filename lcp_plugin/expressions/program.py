@@ -89,7 +89,7 @@ class Program:
     Notes
     -----
     Outside the domain of F entries are NaN or infinite; nothing is raised. A value costs a product with each matrix, a
-    change or a gradient two, a Jacobian a product of sparse matrices for each level.
+    gradient two, a Jacobian a product of sparse matrices for each level.
     """
 
     def __init__(self, n: int, levels: Sequence[Level], result: Combination) -> None:
@@ -159,23 +159,6 @@ class Program:
                 )
                 known = sp.vstack([known, own @ known], format="csr")
             return sp.csr_array(self.result.matrix @ known)
-
-    def change(self, x: FloatVector, dx: FloatVector) -> FloatVector:
-        """Return F′(x) dx without the Jacobian."""
-        with np.errstate(all="ignore"):
-            arguments, moved = self._swept(x)[1], np.zeros(self._count)
-            moved[: self.n] = dx
-            for level, span, values in zip(self.levels, self._spans, arguments, strict=True):
-                first, second = (
-                    slope * (argument.matrix @ moved)
-                    for slope, argument in zip(
-                        level.derivatives(values), level.arguments, strict=True
-                    )
-                )
-                first[: second.size] += second
-                moved[span] = first
-            change: FloatVector = self.result.matrix @ moved
-            return change
 
     def gradient(self, x: FloatVector, by_result: FloatVector) -> FloatVector:
         """Return F′(x)ᵀ by_result without the Jacobian."""

@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from qpsolvers import Problem, Solution
 
 NAME = "lcp_plugin"
-ELSEWHERE = (
-    "eps_abs",
-    "eps_rel",
-    "feastol",
-    "reltol",
-    "abstol",
-    "max_iter",
-    "maxiter",
-    "time_limit",
-)
 
 
 def register_with_qpsolvers() -> None:
@@ -107,7 +97,7 @@ def solve_problem(
     try:
         program = _program(problem)
         built, guess = time.perf_counter(), _start(initvals, program)
-        found = solve_program(program, z0=guess, verbose=verbose, **_known(options))
+        found = solve_program(program, z0=guess, verbose=verbose, **options)
     except (InvalidOption, UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error
     except (InvalidProblem, UnsupportedModel) as error:
@@ -146,12 +136,3 @@ def _start(initvals: Any, program: QuadraticProgram) -> Any:
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     return None if program.constraints.rows else start
-
-
-def _known(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options; raise for names that other solvers use for tolerances and limits."""
-    if foreign := [name for name in options if name in ELSEWHERE]:
-        raise InvalidOption(
-            f"{foreign[0]!r} is an option of other solvers; here write tolerance=1e-9, max_iterations= or max_seconds="
-        )
-    return options

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
+from cvxpy.atoms.affine.add_expr import AddExpression
+from cvxpy.atoms.affine.binary_operators import DivExpression, MulExpression, multiply
+from cvxpy.atoms.affine.concatenate import Concatenate
+from cvxpy.atoms.affine.diag import diag_mat, diag_vec
+from cvxpy.atoms.affine.hstack import Hstack
+from cvxpy.atoms.affine.index import index, special_index
+from cvxpy.atoms.affine.promote import Promote
+from cvxpy.atoms.affine.sum import Sum
+from cvxpy.atoms.affine.transpose import transpose
+from cvxpy.atoms.affine.unary_operators import NegExpression
+from cvxpy.atoms.affine.vstack import Vstack
+from cvxpy.atoms.affine.wraps import Wrap
+from cvxpy.atoms.pnorm import Pnorm
 from cvxpy.error import SolverError
 from numpy.typing import NDArray
 
@@ -21,72 +33,25 @@ from ..expressions.rows import uniform
 LONGEST_NAME = 80
 
 
-def _atoms(*places: str, below: str = "cvxpy.atoms.affine") -> tuple[Any, ...]:
-    """Return the affine atom classes named ``"module.Class"`` that the installed cvxpy has."""
-    found: list[Any] = []
-    for place in places:
-        module, _, name = place.rpartition(".")
-        try:
-            found.append(getattr(import_module(f"{below}.{module}"), name))
-        except (ImportError, AttributeError):
-            continue
-    return tuple(found)
-
-
-SUM = _atoms("add_expr.AddExpression")
-NEGATIVE = _atoms("unary_operators.NegExpression")
-ELEMENTWISE = _atoms("binary_operators.multiply", "binary_operators.DivExpression")
-DIVISION = _atoms("binary_operators.DivExpression")
-PRODUCT = _atoms("binary_operators.MulExpression", "binary_operators.DivExpression")
-MATRIX_PRODUCT = _atoms("binary_operators.MulExpression")
-ENTRY_SUM = _atoms("sum.Sum")
-BROADCAST = _atoms("promote.Promote", "broadcast_to.broadcast_to")
-TRANSPOSE = _atoms("transpose.transpose")
-HORIZONTAL = _atoms("hstack.Hstack")
-STACKS: dict[Any, Any] = {
-    **dict.fromkeys(HORIZONTAL, sp.hstack),
-    **dict.fromkeys(_atoms("vstack.Vstack"), sp.vstack),
-}
-KRONECKER = _atoms("kron.kron")
-DIAGONAL = _atoms("diag.diag_mat")
-SELECTION = _atoms("index.index", "index.special_index", "wraps.Wrap")
+SUM = (AddExpression,)
+NEGATIVE = (NegExpression,)
+ELEMENTWISE = (multiply, DivExpression)
+DIVISION = (DivExpression,)
+PRODUCT = (MulExpression, DivExpression)
+MATRIX_PRODUCT = (MulExpression,)
+ENTRY_SUM = (Sum,)
+BROADCAST = (Promote, cp.broadcast_to)
+TRANSPOSE = (transpose,)
+STACKS: dict[Any, Any] = {Hstack: sp.hstack, Vstack: sp.vstack}
+SELECTION = (index, special_index, Wrap)
 #: Atoms whose own numeric takes sparse arrays and gives sparse arrays, or few numbers.
 KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM)
 
 #: Atoms whose every entry is an entry of an argument, or zero.
-GATHERS = (
-    *SELECTION,
-    *BROADCAST,
-    *TRANSPOSE,
-    *STACKS,
-    *DIAGONAL,
-    *_atoms("reshape.reshape", "concatenate.Concatenate", "diag.diag_vec", "upper_tri.upper_tri"),
-    *_atoms("real.real", "conj.conj"),
-)
-
-
-def smooth_atoms(*places: str) -> tuple[Any, ...]:
-    """Return the classes named ``"module.Class"`` among all atoms that the installed cvxpy has."""
-    return tuple(found for found in _atoms(*places, below="cvxpy.atoms") if isinstance(found, type))
-
-
-POWER = smooth_atoms("elementwise.power.Power", "elementwise.power.power")
-NONSMOOTH = smooth_atoms(
-    *(
-        "elementwise.abs.abs",
-        "elementwise.maximum.maximum",
-        "elementwise.minimum.minimum",
-        "elementwise.huber.huber",
-    ),
-    *(
-        "max.max",
-        "min.min",
-        "norm1.norm1",
-        "norm_inf.norm_inf",
-        "pnorm.Pnorm",
-        "sum_largest.sum_largest",
-    ),
-)
+GATHERS = (*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, diag_mat, diag_vec)
+GATHERS += (cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj)
+NONSMOOTH = (cp.abs, cp.maximum, cp.minimum, cp.huber, cp.max, cp.min, cp.norm1, cp.norm_inf)
+NONSMOOTH += (Pnorm, cp.sum_largest)
 
 
 def postorder(root: Any, stop: Container[int]) -> list[Any]:
@@ -140,9 +105,9 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
         return node.numeric(values)
     if isinstance(node, TRANSPOSE):
         return values[0].T
-    if isinstance(node, KRONECKER):
+    if isinstance(node, cp.kron):
         return sp.kron(*values)
-    if isinstance(node, DIAGONAL):
+    if isinstance(node, diag_mat):
         return values[0].diagonal(node.k)
     if isinstance(node, DIVISION) and uniform(values[1]):
         return values[0] / uniform(values[1])

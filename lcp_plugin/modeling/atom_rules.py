@@ -14,6 +14,10 @@ from typing import Any, TypeAlias
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from cvxpy.atoms.elementwise.power import Power
+from cvxpy.atoms.geo_mean import GeoMean
+from cvxpy.atoms.prod import Prod
+from cvxpy.atoms.quad_form import QuadForm
 
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
@@ -347,23 +351,19 @@ def _x_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 #: By the class of the atom.
-SMOOTH: dict[type, Rule] = {
-    kind: rule
-    for kinds, rule in (
-        (atoms.POWER, _power),
-        (atoms.smooth_atoms("elementwise.exp.exp"), _elementary(functions.EXP)),
-        (atoms.smooth_atoms("elementwise.log.log"), _elementary(functions.LOG)),
-        (atoms.smooth_atoms("elementwise.log1p.log1p"), _elementary(functions.LOG1P)),
-        (atoms.smooth_atoms("elementwise.logistic.logistic"), _logistic),
-        (atoms.smooth_atoms("elementwise.entr.entr"), _entropy),
-        (atoms.smooth_atoms("elementwise.xexp.xexp"), _x_exp),
-        (atoms.smooth_atoms("elementwise.rel_entr.rel_entr"), _relative_entropy),
-        (atoms.smooth_atoms("elementwise.kl_div.kl_div"), _kl_divergence),
-        (atoms.smooth_atoms("prod.Prod"), _product_of_entries),
-        (atoms.smooth_atoms("geo_mean.GeoMean", "geo_mean.geo_mean"), _geometric_mean),
-        (atoms.smooth_atoms("log_sum_exp.log_sum_exp"), _log_sum_exp),
-        (atoms.smooth_atoms("quad_over_lin.quad_over_lin"), _quad_over_lin),
-        (atoms.smooth_atoms("quad_form.QuadForm"), _quad_form),
-    )
-    for kind in kinds
+SMOOTH: dict[Any, Rule] = {
+    Power: _power,
+    cp.exp: _elementary(functions.EXP),
+    cp.log: _elementary(functions.LOG),
+    cp.log1p: _elementary(functions.LOG1P),
+    cp.logistic: _logistic,
+    cp.entr: _entropy,
+    cp.xexp: _x_exp,
+    cp.rel_entr: _relative_entropy,
+    cp.kl_div: _kl_divergence,
+    Prod: _product_of_entries,
+    GeoMean: _geometric_mean,
+    cp.log_sum_exp: _log_sum_exp,
+    cp.quad_over_lin: _quad_over_lin,
+    QuadForm: _quad_form,
 }

@@ -70,7 +70,7 @@ class ParametricRows:
 
     def change(self, changes: Changes) -> FloatVector:
         """Return the change of the expressions by changes of parameters; missing ones are 0."""
-        moved: FloatVector = self._finite(self._program.change(self._at, self._vector(changes)))
+        moved: FloatVector = self._finite(self._program.jacobian(self._at) @ self._vector(changes))
         return moved
 
     def gradient(self, gradient: FloatVector) -> Changes:

@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +24,6 @@ NO_NUMBER = re.compile(rb"(?im)^(?!%)(?:(?:" + NUMBER + rb")(?:[ \t\r]+|$)|[ \t\
 MOST_UNSEEN = 10_000_000  # rows or columns that a file may announce with less than a byte for each
 WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
-WORDS = {
-    "char": "text",
-    "cell": "a cell array",
-    "struct": "a struct",
-    "object": "an object",
-    "function": "a function",
-}
 
 
 def in_folder(source: Path) -> str:
@@ -135,16 +127,12 @@ def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], lis
         if other := next(
             (name for name in wanted if kinds.get(name, "double") not in NUMERIC), None
         ):
-            what = WORDS.get(kinds[other], "no array")
             raise UnreadableFile(
-                f"cannot read {source}: {other} is {what}; save a matrix of numbers"
+                f"cannot read {source}: {other} is of the class {kinds[other]}; save a matrix of numbers"
             )
         names = [name for name in kinds if name in wanted]
         file.seek(0)
-        arrays = (
-            {"spmatrix": False} if "spmatrix" in signature(loadmat).parameters else {}
-        )  # an older scipy has none
-        found = loadmat(file, variable_names=names, **arrays) if names else {}
+        found = loadmat(file, variable_names=names) if names else {}
     return {name: _checked(found[name], name, source) for name in names}, list(kinds)
 
 

@@ -101,15 +101,9 @@ def solved(
     )
     if M is not None:
         M = M.reshape(M.shape[-2:]) if is_one(M) else stacked(M, M.shape[-2:])
-    found = derivative(
-        solve_batch(
-            wishes.M if M is None else M, q, lower=lower, upper=upper, z0=z0, **wishes.options
-        )
-    )
-    if found.errors:
-        is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
-        raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
-    return found, axes
+    M = wishes.M if M is None else M
+    answers = solve_batch(M, q, lower=lower, upper=upper, z0=z0, **wishes.options)
+    return _all_solved(derivative(answers), axes), axes
 
 
 def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, ...]:
@@ -149,14 +143,11 @@ def contacts_solved(
     NotConverged
         If a problem is not solved.
     """
-    of_worlds = {name: wishes.options[name] for name in ("contacts", "dimension")}
+    of_worlds = {name: wishes.options.get(name) for name in ("contacts", "dimension")}
     others = {name: wish for name, wish in wishes.options.items() if name not in of_worlds}
     worlds = FrictionalContact.worlds(W, b, friction, **of_worlds)
-    found: ContactBatchDerivative = derivative(solve_batch(worlds, z0=z0, **others))
-    if found.errors:
-        is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
-        raise _first(found.errors, (len(found),), InvalidProblem if is_none else NotConverged)
-    return found
+    found = derivative(solve_batch(worlds, z0=z0, **others))
+    return _all_solved(found, (len(found),))
 
 
 def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any) -> tuple[Any, ...]:
@@ -171,6 +162,14 @@ def no_second_derivative(remedy: str) -> UnsupportedModel:
         "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
         f"is computed; {remedy}"
     )
+
+
+def _all_solved(found: Any, axes: tuple[int, ...]) -> Any:
+    """Return the derivative of a batch; raise if one of its problems is not solved."""
+    if found.errors:
+        is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
+        raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
+    return found
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:

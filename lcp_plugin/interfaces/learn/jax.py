@@ -19,7 +19,6 @@ except ImportError:
 
 import jax.numpy as jnp
 
-from ...core.algorithm import Algorithm
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
 from .batches import (
@@ -35,18 +34,7 @@ from .batches import (
 __all__ = ["contact_layer", "lcp_layer"]
 
 
-def lcp_layer(
-    M: Any,
-    q: Any,
-    lower: Any = 0.0,
-    upper: Any = np.inf,
-    *,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    threads: int | None = None,
-) -> jax.Array:
+def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: Any) -> jax.Array:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 
     Parameters
@@ -56,8 +44,8 @@ def lcp_layer(
     q : array, shape (…, n)
         Leading axes are batch axes; all arguments broadcast. Arrays of JAX are float64.
     lower, upper : array, shape (…, n), or number
-    algorithm, tolerance, max_iterations, max_seconds, threads
-        As in :func:`lcp_plugin.solve_batch`; max_seconds in seconds for the whole batch.
+    **options
+        ``algorithm``, ``tolerance``, ``max_seconds``, … of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
@@ -92,13 +80,6 @@ def lcp_layer(
         raise InvalidOption(
             'lcp_layer works in double precision; begin the program with jax.config.update("jax_enable_x64", True)'
         )
-    options = {
-        "algorithm": algorithm,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-        "max_seconds": max_seconds,
-        "threads": threads,
-    }
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
     wishes, M = (Wishes(options, M), None) if sp.issparse(M) else (Wishes(options), _array(M, "M"))
     axes = common_axes(*(() if array is None else array.shape for array in (M, q, lower, upper)))
@@ -115,26 +96,16 @@ def lcp_layer(
     return z
 
 
-def contact_layer(
-    W: Any,
-    b: Any,
-    friction: Any,
-    *,
-    dimension: int | None = None,
-    tolerance: float = 1e-8,
-    max_seconds: float | None = None,
-    threads: int | None = None,
-) -> jax.Array:
+def contact_layer(W: Any, b: Any, friction: Any, **options: Any) -> jax.Array:
     """Return the impulses z of contact problems with friction, differentiable by W, b and friction.
 
     Parameters
     ----------
     W, b, friction : array, shapes (…, n, n), (…, n) and (…, k)
         Arguments of :class:`lcp_plugin.FrictionalContact`, float64. Leading axes are batch axes, and broadcast.
-    dimension : int, optional
-        d; default 3 if the number of rows is a multiple of 3.
-    tolerance, max_seconds, threads
-        Options of :func:`lcp_plugin.solve_batch`.
+    **options
+        ``dimension``, by default 3 if the number of rows is a multiple of 3; ``tolerance``, ``max_seconds``,
+        ``threads`` of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
@@ -166,13 +137,6 @@ def contact_layer(
     W, b, friction = _array(W, "W"), _array(b, "b"), _array(friction, "friction")
     axes = np.broadcast_shapes(W.shape[:-2], b.shape[:-1], friction.shape[:-1])
     own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
-    options = {
-        "contacts": None,
-        "dimension": dimension,
-        "tolerance": tolerance,
-        "max_seconds": max_seconds,
-        "threads": threads,
-    }
     z: jax.Array = _impulses(
         *(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), Wishes(options)
     )

@@ -15,7 +15,6 @@ except ImportError:
         "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install 'lcp_plugin[learn]'"
     ) from None
 
-from ...core.algorithm import Algorithm
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
 from .batches import (
@@ -33,16 +32,7 @@ __all__ = ["contact_layer", "lcp_layer"]
 
 
 def lcp_layer(
-    M: Any,
-    q: Any,
-    lower: Any = 0.0,
-    upper: Any = np.inf,
-    *,
-    algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    threads: int | None = None,
+    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: Any
 ) -> torch.Tensor:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 
@@ -54,8 +44,8 @@ def lcp_layer(
         Leading axes are batch axes; all arguments broadcast. Tensors are float64, on the CPU.
     lower, upper : tensor, shape (…, n), or number
         A number is a constant.
-    algorithm, tolerance, max_iterations, max_seconds, threads
-        As in :func:`lcp_plugin.solve_batch`; max_seconds in seconds for the whole batch.
+    **options
+        ``algorithm``, ``tolerance``, ``max_seconds``, … of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
@@ -85,13 +75,6 @@ def lcp_layer(
     >>> q.grad.tolist()
     [[-0.5, 0.0], [0.0, -0.5]]
     """
-    options = {
-        "algorithm": algorithm,
-        "tolerance": tolerance,
-        "max_iterations": max_iterations,
-        "max_seconds": max_seconds,
-        "threads": threads,
-    }
     q, lower, upper = _tensor(q, "q"), _tensor(lower, "lower"), _tensor(upper, "upper")
     wishes, M = (Wishes(options, M), None) if sp.issparse(M) else (Wishes(options), _tensor(M, "M"))
     axes = common_axes(
@@ -103,18 +86,7 @@ def lcp_layer(
     return _Solution.apply(M, q, lower, upper, wishes)
 
 
-def contact_layer(
-    W: Any,
-    b: Any,
-    friction: Any,
-    *,
-    contacts: Any = None,
-    dimension: int | None = None,
-    z0: Any = None,
-    tolerance: float = 1e-8,
-    max_seconds: float | None = None,
-    threads: int | None = None,
-) -> torch.Tensor:
+def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: Any) -> torch.Tensor:
     """Return the impulses z of many contact problems, differentiable by W, b and friction.
 
     Parameters
@@ -123,12 +95,11 @@ def contact_layer(
         Matrix of :class:`lcp_plugin.FrictionalContact`, float64, on the CPU, like the other tensors; it is not copied.
     b : tensor, shape (B, n)
     friction : tensor, shape (B, k), (k,) or (), or number
-    contacts, dimension
-        Arguments of :class:`lcp_plugin.FrictionalContact`.
     z0 : tensor, shape (B, n), optional
         Warm starts, constants.
-    tolerance, max_seconds, threads
-        As in :func:`lcp_plugin.solve_batch`.
+    **options
+        ``contacts`` and ``dimension`` of :class:`lcp_plugin.FrictionalContact`; ``tolerance``, ``max_seconds``,
+        ``threads`` of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
@@ -162,13 +133,6 @@ def contact_layer(
         raise InvalidProblem(
             f"W must have shape (B, n, n) or (n, n), and b (B, n), got {tuple(W.shape)} and {tuple(b.shape)}"
         )
-    options = {
-        "contacts": contacts,
-        "dimension": dimension,
-        "tolerance": tolerance,
-        "max_seconds": max_seconds,
-        "threads": threads,
-    }
     if W.ndim == 2:
         W = W.expand(len(b), *W.shape)
     if friction.ndim == 1:

@@ -108,18 +108,15 @@ class SideConditions:
         if not (names := self.names()):
             return ""
         # The change of a row if all its variables change.
-        units = abs(jacobian(content, x, np.append(inner, spare))) @ (1.0 + np.abs(x))
-        bounds = content.lower[self.bounded], content.upper[self.bounded]
+        units = abs(jacobian(content, x, inner)) @ (1.0 + np.abs(x))
         own, at = x[self.bounded], x[content.partners[spare]]
-        unit = units[inner.size :]
-        step = rows[spare] / np.where(unit > 0.0, np.minimum(unit, 1.0), 1.0)
-        moved = np.where(np.isfinite(step), at - step, np.nan)
-        of_pairs = np.abs(at - np.clip(moved, *pair_bounds(content, spare, as_stated=True)))
+        bounds = content.lower[self.bounded], content.upper[self.bounded]
+        of_pairs = at - np.clip(at - rows[spare], *pair_bounds(content, spare, as_stated=True))
         limits = content.row_lower[inner], content.row_upper[inner]
         excesses = np.concatenate(
             [
-                excess(rows[inner], *limits, units[: inner.size]),
-                of_pairs / np.maximum(1.0, np.abs(at)),
+                excess(rows[inner], *limits, units),
+                np.abs(of_pairs) / np.maximum(1.0, np.abs(at)),
                 excess(own, *bounds, 1.0 + np.abs(own)),
             ]
         )

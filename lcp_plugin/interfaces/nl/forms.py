@@ -34,7 +34,17 @@ class Fault(ValueError):
         self.place = place
 
 
-class Text:
+class _Form:
+    data: bytes
+    at: int
+    name = b""
+
+    def fail(self, what: str) -> NoReturn:
+        """Raise a Fault at the last item read."""
+        raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
+
+
+class Text(_Form):
     """The segments of a text file; blank lines at its end do not count, and comments begin with #.
 
     Attributes
@@ -50,7 +60,6 @@ class Text:
         self._file = io.BytesIO(self.data)
         self._file.seek(begin)
         self.at = self._next = begin
-        self.name = b""
         self._words: list[bytes] = []
 
     def letter(self) -> str:
@@ -92,10 +101,6 @@ class Text:
         self._next = self._file.seek(stop + 1)
         return self.data[match.end() : end]
 
-    def fail(self, what: str) -> NoReturn:
-        """Raise a Fault at the last item read."""
-        raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
-
     def _line(self) -> bytes:
         self.at = self._next
         line = self._file.readline()
@@ -109,7 +114,7 @@ class Text:
             self.fail(NO_NUMBERS)
 
 
-class Binary:
+class Binary(_Form):
     """The segments of a binary file, read as `Text` is.
 
     Parameters
@@ -123,7 +128,6 @@ class Binary:
     def __init__(self, data: bytes, begin: int, order: str) -> None:
         self.data, self.order = data, order
         self.at = self._next = begin
-        self.name = b""
         self._structs: dict[str, Struct] = {}
 
     def letter(self) -> str:
@@ -160,10 +164,6 @@ class Binary:
         (length,) = self._numbers("i")
         begin = self._take(length)
         return self.data[begin : self._next]
-
-    def fail(self, what: str) -> NoReturn:
-        """Raise a Fault at the last item read."""
-        raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
 
     def _numbers(self, form: str) -> list[Any]:
         if form not in self._structs:

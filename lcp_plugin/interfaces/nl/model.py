@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from os import PathLike
 
 import numpy as np
@@ -140,13 +139,6 @@ class FileStatement:
                 "model; correct one of them"
             )
 
-    @cached_property
-    def right(self) -> FloatVector:
-        """The right-hand sides of equalities; 0 for the definitions of variables."""
-        right = np.zeros(self.expressions.offset.size)
-        right[: self.m] = self.content.row_lower
-        return right
-
     def _check_partners(self) -> None:
         """Raise if two rows belong to one variable."""
         content, rows = self.content, self.pairs
@@ -164,28 +156,16 @@ class FileStatement:
     def _known(self, leaves_out: BoolVector) -> FloatVector:
         """Return the values of fixed variables and of variables that occur in no remaining row."""
         content, occurs = self.content, self.is_paired.copy()
-        parts = (
-            (content.trees, content.linear, leaves_out),
-            (
-                content.objective_trees,
-                content.objective_linear,
-                np.zeros(content.is_maximized.size, dtype=bool),
-            ),
-            (
-                content.defined_trees,
-                content.defined_linear,
-                np.zeros(content.defined_trees.size, dtype=bool),
-            ),
-        )
-        for trees, linear, is_left_out in parts:
-            is_used = (trees.kinds == Token.VARIABLE) & ~np.repeat(
-                is_left_out, np.diff(trees.starts)
-            )
+        objectives, defined = content.objective_trees, content.defined_trees
+        for trees, linear, is_kept in (
+            (content.trees, content.linear, ~leaves_out),
+            (objectives, content.objective_linear, np.ones(objectives.size, dtype=bool)),
+            (defined, content.defined_linear, np.ones(defined.size, dtype=bool)),
+        ):
+            is_used = np.repeat(is_kept, np.diff(trees.starts)) & (trees.kinds == Token.VARIABLE)
             used = trees.values[is_used].astype(np.int64)
-            columns = linear.indices[
-                (linear.data != 0.0) & ~np.repeat(is_left_out, np.diff(linear.indptr))
-            ]
-            occurs[used[used < self.n]] = occurs[columns[columns < self.n]] = True
+            columns = np.append(used, linear[is_kept].nonzero()[1])
+            occurs[columns[columns < self.n]] = True
         is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
         return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
 
@@ -268,10 +248,8 @@ class FileStatement:
         self._free_what_equations_define()
         content, found = self.content, self.expressions
         pairs, equations = self.pairs, np.append(self.equations, found.definitions)
-        shift = np.zeros(found.offset.size)
-        shift[equations] = self.right[equations]
-        found.offset = found.offset - shift
-        equations = self._without_empty(equations)
+        right = np.append(content.row_lower, np.zeros(found.offset.size - self.m))
+        equations = self._without_empty(equations, right)
         spare = self._spare(pairs, equations)
         pairs = np.setdiff1d(pairs, spare)
         is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
@@ -286,7 +264,7 @@ class FileStatement:
             z = place[content.partners[part]]
             statement.complement(z, found.rows(part), statement.lower[z], statement.upper[z])
         for part in order[1]:
-            statement.constrain(found.rows(part))
+            statement.constrain(found.rows(part), right[part], right[part])
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square(
             (~statement.is_paired).astype(np.int64), keeps_bounds=not pairs.size
@@ -342,18 +320,18 @@ class FileStatement:
         choices = (constant[found.offset[constant] == 0.0], constant)
         return next((spare for spare in choices if spare.size == surplus), pairs[:0])
 
-    def _without_empty(self, equations: Indices) -> Indices:
+    def _without_empty(self, equations: Indices, right: FloatVector) -> Indices:
         """Leave out the equations that have no unknown; raise if they are violated."""
         content, found = self.content, self.expressions
         is_empty = np.diff(found.matrix.indptr)[equations] == 0
         empty: Indices = equations[is_empty]
-        left: Indices = equations[~is_empty]
         if empty.size:
             sizes = sizes_of(content, np.nan_to_num(self.known), empty)
-            wrong = np.abs(found.offset[empty]) > ROUNDING * (sizes + np.abs(self.right[empty]))
-            for row in empty[wrong][:1]:
+            off = found.offset[empty] - right[empty]
+            wrong = np.abs(off) > ROUNDING * (sizes + np.abs(right[empty]))
+            for k in np.flatnonzero(wrong)[:1]:
                 raise UnsupportedModel(
-                    f"{content.row(row)} holds no unknown, and its sides differ by {found.offset[row]:g}: no point "
+                    f"{content.row(empty[k])} holds no unknown, and its sides differ by {off[k]:g}: no point "
                     "satisfies the model; correct it"
                 )
-        return left
+        return equations[~is_empty]

@@ -41,28 +41,7 @@ class Arithmetic(Enum):
 RULES: dict[str, Arithmetic | Function] = {
     **{one.value: one for one in Arithmetic},
     "sqrt": functions.power(0.5),
-    **{
-        name: getattr(functions, name.upper())
-        for name in (
-            [
-                "acos",
-                "acosh",
-                "asin",
-                "asinh",
-                "atan",
-                "atanh",
-                "cos",
-                "cosh",
-                "exp",
-                "log",
-                "log10",
-                "sin",
-                "sinh",
-                "tan",
-                "tanh",
-            ]
-        )
-    },
+    **{name: one for name, one in functions.FUNCTIONS.items() if one.arguments == 1},
 }
 NAMES = {number: name for names in OPERATOR_NAMES.values() for number, name in names.items()}
 OPERATORS = {number: RULES[name] for number, name in NAMES.items() if name in RULES}

@@ -37,72 +37,30 @@ ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
 #: How many numbers follow the letter of a segment; a name follows in F and S.
 HEADS = {
-    "C": 1,
-    "L": 1,
-    "O": 2,
-    "V": 3,
-    "G": 2,
-    "J": 2,
-    "b": 0,
-    "r": 0,
-    "k": 1,
-    "K": 1,
-    "x": 1,
-    "d": 1,
-    "F": 3,
-    "S": 2,
+    letter: count for count, all in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in all
 }
 NAMED = "FS"
 SKIPPED = {"k": "i", "K": "i", "d": "id"}  # entries of each column, a start of multipliers
-TOKENS = {
-    "n": Token.NUMBER,
-    "l": Token.NUMBER,
-    "s": Token.NUMBER,
-    "v": Token.VARIABLE,
-    "o": Token.OPERATOR,
-    "f": Token.CALL,
-    "h": Token.STRING,
-}
+TOKENS = dict.fromkeys("nls", Token.NUMBER) | {"v": Token.VARIABLE, "o": Token.OPERATOR}
+TOKENS |= {"f": Token.CALL, "h": Token.STRING}
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
 IS_AS_STATED = 4  # a bound with this code may be 1e20
 LINES = 10  # of the head, which are text in binary files too
 MOST_LINE_BYTES, MOST_DIGITS = 4096, 18  # of a line of the head, and of a number in it
-#: Lines of the head after the first: how many numbers are required, their meaning, and the name of each.
-HEAD = {
-    2: (
-        3,
-        "variables, rows, objectives",
-        "variables rows objectives ranges equations logical_rows",
-    ),
-    3: (
-        2,
-        "nonlinear rows and objectives",
-        "nonlinear_rows nonlinear_objectives linear_pairs nonlinear_pairs _ _",
-    ),
-    4: (2, "network rows", "_ _"),
-    5: (2, "nonlinear variables", "in_rows in_objectives in_both"),
-    6: (2, "network variables, functions", "_ functions arithmetic _"),
-    7: (
-        2,
-        "integer variables",
-        "binaries integers integers_in_both integers_in_rows integers_in_objectives",
-    ),
-    8: (2, "nonzeros", "nonzeros objective_nonzeros"),
-    9: (2, "lengths of names", "row_name_length name_length"),
-    10: (5, "defined variables", "defined defined1 defined2 defined3 defined4"),
-}
-#: Items of a file, each of at least one byte.
-STORED = {
-    "variables",
-    "rows",
-    "objectives",
-    "logical_rows",
-    "functions",
-    *HEAD[8][2].split(),
-    *HEAD[10][2].split(),
-}
+#: Lines of the head after the first: how many numbers are required, and their names; of those with a star the file
+#: holds as many items, each of at least a byte.
+HEAD = """\
+3 variables* rows* objectives* ranges equations logical_rows*
+2 nonlinear_rows nonlinear_objectives linear_pairs nonlinear_pairs _ _
+2 _ _
+2 in_rows in_objectives in_both
+2 _ functions* arithmetic _
+2 binaries integers integers_in_both integers_in_rows integers_in_objectives
+2 nonzeros* objective_nonzeros*
+2 row_name_length name_length
+5 defined0* defined1* defined2* defined3* defined4*"""
 
 
 def source_of(path: str | PathLike[str]) -> Path:
@@ -167,12 +125,12 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
         header.places.append(begin)
         begin = end + 1
     header.options, header.tolerance = _options(lines[1][1:])
-    for number in HEAD:
-        _read_head_line(header, number, lines[number], len(data) - begin)
+    for number, names in enumerate(HEAD.splitlines(), start=2):
+        _read_head_line(header, number, names, lines[number], len(data) - begin)
     if header.is_binary and header.arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
         what = f"its numbers are of the arithmetic {header.arithmetic}, and 1 or 2 (IEEE) is needed"
         raise Fault(header.places[6], f"{what}; write the file as text")
-    header.defined = sum(getattr(header, name) for name in HEAD[10][2].split())
+    header.defined = sum(getattr(header, f"defined{k}") for k in range(5))
     return header, begin
 
 
@@ -191,20 +149,22 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     return (count, *given, *[0] * (count - len(given))), tolerance
 
 
-def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: int) -> None:
+def _read_head_line(
+    header: SimpleNamespace, number: int, names: str, line: bytes, length: int
+) -> None:
     """Take in the numbers of a line, zeros for those that may be missing; so many bytes follow the head."""
-    needed, meaning, names = HEAD[number]
-    called = names.split()
+    needed, *called = names.split()
     words = line.split(b"#")[0].split()[: len(called)]
-    if len(words) < needed or not b"".join(words).isdigit() or max(map(len, words)) > MOST_DIGITS:
-        what = f"{needed} integers or more are needed ({meaning})"
+    is_whole = b"".join(words).isdigit() and max(map(len, words)) <= MOST_DIGITS
+    if len(words) < int(needed) or not is_whole:
+        what = f"{needed} integers or more are needed: {' '.join(called)}"
         raise Fault(header.places[number], what)
     numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
     for name, value in zip(called, numbers, strict=True):
-        if name in STORED and value > length:  # before anything is allocated
-            what = f"{value} are announced ({meaning}), and {length} bytes follow"
+        if name[-1] == "*" and value > length:  # before anything is allocated
+            what = f"{value} {name[:-1]} are announced, and {length} bytes follow"
             raise Fault(header.places[number], what)
-        setattr(header, name, value)
+        setattr(header, name.rstrip("*"), value)
 
 
 # --- The segments ----------------------------------------------------------------------------------------------------

@@ -193,26 +193,26 @@ class TextWriter:
         )
         is_nonlinear = _has_variables(content.trees)
         in_rows, in_objectives, integers = _groups(content)
-        both = min(in_rows, in_objectives)
         tolerance = "" if content.tolerance is None else f" {content.tolerance!r}"
-        return "".join(
-            f"{line}\n"
-            for line in (
-                f"{self.format}{' '.join(map(str, content.options))}{tolerance}\t# written by lcp_plugin",
-                f" {n} {m} {o} {is_range.sum()} {is_equation.sum()} {content.logical_rows}"
-                "\t# vars, constraints, objectives, ranges, eqns, logical",
-                f" {is_nonlinear.sum()} {_has_variables(content.objective_trees).sum()} "
-                f"{(is_pair & ~is_nonlinear).sum()} {(is_pair & is_nonlinear).sum()} 0 0"
-                "\t# nonlinear constraints, objectives; ccons: lin, nonlin, nd, nzlb",
-                " 0 0\t# network constraints: nonlinear, linear",
-                f" {in_rows} {in_objectives} {both}\t# nonlinear vars in constraints, objectives, both",
-                f" 0 {len(content.functions)} {self.arithmetic} 1\t# linear network variables; functions; arith, flags",
-                f" 0 {' '.join(map(str, integers))}\t# discrete variables: binary, integer, nonlinear (b,c,o)",
-                f" {content.linear.nnz} {content.objective_linear.nnz}\t# nonzeros in Jacobian, gradients",
-                f" {_longest(content.row_names)} {_longest(content.names)}\t# max name lengths: constraints, variables",
-                f" {content.defined_trees.size} 0 0 0 0\t# common exprs: b,c,o,c1,o1",
-            )
+        nonlinear_objectives = _has_variables(content.objective_trees).sum()
+        linear_pairs, nonlinear_pairs = (
+            (is_pair & ~is_nonlinear).sum(),
+            (is_pair & is_nonlinear).sum(),
         )
+        lines = [
+            (n, m, o, is_range.sum(), is_equation.sum(), content.logical_rows),
+            (is_nonlinear.sum(), nonlinear_objectives, linear_pairs, nonlinear_pairs, 0, 0),
+            (0, 0),
+            (in_rows, in_objectives, min(in_rows, in_objectives)),
+            (0, len(content.functions), self.arithmetic, 1),
+            (0, *integers),
+            (content.linear.nnz, content.objective_linear.nnz),
+            (_longest(content.row_names), _longest(content.names)),
+            (content.defined_trees.size, 0, 0, 0, 0),
+        ]
+        first = f"{self.format}{' '.join(map(str, content.options))}{tolerance}"
+        numbers = "".join(f" {' '.join(map(str, line))}\n" for line in lines)
+        return f"{first}\t# written by lcp_plugin\n{numbers}"
 
     def _line(self, letter: str, numbers: Iterable[int], text: bytes | None = None) -> None:
         """Write a letter with the numbers behind it, and a name."""

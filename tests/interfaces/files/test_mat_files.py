@@ -91,8 +91,8 @@ def test_command_solves_a_mat_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ),
         ({"M": M, "q": [1.0, 2.0]}, r"states no LCP: .*length 3.*, got shape \(2,\)"),
         ({"M": M[:2], "q": [1.0, 2.0]}, r"M must be a square matrix .*\(2, 3\)"),
-        ({"M": {"a": 1}, "q": [1.0]}, "M is a struct; save a matrix of numbers"),
-        ({"M": "text", "q": [1.0]}, "M is text"),
+        ({"M": {"a": 1}, "q": [1.0]}, "M is of the class struct; save a matrix of numbers"),
+        ({"M": "text", "q": [1.0]}, "M is of the class char"),
         ({"M": 1j * M, "q": np.ones(3)}, "M is complex; save real numbers"),
         ({"M": np.ones((2, 2, 2)), "q": np.ones(2)}, r"M has the shape \(2, 2, 2\)"),
         (

@@ -136,7 +136,7 @@ def test_initvals_start_a_program_with_bounds() -> None:
         (
             ParamError,
             {"eps_abs": 1e-6},
-            "'eps_abs' is an option of other solvers; here write tolerance=1e-9",
+            r"got \['eps_abs'\].*solve itself takes .*max_seconds.*tolerance",
         ),
         (ParamError, {"tolerence": 1e-6}, "did you mean 'tolerance'"),
         (ParamError, {"algorithm": "psorr"}, "did you mean 'psor'"),

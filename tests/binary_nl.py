@@ -80,12 +80,8 @@ class BinaryWriter(TextWriter):
     def _tree(self, trees: Trees, k: int) -> None:
         for kind, value, count in tokens_of(trees, k):
             self.out.append(LETTERS[kind])
-            if kind == Token.STRING:
-                text = trees.strings[int(value)]
-                self.out.append(self._integers(len(text)) + text)
-            elif kind == Token.NUMBER:
+            if kind == Token.NUMBER:
                 self.out.append(struct.pack(self.order + "d", value))
             else:
                 behind = count_behind(int(value), count) if kind == Token.OPERATOR else 0
-                has_count = kind == Token.CALL or behind > 0
-                self.out.append(self._integers(int(value), *[behind or count] * has_count))
+                self.out.append(self._integers(int(value), *[behind] * (behind > 0)))

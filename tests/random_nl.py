@@ -31,8 +31,6 @@ WRONG_NUMBERS = (
     b"x",
     b"",
 )
-FUNCTIONS = ("gsl_sf", "quantile")
-STRINGS = (b"plain", b"two\nlines, a # and\nh3:abc", b"", b"\xff\x00")
 
 
 def random_content(rng: Any, most: int = 6) -> NLContent:
@@ -55,7 +53,7 @@ def random_content(rng: Any, most: int = 6) -> NLContent:
         partner_bounds=partner_bounds, linear=_matrix(rng, m, [n] * m, n), trees=_trees(rng, [n + d] * m),
         is_maximized=rng.random(o) < 0.5, objective_linear=_matrix(rng, o, [n] * o, n),
         objective_trees=_trees(rng, [n + d] * o), defined_linear=_matrix(rng, d, range(n, n + d), n + d),
-        defined_trees=_trees(rng, range(n, n + d)), is_integer=is_integer, logical_rows=0, functions=FUNCTIONS,
+        defined_trees=_trees(rng, range(n, n + d)), is_integer=is_integer,
         start=np.where(has_start, _numbers(rng, n), 0.0),
         has_start=has_start, options=((3, 1, 1, 0), (5, 0, 1, 0, 7, 2021))[m % 2],
     )  # fmt: skip
@@ -91,25 +89,17 @@ def _trees(rng: Any, reach: Any) -> Trees:
     for k in reach:
         wanted, most = 1, int(rng.integers(1, 20))
         while wanted:
-            kind = (
-                rng.choice(5, p=[0.25, 0.25, 0.4, 0.05, 0.05])
-                if len(tokens) - starts[-1] < most
-                else 0
-            )
+            kind = rng.choice(3, p=[0.3, 0.3, 0.4]) if len(tokens) - starts[-1] < most else 0
             value, count = float(_numbers(rng, 1)[0]), 0
             if kind == Token.VARIABLE:
                 value = float(rng.integers(0, k))
             elif kind == Token.OPERATOR:
                 value, count = _operator(rng)
-            elif kind == Token.CALL:
-                value, count = float(rng.integers(0, len(FUNCTIONS))), int(rng.integers(0, 3))
-            elif kind == Token.STRING:
-                value = float(rng.integers(0, len(STRINGS)))
             tokens.append((int(kind), value, count))
             wanted += count - 1
         starts.append(len(tokens))
     kinds, values, counts = np.array(tokens, dtype=np.float64).reshape(-1, 3).T
-    return Trees(kinds.astype(np.uint8), values, counts.astype(np.int64), np.array(starts), STRINGS)
+    return Trees(kinds.astype(np.uint8), values, counts.astype(np.int64), np.array(starts))
 
 
 def _operator(rng: Any) -> tuple[float, int]:
@@ -137,11 +127,9 @@ def _bits(part: Any, whole: NLContent) -> Any:
         return part.shape, *(
             _bits(numbers, whole) for numbers in (part.data, part.indices * 1, part.indptr * 1)
         )
-    if isinstance(part, Trees):  # a file keeps each string where it is used
-        is_string = part.kinds == Token.STRING
-        texts = [part.strings[int(k)] for k in part.values[is_string]]
-        arrays = (part.kinds, np.where(is_string, 0.0, part.values), part.counts, part.starts)
-        return texts, *(_bits(numbers, whole) for numbers in arrays)
+    if isinstance(part, Trees):
+        arrays = (part.kinds, part.values, part.counts, part.starts)
+        return tuple(_bits(numbers, whole) for numbers in arrays)
     return part
 
 

@@ -154,7 +154,7 @@ def random_model(rng: Any) -> NLContent:
         objective_trees=trees_of([one[1] for one in objectives]),
         defined_linear=sp.csr_array(np.hstack([whole(rng, d, n), np.zeros((d, d))])),
         defined_trees=trees_of([bent(rng, n) if rng.random() < 0.5 else number(1.0) for _ in range(d)]),
-        is_integer=np.arange(n) >= n - (rng.random() < 0.05), logical_rows=0, functions=(),
+        is_integer=np.arange(n) >= n - (rng.random() < 0.05),
         start=np.where(has_start, rng.integers(-2, 3, n), 0.0), has_start=has_start,
         **({"names": [f"x[{j}]" for j in range(n)], "row_names": [f"r{i}" for i in range(m)]}
                         if rng.random() < 0.3 else {}),

@@ -27,10 +27,11 @@ ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
 | any smooth objective or integers, with complementarities: the best of all | an `EquilibriumProgram` |
 
 **Supported:** ``+ - * / ^ sqrt exp log log10 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh``, sums,
-defined variables, ranges, fixed variables, a start. **Rejected,** with an error that names the row: logical and
-piecewise rows, external functions, ``abs min max if`` and other functions that are not smooth. Without
+defined variables, ranges, fixed variables, a start. **Rejected,** with an error that names the row: piecewise rows,
+``abs min max if`` and other functions that are not smooth. Without
 complementarities also integers, objectives that are not convex quadratic, and nonlinear rows, unless there is no
-objective and there are as many equations as unknowns. With an objective also ``atan asin acos``, which SCIP lacks.
+objective and there are as many equations as unknowns. With an objective also ``atan asin acos``, which SCIP lacks. Logical
+constraints and external functions are refused when the file is read; ``lcp-plugin-ampl`` writes no ``.sol`` then.
 
 **A complementarity row** is ≥ 0 if its variable is at the lower bound, ≤ 0 at the upper bound, and 0 between. Its
 dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side. Variables

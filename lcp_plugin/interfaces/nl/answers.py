@@ -266,7 +266,10 @@ class ComplementarityModel(NLModel):
         kept = ~self._is_of_pair & (np.isfinite(problem.lower) | np.isfinite(problem.upper))
         if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
             return result
-        lower, upper = np.where(kept, -np.inf, problem.lower), np.where(kept, np.inf, problem.upper)
+        lower, upper = (
+            np.where(kept, -np.inf, problem.lower),
+            np.where(kept, np.inf, problem.upper),
+        )
         free = NonlinearProblem(problem.F, problem.jacobian, lower, upper)
         found = solve_from(free, None, {**options, "z0": result.z})
         beyond = np.maximum(problem.lower - found.z, found.z - problem.upper)[kept]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 
 Indices = NDArray[np.int64]
-NARY, PIECEWISE = -1, -2  # instead of a number of operands: that follows; a number of slopes does
+NARY, PIECEWISE = (-1, -2)  # instead of a number of operands: that follows; a number of slopes does
 
 
 def _table(text: str) -> dict[int, str]:
@@ -46,7 +46,10 @@ SUFFIX_IS_REAL = 4  # a bit of the first number of an S segment
 PARTNER = 5  # the kind of a complementarity row
 MOST_OPTIONS = 9
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
-LITTLE_ENDIAN, BIG_ENDIAN = 1, 2  # the kinds of arithmetic that can be read; 0 is the writer's own
+LITTLE_ENDIAN, BIG_ENDIAN = (
+    1,
+    2,
+)  # the kinds of arithmetic that can be read; 0 is the writer's own
 
 
 class Token(IntEnum):
@@ -55,8 +58,6 @@ class Token(IntEnum):
     NUMBER = 0  # its value
     VARIABLE = 1  # the number of a variable; from n on, of a defined variable
     OPERATOR = 2  # AMPL's number of the operator: 0 plus, 2 times …
-    CALL = 3  # the number of an external function
-    STRING = 4  # the place of a text in `strings`
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,19 +69,17 @@ class Trees:
     kinds : ndarray of uint8, shape (t,)
         Type of every token, a `Token`.
     values : ndarray of float64, shape (t,)
-        The number, or the number of the variable, operator, function or string.
+        The number, or the number of the variable or operator.
     counts : ndarray of int64, shape (t,)
-        Number of operands that follow; 0 unless the token is an operator or a call.
+        Number of operands that follow; 0 unless the token is an operator.
     starts : ndarray of int64, shape (k + 1,)
         Tree j is the tokens starts[j] to starts[j + 1]; every tree has at least one, a linear row the number 0.
-    strings : tuple of bytes
     """
 
     kinds: NDArray[np.uint8]
     values: FloatVector
     counts: Indices
     starts: Indices
-    strings: tuple[bytes, ...] = ()
 
     @classmethod
     def of_numbers(cls, values: FloatVector) -> Trees:
@@ -125,10 +124,6 @@ class NLContent:
         The linear terms of defined variables; each uses only variables defined before.
     defined_trees : Trees
     is_integer : ndarray of bool, shape (n,)
-    logical_rows : int
-        Number of logical constraints, which are not kept themselves.
-    functions : tuple of str
-        Names of the external functions.
     start : ndarray, shape (n,)
         0 if the file gives no start.
     has_start : ndarray of bool, shape (n,)
@@ -155,8 +150,6 @@ class NLContent:
     defined_linear: sp.csr_array
     defined_trees: Trees
     is_integer: NDArray[np.bool_]
-    logical_rows: int
-    functions: tuple[str, ...]
     start: FloatVector
     has_start: NDArray[np.bool_]
     names: list[str] | None = None
@@ -197,8 +190,6 @@ class NLContent:
             defined_linear=sp.csr_array((0, n)),
             defined_trees=none,
             is_integer=np.zeros(n, dtype=bool),
-            logical_rows=0,
-            functions=(),
             start=np.zeros(n),
             has_start=np.zeros(n, dtype=bool),
         )

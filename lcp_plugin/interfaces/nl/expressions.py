@@ -270,7 +270,7 @@ class Expressions:
             value if one else None for value, one in zip(known.tolist(), is_known, strict=True)
         ]
         found = _ExpressionReader(content, values)
-        n, d, count = content.lower.size, content.defined_trees.size, len(found.functions)
+        n, d, count = (content.lower.size, content.defined_trees.size, len(found.functions))
         keys = list(zip(found.levels, (one.name for one in found.functions), strict=True))
         order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)
         self._functions = [found.functions[k] for k in order]

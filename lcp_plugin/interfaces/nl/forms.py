@@ -6,13 +6,11 @@ A place is the byte at which the last item read begins.
 from __future__ import annotations
 
 import io
-import re
 from struct import Struct
 from typing import Any, NoReturn
 
 from .content import PARTNER
 
-STRING = re.compile(rb"h(\d{1,9}):")
 BOUNDS = ("dd", "d", "d", "", "d", "ii")  # the numbers behind the kind of a bound
 #: Conversion of words to numbers, integers (i) or not (d).
 CONVERTERS: dict[str, list[type]] = {
@@ -52,7 +50,7 @@ class Text(_Form):
     at : int
         The place of the line that has been read last.
     name : bytes
-        The last word of a head that has one.
+        The last word of a head that has one: of a function or a suffix.
     """
 
     def __init__(self, data: bytes, begin: int) -> None:
@@ -90,16 +88,6 @@ class Text(_Form):
         if not 0 <= number < len(BOUNDS):
             self.fail(WRONG_KIND)
         return [number, *self._numbers(BOUNDS[number], words)]
-
-    def text(self) -> bytes:
-        """Return a string that follows its length; the string may span lines."""
-        match = STRING.match(self.data, self.at)
-        end = match.end() + int(match[1]) if match else -1
-        stop = self.data.find(b"\n", end)
-        if not match or stop < 0 or self.data[end:stop].strip():
-            self.fail("a string begins with its length, as h5:, and ends with its line")
-        self._next = self._file.seek(stop + 1)
-        return self.data[match.end() : end]
 
     def _line(self) -> bytes:
         self.at = self._next
@@ -140,7 +128,9 @@ class Binary(_Form):
         """Return the integers behind the letter."""
         numbers = self._numbers("i" * count)
         if has_name:
-            self.name = self.text()
+            (length,) = self._numbers("i")
+            begin = self._take(length)
+            self.name = self.data[begin : self._next]
         return numbers
 
     def real(self, letter: str) -> float:
@@ -158,12 +148,6 @@ class Binary(_Form):
         if kind not in {str(number) for number in range(len(BOUNDS))}:
             self.fail(WRONG_KIND)
         return [int(kind), *self._numbers(BOUNDS[int(kind)])]
-
-    def text(self) -> bytes:
-        """Return a string that follows its length."""
-        (length,) = self._numbers("i")
-        begin = self._take(length)
-        return self.data[begin : self._next]
 
     def _numbers(self, form: str) -> list[Any]:
         if form not in self._structs:

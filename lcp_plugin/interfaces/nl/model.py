@@ -95,7 +95,7 @@ class FileStatement:
     """
 
     def __init__(self, content: NLContent) -> None:
-        self.content, self.n, self.m = content, content.lower.size, content.row_lower.size
+        self.content, self.n, self.m = (content, content.lower.size, content.row_lower.size)
         self._refuse_discrete()
         low, high = content.row_lower, content.row_upper
         self._check_crossed(content.variable, content.lower, content.upper)
@@ -121,10 +121,6 @@ class FileStatement:
             raise UnsupportedModel(
                 f"{name} is an integer variable; integers are taken beside complementarities only, by SCIP: write "
                 'SolverFactory("scip"), or give it a continuous domain'
-            )
-        if content.logical_rows:
-            raise UnsupportedModel(
-                f"the model has {content.logical_rows} logical constraints; none are taken"
             )
 
     def _check_crossed(

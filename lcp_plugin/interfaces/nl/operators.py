@@ -82,23 +82,17 @@ def check_operators(content: NLContent) -> None:
     ):
         is_operator = trees.kinds == OPERATOR
         is_known = np.isin(trees.values, list(OPERATORS))
-        is_taken = np.where(
-            is_operator, is_known, (trees.kinds < OPERATOR) & np.isfinite(trees.values)
-        )
+        is_taken = np.where(is_operator, is_known, np.isfinite(trees.values))
         for place in np.flatnonzero(~is_taken)[:1]:
             tree = int(np.searchsorted(trees.starts, place, side="right")) - 1
-            reason = _refusal(content, Token(trees.kinds[place]), trees.values[place])
+            reason = _refusal(trees.kinds[place], trees.values[place])
             raise UnsupportedModel(f"{called(tree)} {reason}")
 
 
-def _refusal(content: NLContent, kind: Token, value: float) -> str:
+def _refusal(kind: int, value: float) -> str:
     """Return the description of a part of an expression that is not supported."""
-    if kind is Token.NUMBER:
+    if kind == NUMBER:
         return f"holds the number {value}; constants must be finite"
-    if kind is not Token.OPERATOR:
-        is_named = kind is Token.CALL and value < len(content.functions)
-        what = content.functions[int(value)] if is_named else "with a text"
-        return f"calls the external function {what}; write it with elementary functions"
     name = NAMES.get(int(value), f"number {value:g}")
     remedy = REMEDIES.get(name, "state it by sums, products, powers and smooth functions")
     return f"holds the operator {name}, which is not smooth or not known here; {remedy}"

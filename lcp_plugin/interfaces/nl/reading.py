@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import INFINITE_LIMIT
-from ...core.errors import UnreadableFile
+from ...core.errors import UnreadableFile, UnsupportedModel
 from ..files.files import checked_path
 from ..files.matrix_market import opened
 from .content import (
@@ -42,7 +42,6 @@ HEADS = {
 NAMED = "FS"
 SKIPPED = {"k": "i", "K": "i", "d": "id"}  # entries of each column, a start of multipliers
 TOKENS = dict.fromkeys("nls", Token.NUMBER) | {"v": Token.VARIABLE, "o": Token.OPERATOR}
-TOKENS |= {"f": Token.CALL, "h": Token.STRING}
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
@@ -84,6 +83,8 @@ def read_content(path: str | PathLike[str]) -> NLContent:
     ------
     UnreadableFile
         If it is missing, corrupt or contradicts itself; the message names the line, in a binary file the byte.
+    UnsupportedModel
+        If it has logical constraints or calls external functions.
     """
     source = source_of(path)
     with opened(source, ".nl file") as file:
@@ -130,6 +131,10 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
     if header.is_binary and header.arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
         what = f"its numbers are of the arithmetic {header.arithmetic}, and 1 or 2 (IEEE) is needed"
         raise Fault(header.places[6], f"{what}; write the file as text")
+    if header.logical_rows:
+        raise UnsupportedModel(
+            f"the model has {header.logical_rows} logical constraints; none are taken"
+        )
     header.defined = sum(getattr(header, f"defined{k}") for k in range(5))
     return header, begin
 
@@ -198,23 +203,19 @@ class _Reader:
         self.source: Text | Binary = (
             Binary(data, begin, order) if self.header.is_binary else Text(data, begin)
         )
-        rows, objectives, defined = self.header.rows, self.header.objectives, self.header.defined
+        rows, objectives, defined = (self.header.rows, self.header.objectives, self.header.defined)
         self.owners = {  # number of possible owners of a segment
             "C": rows,
             "J": rows,
-            "L": self.header.logical_rows,
             "O": objectives,
             "G": objectives,
             "V": defined,
-            "F": self.header.functions,
         }
         self.kinds, self.values, self.counts = bytearray(), array("d"), array("q")
-        self.strings: list[bytes] = []
-        self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "CLOV"}
+        self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "COV"}
         self.rows = {letter: _Rows() for letter in "JGVx"}
         self.bounds: dict[str, list[tuple[float, float, int, int]]] = {"b": [], "r": []}
         self.is_maximized: dict[int, bool] = {}
-        self.functions: dict[int, str] = {}
 
     def read_segments(self) -> None:
         """Read all segments, in any order."""
@@ -225,7 +226,7 @@ class _Reader:
                 source.fail(NO_SEGMENT)
             numbers = source.integers(HEADS[letter], has_name=letter in NAMED)
             owner = self._owner(letter, numbers)
-            if letter in "CLO":
+            if letter in "CO":
                 if letter == "O":
                     if numbers[1] not in (0, 1):
                         source.fail("the sense of an objective is 0 or 1")
@@ -243,7 +244,10 @@ class _Reader:
             elif letter in SKIPPED:
                 self._skip(SKIPPED[letter], numbers[0])
             elif letter == "F":
-                self.functions[owner] = source.name.decode(errors="replace")
+                raise UnsupportedModel(
+                    f"the model calls the external function {source.name.decode(errors='replace')}; write it with "
+                    "elementary functions"
+                )
             else:  # a suffix; text has real numbers for whole ones too
                 is_real = numbers[0] & SUFFIX_IS_REAL or not header.is_binary
                 self._skip("id" if is_real else "ii", numbers[1])
@@ -287,18 +291,10 @@ class _Reader:
             if not math.isfinite(value):
                 source.fail("a number is not finite")
             return kind, value, 0
-        if kind is Token.STRING:
-            self.strings.append(source.text())
-            return kind, len(self.strings) - 1, 0
         if kind is Token.VARIABLE:
             (number,) = source.integers(1)
             self._require_below(number, variables, "a variable that may stand here")
             return kind, number, 0
-        if kind is Token.CALL:
-            number, count = source.integers(2)
-            self._require_below(number, self.header.functions, "a function")
-            self._require_operands(count, 0)
-            return kind, number, count
         (number,) = source.integers(1)
         if number not in ARITY:
             source.fail("there is no operator of this number")
@@ -392,8 +388,6 @@ class _Reader:
             defined_linear=self.rows["V"].matrix(d, n + d),
             defined_trees=self._trees("V", d),
             is_integer=self._integers(),
-            logical_rows=header.logical_rows,
-            functions=tuple(self.functions[k] or "?" for k in range(header.functions)),
             start=start,
             has_start=has_start,
             names=_names(path.with_suffix(".col"), n, header.name_length),
@@ -413,9 +407,7 @@ class _Reader:
             (2, header.variables, len(bounds["b"]), "bounds of variables"),
             (2, header.rows, len(bounds["r"]), "bounds of rows"),
             (2, header.objectives, len(trees["O"]), "objectives"),
-            (2, header.logical_rows, len(trees["L"]) or header.logical_rows, "logical constraints"),
             (3, pairs, sum(row[2] >= 0 for row in bounds["r"]), "complementarity rows"),
-            (6, header.functions, len(self.functions), "functions"),
             (8, header.nonzeros, len(self.rows["J"].values), "nonzeros of the segments J"),
             (8, announced_slopes, slopes, "nonzeros of the segments G"),
             (10, header.defined, len(trees["V"]), "defined variables"),
@@ -433,7 +425,6 @@ class _Reader:
             np.append(self.values, 0.0)[items],
             np.append(np.array(self.counts), 0)[items],
             starts,
-            tuple(self.strings),
         )
 
     def _integers(self) -> Any:

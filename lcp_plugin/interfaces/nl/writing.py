@@ -15,16 +15,8 @@ from ...problems.programs.program import QuadraticProgram
 from ..files.files import checked_path, write_whole
 from .content import ARITY, NARY, PARTNER, PIECEWISE, NLContent, Token, Trees
 
-LETTERS = {
-    Token.NUMBER: b"n",
-    Token.VARIABLE: b"v",
-    Token.OPERATOR: b"o",
-    Token.CALL: b"f",
-    Token.STRING: b"h",
-}
-ANY_COUNT = -1  # of the operands of an external function, which the content does not keep
+LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}
 PLUS, TIMES, SUM = 0, 2, 54  # numbers of operators
-ALSO_STRINGS = 1  # its type: it takes texts as well
 
 
 def write_nl(problem: Any, path: str | PathLike[str]) -> None:
@@ -107,7 +99,10 @@ def _content_of_program(program: QuadraticProgram) -> NLContent:
     P = sp.triu(sp.coo_array(program.P), format="coo")
     columns = np.flatnonzero((program.c != 0.0) | np.isin(np.arange(n), np.append(P.row, P.col)))
     slopes = sp.csr_array((program.c[columns], columns, [0, columns.size]), shape=(1, n))
-    limits = np.append(np.full(program.h.size, -np.inf), program.b), np.append(program.h, program.b)
+    limits = (
+        np.append(np.full(program.h.size, -np.inf), program.b),
+        np.append(program.h, program.b),
+    )
     rows = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)]))
     return NLContent.of_rows(
         program.lower,
@@ -151,8 +146,6 @@ class TextWriter:
         """Return the file as a list of strings."""
         content, n = self.content, self.content.lower.size
         self.out.append(self._head().encode())
-        for number, name in enumerate(content.functions):
-            self._line("F", (number, ALSO_STRINGS, ANY_COUNT), text=name.encode())
         for k in range(content.defined_trees.size):
             row = _row(content.defined_linear, k)
             self._line("V", (n + k, row[0].size, 0))
@@ -182,7 +175,7 @@ class TextWriter:
 
     def _head(self) -> str:
         content = self.content
-        n, m, o = content.lower.size, content.row_lower.size, content.objective_trees.size
+        n, m, o = (content.lower.size, content.row_lower.size, content.objective_trees.size)
         is_pair = content.partners >= 0
         is_equation = ~is_pair & (content.row_lower == content.row_upper)
         is_range = (
@@ -200,11 +193,11 @@ class TextWriter:
             (is_pair & is_nonlinear).sum(),
         )
         lines = [
-            (n, m, o, is_range.sum(), is_equation.sum(), content.logical_rows),
+            (n, m, o, is_range.sum(), is_equation.sum(), 0),
             (is_nonlinear.sum(), nonlinear_objectives, linear_pairs, nonlinear_pairs, 0, 0),
             (0, 0),
             (in_rows, in_objectives, min(in_rows, in_objectives)),
-            (0, len(content.functions), self.arithmetic, 1),
+            (0, 0, self.arithmetic, 1),
             (0, *integers),
             (content.linear.nnz, content.objective_linear.nnz),
             (_longest(content.row_names), _longest(content.names)),
@@ -214,12 +207,9 @@ class TextWriter:
         numbers = "".join(f" {' '.join(map(str, line))}\n" for line in lines)
         return f"{first}\t# written by lcp_plugin\n{numbers}"
 
-    def _line(self, letter: str, numbers: Iterable[int], text: bytes | None = None) -> None:
-        """Write a letter with the numbers behind it, and a name."""
-        words = [str(number).encode() for number in numbers]
-        self.out.append(
-            letter.encode() + b" ".join(words if text is None else [*words, text]) + b"\n"
-        )
+    def _line(self, letter: str, numbers: Iterable[int]) -> None:
+        """Write a letter with the numbers behind it."""
+        self.out.append(f"{letter}{' '.join(map(str, numbers))}\n".encode())
 
     def _pairs(self, indices: Any, values: Any) -> None:
         lines = zip(indices.tolist(), values.tolist(), strict=True)
@@ -237,14 +227,10 @@ class TextWriter:
 
     def _tree(self, trees: Trees, k: int) -> None:
         for kind, value, count in tokens_of(trees, k):
-            if kind == Token.STRING:
-                text = trees.strings[int(value)]
-                self.out.append(b"h%d:%s\n" % (len(text), text))
-            elif kind == Token.NUMBER:
+            if kind == Token.NUMBER:
                 self.out.append(f"n{value!r}\n".encode())
             else:
-                self.out.append(LETTERS[kind] + b"%d" % value)
-                self.out.append(b" %d\n" % count if kind == Token.CALL else b"\n")
+                self.out.append(LETTERS[kind] + b"%d\n" % value)
                 if kind == Token.OPERATOR and (behind := count_behind(int(value), count)):
                     self.out.append(b"%d\n" % behind)
 

@@ -398,5 +398,4 @@ def with_constants(trees: Trees, constants: FloatVector) -> Trees:
         np.insert(values, at, sums),
         counts,
         trees.starts + np.concatenate([[0], np.cumsum(added)]),
-        trees.strings,
     )

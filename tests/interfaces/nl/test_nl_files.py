@@ -93,6 +93,22 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b" 2 2 0 0 1 0", b" 2 2 0 0 1 2", "2 logical constraints"),
+        (b"C1\no2", b"F0 1 -1 gsl\nC1\no2", "calls the external function gsl"),
+    ],
+)
+def test_logical_rows_and_external_functions_are_refused(
+    tmp_path: Path, old: bytes, new: bytes, words: str
+) -> None:
+    """A file with logical constraints or external functions raises an error that names them."""
+    assert SMALL.count(old) == 1
+    with pytest.raises(errors.UnsupportedModel, match=words):
+        read(tmp_path, SMALL.replace(old, new))
+
+
+@pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
         (b"g3 1 1 0", b"q3 1 1 0", 1, "begins with g"),

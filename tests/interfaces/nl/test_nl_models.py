@@ -462,7 +462,6 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
         content_of(1, [x], is_integer=[True], names=["count"]),
         "count is an integer variable",
     )
-    yield "logical rows", replace(content_of(1, [x]), logical_rows=2), "2 logical constraints"
     for name, number in (("abs", 15), ("max", 12), ("floor", 13), ("if", 35), ("atan2", 48)):
         yield (
             name,
@@ -470,14 +469,6 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
             f"row balance holds the operator {name}",
         )
     yield "unknown operator", content_of(1, [(99, x)]), "operator number 99"
-    call = replace(
-        content_of(1, [x]),
-        functions=("gsl",),
-        trees=Trees(
-            np.array([3, 1], dtype=np.uint8), np.zeros(2), np.array([1, 0]), np.array([0, 2])
-        ),
-    )
-    yield "external functions", call, "row 0 calls the external function gsl"
     yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"
     yield "division by 0", content_of(1, [("/", x, 0.0)]), "row 0 divides by zero"
     yield "an infinite number", content_of(1, [("*", INFINITY, x)]), "constants must be finite"

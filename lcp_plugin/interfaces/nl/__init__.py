@@ -30,8 +30,9 @@ ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
 defined variables, ranges, fixed variables, a start. **Rejected,** with an error that names the row: piecewise rows,
 ``abs min max if`` and other functions that are not smooth. Without
 complementarities also integers, objectives that are not convex quadratic, and nonlinear rows, unless there is no
-objective and there are as many equations as unknowns. With an objective also ``atan asin acos``, which SCIP lacks. Logical
-constraints and external functions are refused when the file is read; ``lcp-plugin-ampl`` writes no ``.sol`` then.
+objective and there are as many equations as unknowns. With an objective also ``atan asin acos``, which SCIP lacks.
+`read_content` raises UnsupportedModel for logical constraints and external functions; ``lcp-plugin-ampl`` then writes
+no ``.sol`` file.
 
 **A complementarity row** is ≥ 0 if its variable is at the lower bound, ≤ 0 at the upper bound, and 0 between. Its
 dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side. Variables

@@ -225,7 +225,7 @@ class FileStatement:
         return ProgramModel(content, program, own, self.known, sign, offset, *limits)
 
     def _parts(self, rows: Indices) -> list[Indices]:
-        """Return the affine rows, then the others, of each kind that there is."""
+        """Return the affine rows, then the others; no empty part."""
         is_affine = self.expressions.is_affine()[rows]
         return [part for part in (rows[is_affine], rows[~is_affine]) if part.size]
 

@@ -48,8 +48,8 @@ HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
 IS_AS_STATED = 4  # a bound with this code may be 1e20
 LINES = 10  # of the head, which are text in binary files too
 MOST_LINE_BYTES, MOST_DIGITS = 4096, 18  # of a line of the head, and of a number in it
-#: Lines of the head after the first: how many numbers are required, and their names; of those with a star the file
-#: holds as many items, each of at least a byte.
+#: Lines of the head after the first: how many numbers are required, and their names; a star marks a number of items
+#: in the file, each of at least a byte.
 HEAD = """\
 3 variables* rows* objectives* ranges equations logical_rows*
 2 nonlinear_rows nonlinear_objectives linear_pairs nonlinear_pairs _ _

@@ -48,10 +48,14 @@ SELECTION = (index, special_index, Wrap)
 KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM)
 
 #: Atoms whose every entry is an entry of an argument, or zero.
-GATHERS = (*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, diag_mat, diag_vec)
-GATHERS += (cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj)
-NONSMOOTH = (cp.abs, cp.maximum, cp.minimum, cp.huber, cp.max, cp.min, cp.norm1, cp.norm_inf)
-NONSMOOTH += (Pnorm, cp.sum_largest)
+GATHERS = (
+    *(*SELECTION, *BROADCAST, *TRANSPOSE, *STACKS, diag_mat, diag_vec),
+    *(cp.reshape, Concatenate, cp.upper_tri, cp.real, cp.conj),
+)
+NONSMOOTH = (
+    *(cp.abs, cp.maximum, cp.minimum, cp.huber, cp.max, cp.min, cp.norm1, cp.norm_inf),
+    *(Pnorm, cp.sum_largest),
+)
 
 
 def postorder(root: Any, stop: Container[int]) -> list[Any]:

@@ -103,7 +103,9 @@ def solved(
         M = M.reshape(M.shape[-2:]) if is_one(M) else stacked(M, M.shape[-2:])
     M = wishes.M if M is None else M
     answers = solve_batch(M, q, lower=lower, upper=upper, z0=z0, **wishes.options)
-    return _all_solved(derivative(answers), axes), axes
+    found = derivative(answers)
+    _check_solved(found, axes)
+    return found, axes
 
 
 def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, ...]:
@@ -146,8 +148,9 @@ def contacts_solved(
     of_worlds = {name: wishes.options.get(name) for name in ("contacts", "dimension")}
     others = {name: wish for name, wish in wishes.options.items() if name not in of_worlds}
     worlds = FrictionalContact.worlds(W, b, friction, **of_worlds)
-    found = derivative(solve_batch(worlds, z0=z0, **others))
-    return _all_solved(found, (len(found),))
+    found: ContactBatchDerivative = derivative(solve_batch(worlds, z0=z0, **others))
+    _check_solved(found, (len(found),))
+    return found
 
 
 def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any) -> tuple[Any, ...]:
@@ -164,12 +167,11 @@ def no_second_derivative(remedy: str) -> UnsupportedModel:
     )
 
 
-def _all_solved(found: Any, axes: tuple[int, ...]) -> Any:
-    """Return the derivative of a batch; raise if one of its problems is not solved."""
+def _check_solved(found: Any, axes: tuple[int, ...]) -> None:
+    """Raise if a problem of the batch is not solved."""
     if found.errors:
         is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
         raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
-    return found
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:

@@ -167,7 +167,7 @@ class ComplementarityModel(NLModel):
     constants: FloatVector
     beside: SideConditions
     order: Indices
-    search: Callable[[], EquilibriumModel]
+    search: Callable[[], NLModel]
 
     @property
     def start(self) -> FloatVector:

@@ -330,4 +330,5 @@ class FileStatement:
                     f"{content.row(empty[k])} holds no unknown, and its sides differ by {off[k]:g}: no point "
                     "satisfies the model; correct it"
                 )
-        return equations[~is_empty]
+        left: Indices = equations[~is_empty]
+        return left

@@ -15,7 +15,7 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.rounding import compensated_product, upper_end
 from ...proofs.exact.rational import Row, rational_rows
 from ...proofs.no_solution.linear_constraints import LinearConstraints
-from .program_matrices import Indices, ProgramMatrices, as_csr, or_one
+from .program_matrices import Indices, ProgramMatrices, or_one
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -145,8 +145,8 @@ class Constraints:
 
 def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
     """Return P x + Gᵀy + Aᵀv + c with the signs that bounds require, y ≥ 0; P may contain only spanning rows."""
-    rows = as_csr(program.G)[np.flatnonzero(np.isfinite(program.h))]
-    matrix = sp.csr_array(sp.vstack([P, rows, as_csr(program.A)], format="csr").T)
+    rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
+    matrix = sp.csr_array(sp.vstack([P, rows, sp.csr_array(program.A)], format="csr").T)
     free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
     is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
     return LinearConstraints(

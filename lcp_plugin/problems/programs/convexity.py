@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...core.errors import UnsupportedModel
-from ...systems.definiteness import factorised, scaled_to
+from .program_matrices import as_array
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 LARGEST_MEASURED = 1000  # variables up to which the error message contains the smallest eigenvalue
-SINGLE_PRECISION = 2.0**-24
 
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:
@@ -36,9 +34,8 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     """
     if program.matrices.is_nearly_semidefinite:
         return
-    P = program.P
     shown = (
-        f"the smallest eigenvalue of P is {smallest_eigenvalue(P):.3g}"
+        f"the smallest eigenvalue of P is {np.linalg.eigvalsh(as_array(program.P))[0]:.3g}"
         if program.n <= LARGEST_MEASURED
         else "P has a negative eigenvalue"
     )
@@ -47,20 +44,3 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
         "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install "
         "'lcp_plugin[global]')"
     )
-
-
-def is_nearly_semidefinite(P: Any) -> bool:
-    """Return whether P + n 2⁻²⁴ diag(P) is semidefinite, with the largest entry of a row for a diagonal entry of 0."""
-    d, n = P.diagonal(), P.shape[0]
-    if (d < 0.0).any():
-        return False
-    sizes = abs(P)
-    largest = np.asarray(sizes.max(axis=1).toarray()).ravel() if sp.issparse(P) else sizes.max(1)
-    d = np.where(d > 0.0, d, largest)
-    unit = scaled_to(P, 1.0 / np.sqrt(np.where(d > 0.0, d, 1.0)))
-    return unit is None or factorised(unit, n * SINGLE_PRECISION) is not None
-
-
-def smallest_eigenvalue(P: Any) -> float:
-    """Return the smallest eigenvalue of a dense copy of P."""
-    return float(np.linalg.eigvalsh(P.toarray() if sp.issparse(P) else P)[0])

@@ -185,7 +185,7 @@ class Point:
         self.blur = BLUR * terms
         self.own = np.maximum(largest(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0))
         if self.matrices.has_short_rows:
-            self.own = np.maximum(self.own, self.matrices.sizes_without_entries)
+            self.own = np.maximum(self.own, largest(of_C, np.ones(x.size)) == 0.0)
 
     # --- Rows --------------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
@@ -29,7 +30,7 @@ from ...engines.scaling import (
 )
 from .criterion import MATTERS, ROWS, Errors
 from .program import QuadraticProgram
-from .program_matrices import as_csr
+from .program_matrices import as_array
 from .reductions import FoldedRows
 from .solution import QPSolution
 
@@ -257,10 +258,7 @@ def _statement(program: QuadraticProgram) -> ProgramData:
     """Return a program in the form for engines: all matrices dense, or all sparse."""
     matrices = program.matrices
     if matrices.is_dense and (isinstance(program.P, np.ndarray) or matrices.is_small):
-        P, G, A = (
-            one if isinstance(one, np.ndarray) else one.toarray()
-            for one in (program.P, program.G, program.A)
-        )
+        P, G, A = map(as_array, (program.P, program.G, program.A))
     else:
-        P, G, A = matrices.sparse_P, as_csr(program.G), as_csr(program.A)
+        P, G, A = map(sp.csr_array, (program.P, program.G, program.A))
     return ProgramData(P, program.c, G, program.h, A, program.b, program.lower, program.upper)

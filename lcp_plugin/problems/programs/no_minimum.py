@@ -47,10 +47,11 @@ from ...proofs.no_solution.linear_constraints import (
     LinearConstraints,
     exact_dot,
 )
+from ...systems.definiteness import positive_definite_solver
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, ROWS
-from .program_matrices import as_csr, sums_and_terms
+from .program_matrices import sums_and_terms
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
@@ -239,7 +240,7 @@ class QPUnboundedness:
     @cached_property
     def _found(self) -> Contradiction:
         """Direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds require, y ≥ 0."""
-        conditions = stationarity(self.program, as_csr(self.program.P))
+        conditions = stationarity(self.program, sp.csr_array(self.program.P))
         return Contradiction(conditions, {i: d for i, d in enumerate(self.direction) if d})
 
     @cached_property
@@ -478,9 +479,9 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
 
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
-    if program.matrices.is_definite:
-        return None
     P = sp.csr_array(program.P)
+    if (P.diagonal() > 0.0).all() and positive_definite_solver(program.P) is not None:
+        return None
     points: list[tuple[Vector, ...]] = []
 
     def proven(d: Multipliers) -> QPUnboundedness | None:

@@ -36,7 +36,7 @@ from .no_minimum import (
     proof_of_contradiction,
     proof_of_no_minimum,
 )
-from .program_matrices import ProgramMatrices, as_csr, no_rows
+from .program_matrices import ProgramMatrices
 
 SYMMETRIC_TO = 1e-12
 CANCELS = 1e-9  # of the objective: rounding that matters
@@ -156,7 +156,7 @@ class QuadraticProgram:
         """
         vector = checked_vector(c, "c", None)
         n = vector.size
-        rows = as_csr(rectangular_matrix(A, "A", None, n))
+        rows = sp.csr_array(rectangular_matrix(A, "A", None, n))
         m = rows.shape[0]
         low, high = (
             checked_limit(limit, name, m)
@@ -305,7 +305,7 @@ class QuadraticProgram:
         terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
         if not CANCELS * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
             return value
-        high, low, _ = compensated_pair(as_csr(self.P), point)
+        high, low, _ = compensated_pair(self.matrices.sparse_P, point)
         row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])
         return float(compensated_product(row, np.tile(point, 3))[0][0])
 
@@ -392,7 +392,7 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; None for both means zero rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return no_rows(n), NO_LIMITS
+        return read_only(np.zeros((0, n))), NO_LIMITS
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, check(right, right_name, checked.shape[0])
 

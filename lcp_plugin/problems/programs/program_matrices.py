@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Any, TypeVar
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,14 +15,11 @@ from ...core.checks import (
     DENSE_ABOVE_DENSITY,
     DENSE_UP_TO_SIZE,
     FloatVector,
-    assemble_csr,
-    freeze_csr,
     read_only,
 )
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
-from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
-from .convexity import is_nearly_semidefinite
+from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
 from .criterion import ProgramComponents, largest
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
@@ -31,11 +28,11 @@ SPARSE, SPARSE_UP_TO = (
     1e7,
 )  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
+SINGLE_PRECISION = 2.0**-24
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
 PASSES = 3  # of equilibration, after the fit
 DENSE_FIT = 150  # unknowns and rows whose fit is a dense system
 FIT_TO, FIT_STEPS = 1e-3, 60
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +47,7 @@ class ProgramMatrices:
     P: Any
     G: Any
     A: Any
-    _kept: dict[str, tuple[tuple[bytes, ...], Any]] = field(default_factory=dict, repr=False)
+    _of_rows: dict[bytes, ProgramMatrices] = field(default_factory=dict, repr=False)
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -68,30 +65,23 @@ class ProgramMatrices:
     @cached_property
     def rows(self) -> sp.csr_array:
         """[G; A]."""
-        return vertically(as_csr(self.G), as_csr(self.A))
+        return sp.vstack([sp.csr_array(self.G), sp.csr_array(self.A)], format="csr")
 
     @cached_property
     def sparse_P(self) -> sp.csr_array:
         """P as CSR."""
-        return as_csr(self.P)
+        return sp.csr_array(self.P)
 
     @cached_property
     def constraints(self) -> sp.csr_array:
         """[G; A; −I; I]."""
-        n = self.P.shape[0]
-        return vertically(self.rows, diagonal_array(-1.0, n), diagonal_array(1.0, n))
+        identity = sp.eye_array(self.P.shape[0], format="csr")
+        return sp.vstack([self.rows, -identity, identity], format="csr")
 
     @cached_property
     def dense_rows(self) -> FloatVector:
         """[G; A] as an ndarray, C-contiguous."""
-        given = [
-            one if isinstance(one, np.ndarray) else one.toarray()
-            for one in (self.G, self.A)
-            if one.shape[0]
-        ]
-        if len(given) == 1:
-            return read_only(np.ascontiguousarray(given[0]))
-        return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
+        return read_only(np.vstack([as_array(self.G), as_array(self.A)]))
 
     @cached_property
     def engine_units(self) -> tuple[FloatVector, FloatVector]:
@@ -103,16 +93,8 @@ class ProgramMatrices:
         return units, rows
 
     @cached_property
-    def sizes_without_entries(self) -> FloatVector:
-        """Array with 1 for each row of G and A without entries, else 0."""
-        of_C = self.measured[3]
-        return np.asarray(largest(of_C, np.ones(of_C.shape[1])) == 0.0, np.float64)
-
-    @cached_property
     def has_short_rows(self) -> bool:
         """True if some row of G or A has at most one entry."""
-        if self._is_full and self.P.shape[0] > 1:
-            return False
         counts = (
             np.diff(one.indptr) if sp.issparse(one) else (one != 0.0).sum(axis=1)
             for one in (self.G, self.A)
@@ -120,47 +102,20 @@ class ProgramMatrices:
         return any((count <= 1).any() for count in counts)
 
     @cached_property
-    def _is_full(self) -> bool:
-        """True if G and A are ndarrays without zeros, and at least one has rows."""
-        given = [one for one in (self.G, self.A) if one.shape[0]]
-        return bool(given) and all(isinstance(one, np.ndarray) and one.all() for one in given)
-
-    @cached_property
     def is_dense(self) -> bool:
         """True if P, G and A are ndarrays or have no entries."""
         return not self.has_sparse_rows and (isinstance(self.P, np.ndarray) or not self.P.nnz)
-
-    @cached_property
-    def stacked(self) -> FloatVector:
-        """P, G and A stacked vertically as one ndarray, C-contiguous."""
-        m, p, _, _ = self.sizes
-        given = (
-            (self.P, self.G, self.A)
-            if m and p
-            else (self.P, self.G)
-            if m
-            else (self.P, self.A)
-            if p
-            else (self.P,)
-        )
-        parts = [one if isinstance(one, np.ndarray) else one.toarray() for one in given]
-        return read_only(np.concatenate(parts)) if len(parts) > 1 else parts[0]
-
-    @cached_property
-    def diagonal(self) -> FloatVector:
-        """Diagonal of P."""
-        return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
     def components(self) -> ProgramComponents:
         """Connected components of the graph of P, G and A."""
         m, n = sum(self.sizes[:2]), self.P.shape[0]
         full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
-        if not n or self._is_full or any((one != 0.0).all(axis=1).any() for one in full):
+        if not n or any((one != 0.0).all(axis=1).any() for one in full):
             return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
         from scipy.sparse.csgraph import connected_components
 
-        rows = vertically(self.sparse_P, self.rows)
+        rows = sp.vstack([self.sparse_P, self.rows], format="csr")
         both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
         count, part = connected_components(both, directed=False)
         return ProgramComponents(part[:n], part[n:], count)
@@ -194,8 +149,7 @@ class ProgramMatrices:
         n, rows = self.P.shape[0], sum(self.sizes[:2])
         if n + rows > DENSE_FIT:
             return fitted_units(self.sparse_P, self.rows)
-        P = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
-        return fit_units_of(P, self.dense_rows)
+        return fit_units_of(as_array(self.P), self.dense_rows)
 
     @cached_property
     def is_small(self) -> bool:
@@ -256,13 +210,15 @@ class ProgramMatrices:
 
     @cached_property
     def is_nearly_semidefinite(self) -> bool:
-        """True if P is positive semidefinite to the rounding of single precision."""
-        return self.is_semidefinite is True or is_nearly_semidefinite(self.P)
-
-    @cached_property
-    def is_definite(self) -> bool:
-        """True if P is proved positive definite; cost: a factorization if the diagonal is positive."""
-        return bool((self.diagonal > 0.0).all()) and positive_definite_solver(self.P) is not None
+        """True if P + n 2⁻²⁴ diag(P) is semidefinite, with the largest entry of a row for a diagonal entry of 0."""
+        if self.is_semidefinite:
+            return True
+        d, n = self.P.diagonal(), self.P.shape[0]
+        if (d < 0.0).any():
+            return False
+        d = np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
+        unit = scaled_to(self.P, 1.0 / np.sqrt(or_one(d)))
+        return unit is None or factorised(unit, n * SINGLE_PRECISION) is not None
 
     @cached_property
     def hessian(self) -> Matrix:
@@ -272,46 +228,25 @@ class ProgramMatrices:
     @cached_property
     def kkt(self) -> Matrix:
         """Matrix [[P, Cᵀ], [−C, 0]] with C = [G; A]; an ndarray if it is small and full."""
-        C, n, size = self.rows, self.P.shape[0], self.P.shape[0] + self.rows.shape[0]
-        of_P, of_C = self.entries
-        if is_kept_dense(size, of_P + 2 * of_C):
-            M = np.zeros((size, size))
-            M[:n, :n] = self.P.toarray() if sp.issparse(self.P) else self.P
-            M[:n, n:] = C.toarray().T
-            M[n:, :n] = 0.0 - M[:n, n:].T  # no negative zeros
-            return Matrix(M)
-        minus = assemble_csr(-C.data, C.indices, C.indptr, (size - n, size))
-        M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
-        return Matrix(M)
+        C, size = self.rows, self.P.shape[0] + self.rows.shape[0]
+        M = sp.block_array([[self.sparse_P, C.T], [-C, None]], format="csr")
+        is_full = M.nnz > DENSE_ABOVE_DENSITY * size * size
+        return Matrix(M.toarray() if size <= DENSE_UP_TO_SIZE and is_full else M)
 
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""
-        m, p = self.sizes[:2]
-        if left.size == m + p:
+        m = self.sizes[0]
+        if left.size == sum(self.sizes[:2]):
             return self
-        first, columns = np.searchsorted(left, m), np.arange(self.P.shape[0])
-        return self.recall(
-            "rows",
-            (left,),
-            lambda: ProgramMatrices(
-                self.P,
-                block(self.G, left[:first], columns) if first < m else self.G,
-                block(self.A, left[first:] - m, columns) if left.size - first < p else self.A,
-            ),
-        )
-
-    def recall(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return the cached value if the arrays are unchanged since the last call, else make and cache it."""
-        key = tuple(array.tobytes() for array in keys)
-        known = self._kept.get(name)
-        if known is None or known[0] != key:
-            known = self._kept[name] = (key, make())
-        value: T = known[1]
-        return value
+        if left.tobytes() not in self._of_rows:
+            G, A = self.G[left[left < m]], self.A[left[left >= m] - m]
+            self._of_rows.clear()
+            self._of_rows[left.tobytes()] = ProgramMatrices(self.P, G, A)
+        return self._of_rows[left.tobytes()]
 
     def __getstate__(self) -> dict[str, Any]:
         """Drop the cache, because its values can be computed again."""
-        return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
+        return {"P": self.P, "G": self.G, "A": self.A, "_of_rows": {}}
 
 
 def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVector]:
@@ -394,21 +329,16 @@ def _powers(exponents: FloatVector) -> FloatVector:
     return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -500.0), 500.0)).astype(np.intc))
 
 
-def is_full(entries: int, shape: tuple[int, int]) -> bool:
-    """Return whether products with a matrix of this size are faster as an ndarray."""
-    return entries > DENSE_ABOVE_DENSITY * shape[0] * shape[1]
-
-
-def is_kept_dense(n: int, entries: int) -> bool:
-    """Return whether a matrix of that size is small and full."""
-    return n <= DENSE_UP_TO_SIZE and is_full(entries, (n, n))
-
-
 def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
     """Return whether a program with these counts of unknowns, rows and entries is small or dense: for daqp."""
     if not (0 < n <= UP_TO and m <= ROWS_UP_TO):
         return False
     return n * n * (n + m) <= SPARSE_UP_TO or sum(entries) >= SPARSE * n * (n + m)
+
+
+def as_array(matrix: Any) -> FloatVector:
+    """Return a matrix as an ndarray."""
+    return matrix.toarray() if sp.issparse(matrix) else matrix
 
 
 def or_one(sizes: FloatVector) -> FloatVector:
@@ -429,110 +359,3 @@ def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, Flo
     sums += np.bincount(rows.indices, terms, rows.shape[1])
     sizes += np.bincount(rows.indices, np.abs(terms), rows.shape[1])
     return sums, sizes
-
-
-# Blocks of sparse matrices, cut out and put together without triplets: these would take longer than a small program.
-
-
-def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
-    """Return some rows and columns, each in order, of an ndarray or a canonical CSR array; read-only, same type.
-
-    Examples
-    --------
-    >>> block(sp.csr_array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0], [0.0, 4.0, 5.0]]), [0, 2], [1, 2]).toarray()
-    array([[2., 0.],
-           [4., 5.]])
-    """
-    if not sp.issparse(matrix):
-        return read_only(matrix[rows][:, columns])
-    if not len(rows):
-        return no_rows(len(columns))
-    stays, place = (
-        np.zeros(matrix.shape[0], dtype=bool),
-        np.full(matrix.shape[1], -1, dtype=matrix.indices.dtype),
-    )
-    stays[rows], place[columns] = True, np.arange(len(columns))
-    moved = place[matrix.indices]
-    is_inside = np.repeat(stays, np.diff(matrix.indptr)) & (moved >= 0)
-    before = np.zeros(matrix.nnz + 1, dtype=matrix.indptr.dtype)
-    np.cumsum(is_inside, out=before[1:])
-    starts = np.append(before[matrix.indptr[:-1][stays]], before[-1:])
-    return assemble_csr(matrix.data[is_inside], moved[is_inside], starts, (len(rows), len(columns)))
-
-
-@lru_cache(maxsize=64)
-def no_rows(n: int) -> sp.csr_array:
-    """Return a read-only matrix without rows, cached because its construction takes longer than a small program."""
-    return freeze_csr(sp.csr_array((0, n)))
-
-
-def as_csr(matrix: Any) -> sp.csr_array:
-    """Return an ndarray as CSR, and a CSR array unchanged.
-
-    Examples
-    --------
-    >>> as_csr(np.array([[1.0, 0.0], [3.0, 4.0]])).indices
-    array([0, 0, 1], dtype=int32)
-    """
-    if sp.issparse(matrix):
-        return matrix if isinstance(matrix, sp.csr_array) else sp.csr_array(matrix)
-    index_type = np.int32 if matrix.size < 2**31 else np.int64
-    (m, n), is_entry = matrix.shape, matrix != 0.0
-    if is_entry.all():
-        starts, columns = n * np.arange(m + 1), np.tile(np.arange(n, dtype=index_type), m)
-        return assemble_csr(matrix.reshape(-1), columns, starts.astype(index_type), matrix.shape)
-    starts = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))]).astype(index_type)
-    columns = np.nonzero(is_entry)[1].astype(index_type)
-    return assemble_csr(matrix[is_entry], columns, starts, matrix.shape)
-
-
-def vertically(*blocks: sp.csr_array) -> sp.csr_array:
-    """Return CSR arrays stacked vertically, as wide as the first; narrower arrays are padded with zeros.
-
-    Examples
-    --------
-    >>> vertically(sp.csr_array([[1.0, 2.0]]), sp.csr_array([[0.0, 3.0]])).toarray()
-    array([[1., 2.],
-           [0., 3.]])
-    """
-    filled = [block for block in blocks if block.shape[0]] or list(blocks[:1])
-    if len(filled) == 1 and filled[0].shape[1] == blocks[0].shape[1]:
-        return filled[0]
-    ends = np.cumsum([0, *(block.nnz for block in filled)])
-    starts = np.concatenate(
-        [block.indptr[:-1] + end for block, end in zip(filled, ends, strict=False)] + [ends[-1:]]
-    )
-    indices, data = (
-        np.concatenate([getattr(block, part) for block in filled]) for part in ("indices", "data")
-    )
-    return assemble_csr(data, indices, starts, (starts.size - 1, blocks[0].shape[1]))
-
-
-def horizontally(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:
-    """Return two CSR arrays of the same height, stacked horizontally.
-
-    Examples
-    --------
-    >>> horizontally(sp.csr_array([[1.0], [0.0]]), sp.csr_array([[2.0], [3.0]])).toarray()
-    array([[1., 2.],
-           [0., 3.]])
-    """
-    starts = left.indptr.astype(np.int64) + right.indptr
-    indices, data = np.empty(starts[-1], dtype=np.int64), np.empty(starts[-1])
-    shifts = ((left, right.indptr[:-1], 0), (right, left.indptr[1:], left.shape[1]))
-    for block, shift, first in shifts:
-        places = np.arange(block.nnz) + np.repeat(shift, np.diff(block.indptr))
-        indices[places], data[places] = block.indices + first, block.data
-    return assemble_csr(data, indices, starts, (left.shape[0], left.shape[1] + right.shape[1]))
-
-
-def diagonal_array(entries: float | FloatVector, n: int) -> sp.csr_array:
-    """Return the diagonal matrix of the entries, or of one number for all rows, as CSR, shape (n, n).
-
-    Examples
-    --------
-    >>> diagonal_array(-1.0, 2).toarray()
-    array([[-1.,  0.],
-           [ 0., -1.]])
-    """
-    return assemble_csr(np.full(n, entries), np.arange(n), np.arange(n + 1), (n, n))

@@ -21,7 +21,7 @@ from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
 from .convexity import refuse_nonconvex
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
-from .program_matrices import ProgramMatrices, fit_units_of, may_be_small
+from .program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_small
 
 
 class QuadraticProgramBatch:
@@ -157,8 +157,9 @@ class QuadraticProgramBatch:
             made.P, made.G, made.A = example.P, example.G, example.A
         else:
             given = [one if isinstance(one, QuadraticProgram) else example for one in programs]
-            every = np.array([one.matrices.stacked for one in given])
-            made.P, made.G, made.A = every[:, :n], every[:, n : n + m], every[:, n + m :]
+            made.P, made.G, made.A = (
+                np.array([as_array(getattr(one, name)) for one in given]) for name in "PGA"
+            )
         return made
 
     @property
@@ -281,7 +282,7 @@ def _checked_matrices(values: Any, name: str, n: int) -> Any:
 
 
 def _stack(matrices: Any) -> Any:
-    dense = np.ascontiguousarray(matrices.toarray() if sp.issparse(matrices) else matrices)
+    dense = np.ascontiguousarray(as_array(matrices))
     return dense if dense.ndim == 3 else dense[np.newaxis]
 
 

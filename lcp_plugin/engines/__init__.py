@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
 
 ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` shows them
     "daqp": "DAQP",
@@ -27,7 +27,6 @@ __all__ = [
     "EngineAnswer",
     "EngineStatus",
     "Limits",
-    "Multipliers",
     "ProgramData",
     "engine_class",
 ]

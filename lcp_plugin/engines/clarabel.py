@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
 
 SAYS = {
     "Solved": EngineStatus.OPTIMAL,
@@ -67,22 +67,7 @@ class Clarabel(Engine):
             [cone(size) for cone, size in kinds if size],
             settings,
         ).solve()
-        y, every = (
-            np.array(found.z),
-            Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n)),
-        )
-        ends = np.cumsum([0, p, rows.size, below.size, above.size])
-        sides = (
-            (every.equality, np.arange(p)),
-            (every.inequality, rows),
-            (every.lower, below),
-            (every.upper, above),
-        )
-        for (side, places), first, last in zip(sides, ends, ends[1:], strict=False):
-            side[places] = y[first:last]
-        return EngineAnswer(
-            np.array(found.x),
-            every,
-            int(found.iterations),
-            SAYS.get(str(found.status), EngineStatus.GAVE_UP),
-        )
+        y, z = np.zeros(m + p), np.array(found.z)
+        y[rows], y[m:] = z[p : p + rows.size], z[:p]
+        says = SAYS.get(str(found.status), EngineStatus.GAVE_UP)
+        return EngineAnswer(np.array(found.x), y, int(found.iterations), says)

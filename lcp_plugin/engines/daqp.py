@@ -14,9 +14,7 @@ from .engine import (
     EngineAnswer,
     EngineStatus,
     Limits,
-    Multipliers,
     ProgramData,
-    split_bound_multipliers,
 )
 
 EQUATION = 5  # of daqp's `sense`
@@ -79,17 +77,8 @@ class DAQP(Engine):
             sense,
             settings,
         )
-        inequality, equality = np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :]
-        none = np.zeros(n)
-        of_bounds = (
-            split_bound_multipliers(y[:n], program.lower, program.upper) if bounds else (none, none)
-        )
-        return EngineAnswer(
-            x,
-            Multipliers(inequality, equality, *of_bounds),
-            steps,
-            SAYS.get(flag, EngineStatus.GAVE_UP),
-        )
+        y = np.append(np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :])
+        return EngineAnswer(x, y, steps, SAYS.get(flag, EngineStatus.GAVE_UP))
 
     def points(
         self,

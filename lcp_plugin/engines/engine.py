@@ -9,8 +9,6 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
 from ..core.checks import FloatVector
 
 
@@ -31,15 +29,6 @@ class ProgramData(NamedTuple):
     h: FloatVector
     A: Any
     b: FloatVector
-    lower: FloatVector
-    upper: FloatVector
-
-
-class Multipliers(NamedTuple):
-    """Multipliers: P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0, all but `equality` ≥ 0."""
-
-    inequality: FloatVector
-    equality: FloatVector
     lower: FloatVector
     upper: FloatVector
 
@@ -70,10 +59,13 @@ class EngineStatus(Enum):
 
 
 class EngineAnswer(NamedTuple):
-    """Final point x of an engine, its multipliers, the number of steps, and the reported status."""
+    """Final point x of an engine, multipliers y of the rows of G and A, the number of steps, and the reported status.
+
+    P x + c + [Gᵀ Aᵀ] y is 0, except for unknowns at a bound; multipliers of G are ≥ 0.
+    """
 
     x: FloatVector
-    multipliers: Multipliers
+    y: FloatVector
     iterations: int
     says: EngineStatus
 
@@ -124,16 +116,3 @@ class Engine(ABC):
     @abstractmethod
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return the final point of the engine."""
-
-
-def split_bound_multipliers(
-    slack: FloatVector, lower: FloatVector, upper: FloatVector
-) -> tuple[FloatVector, FloatVector]:
-    """Return the multipliers of lower and upper bounds for signed multipliers; 0 for an infinite bound.
-
-    Examples
-    --------
-    >>> split_bound_multipliers(np.array([-2.0, 3.0]), np.zeros(2), np.array([np.inf, 1.0]))
-    (array([2., 0.]), array([0., 3.]))
-    """
-    return np.maximum(-slack, 0.0) * np.isfinite(lower), np.maximum(slack, 0.0) * np.isfinite(upper)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
 
 SAYS = {
     0: EngineStatus.OPTIMAL,
@@ -56,16 +56,9 @@ class HiGHS(Engine):
                 method="highs",
                 options=wishes,
             )
-        m, p, n = program.h.size, program.b.size, program.c.size
-        every = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
+        y = np.zeros(program.h.size + program.b.size)
         says = SAYS.get(found.status, EngineStatus.GAVE_UP)
         if found.x is None:
-            return EngineAnswer(np.zeros(n), every, int(found.nit), says)
-        every.inequality[rows] = -found.ineqlin.marginals
-        every.equality[:] = -found.eqlin.marginals
-        return EngineAnswer(
-            found.x,
-            every._replace(lower=found.lower.marginals, upper=-found.upper.marginals),
-            int(found.nit),
-            says,
-        )
+            return EngineAnswer(np.zeros(program.c.size), y, int(found.nit), says)
+        y[: rows.size][rows], y[rows.size :] = -found.ineqlin.marginals, -found.eqlin.marginals
+        return EngineAnswer(found.x, y, int(found.nit), says)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
 
 INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
 SAYS = {
@@ -66,20 +66,10 @@ class PIQP(Engine):
             solver.settings.max_iter = int(min(max(fit, 1.0), steps))
         says = SAYS.get(int(solver.solve()), EngineStatus.GAVE_UP)
         found = solver.result
-        of_rows = np.zeros(m)
-        of_rows[is_limit] = found.z_u
-        multipliers = Multipliers(
-            of_rows,
-            np.array(found.y) if p else np.zeros(0),
-            np.array(found.z_bl),
-            np.array(found.z_bu),
-        )
-        return EngineAnswer(
-            np.array(found.x),
-            multipliers,
-            0 if says is EngineStatus.GAVE_UP else int(found.info.iter),
-            says,
-        )
+        y = np.zeros(m + p)
+        y[:m][is_limit], y[m:] = found.z_u, found.y
+        steps = 0 if says is EngineStatus.GAVE_UP else int(found.info.iter)
+        return EngineAnswer(np.array(found.x), y, steps, says)
 
 
 def _to_csc(A: Any) -> Any:

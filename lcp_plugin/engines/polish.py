@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
-from .engine import EngineAnswer, Multipliers, ProgramData
+from .engine import EngineAnswer, ProgramData
 
 STEPS, ROUNDS = 15, 2
 SHIFTS = 2.0**-26, 2.0**-50  # δ relative to the largest entry of its row
@@ -43,17 +43,16 @@ def polish_steps(
     --------
     >>> none = np.zeros((0, 1)), np.zeros(0)
     >>> program = ProgramData(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
-    >>> near = Multipliers(np.zeros(0), np.zeros(0), np.zeros(1), np.array([0.9]))
-    >>> found, *_ = polish_steps(program, EngineAnswer(np.array([1.99]), near, 0, None))
-    >>> found.x, found.multipliers.upper
-    (array([2.]), array([1.]))
+    >>> found, *_ = polish_steps(program, EngineAnswer(np.array([1.99]), np.zeros(0), 0, None))
+    >>> found.x
+    array([2.])
     """
     lower, upper, m = program.lower, program.upper, program.h.size
     stacked = sp.vstack if sp.issparse(program.G) else np.vstack
     rows = stacked([program.G, program.A])
     rows = sp.csr_array(rows) if sp.issparse(rows) else rows
     right, transposed, known = np.concatenate([program.h, program.b]), rows.T, set[bytes]()
-    x, y = np.clip(point.x, lower, upper), np.concatenate(point.multipliers[:2])
+    x, y = np.clip(point.x, lower, upper), point.y
     for _ in range(rounds):
         pull = -(program.P @ x + program.c + transposed @ y)
         at_lower = (-pull > x - lower) | (lower == upper)
@@ -78,13 +77,8 @@ def polish_steps(
                     return
                 x[free] += step[: free.size]
                 y[of_rows] += step[free.size :]
-            near, signed = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
-            gradient = program.P @ near + program.c + transposed @ signed
-            below = np.where(near == lower, np.maximum(gradient, 0.0), 0.0)
-            above = np.where(near == upper, np.maximum(-gradient, 0.0), 0.0)
-            yield point._replace(
-                x=near, multipliers=Multipliers(signed[:m], signed[m:], below, above)
-            )
+            signed = np.append(np.maximum(y[:m], 0.0), y[m:])
+            yield point._replace(x=np.clip(x, lower, upper), y=signed)
 
 
 def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:

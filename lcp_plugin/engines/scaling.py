@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector, assemble_csr
 from ..core.matrix.matrix import largest_in_rows
-from .engine import EngineAnswer, Multipliers, ProgramData
+from .engine import EngineAnswer, ProgramData
 
 FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active
 MOST = 0.9  # share of costs and right-hand sides that scaling brings to at most about 1
@@ -58,13 +58,7 @@ class ScaledProgram(NamedTuple):
 
     def outward(self, point: EngineAnswer) -> EngineAnswer:
         """Return the unscaled point."""
-        inequality, equality, lower, upper = point.multipliers
-        of_G, of_A = np.split(self.rows / self.objective, [inequality.size])
-        of_bounds = 1.0 / (self.units * self.objective)
-        multipliers = Multipliers(
-            inequality * of_G, equality * of_A, lower * of_bounds, upper * of_bounds
-        )
-        return point._replace(x=point.x * self.units, multipliers=multipliers)
+        return point._replace(x=point.x * self.units, y=point.y * (self.rows / self.objective))
 
 
 def scale_program(given: ProgramData, units: FloatVector) -> ScaledProgram:

@@ -18,7 +18,7 @@ from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
-from ..engines import Engine, Limits, Multipliers, ProgramData
+from ..engines import Engine, Limits, ProgramData
 from ..engines.piqp import PIQP
 from ..engines.scaling import scale_program
 from ..systems.equilibration import power_of_two
@@ -181,16 +181,16 @@ class MonotoneProgram:
         point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
-            z[self.multipliers] = (
-                self.anchor[self.multipliers] + self._signed(point.multipliers) * self.size
-            )
+            z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.y) * self.size
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
 
-    def _signed(self, found: Multipliers) -> FloatVector:
+    def _signed(self, of_rows: FloatVector) -> FloatVector:
         lower, upper = self.problem.lower[self.multipliers], self.problem.upper[self.multipliers]
         is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
-        y[is_equation] = found.equality
-        y[~is_equation] = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * found.inequality
+        y[is_equation] = of_rows[self.statement.h.size :]
+        y[~is_equation] = (
+            np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * of_rows[: self.statement.h.size]
+        )
         return y
 
 

@@ -208,12 +208,11 @@ def no_point(old: Any) -> Any:
     """The same of PIQP."""
 
     def by_piqp(*statement: Any) -> Any:
-        from lcp_plugin.engines import EngineAnswer, EngineStatus, Multipliers, ProgramData
+        from lcp_plugin.engines import EngineAnswer, EngineStatus, ProgramData
 
         program = ProgramData(*statement)
-        n, m, p = program.c.size, program.h.size, program.b.size
-        multipliers = Multipliers(*(np.full(size, np.nan) for size in (m, p, n, n)))
-        return program, EngineAnswer(np.full(n, np.nan), multipliers, 0, EngineStatus.GAVE_UP)
+        x, y = np.full(program.c.size, np.nan), np.full(program.h.size + program.b.size, np.nan)
+        return program, EngineAnswer(x, y, 0, EngineStatus.GAVE_UP)
 
     return by_piqp
 

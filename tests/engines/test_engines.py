@@ -18,7 +18,6 @@ from lcp_plugin.engines import (
     EngineAnswer,
     EngineStatus,
     Limits,
-    Multipliers,
     ProgramData,
     engine_class,
 )
@@ -178,8 +177,7 @@ def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
 
         def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
             n, m, p = program.c.size, program.h.size, program.b.size
-            zeros = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
-            return EngineAnswer(np.full(n, self.value), zeros, 1, EngineStatus.OPTIMAL)
+            return EngineAnswer(np.full(n, self.value), np.zeros(m + p), 1, EngineStatus.OPTIMAL)
 
     program = QuadraticProgram(None, [-1, -1, 2], [[1, 2, 3]], [6], lower=0, upper=5)
     assert not solve(program, Liar()).is_solved
@@ -223,12 +221,9 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
         scale_program(given_, units),
     ):
         inside, x, y = scaled.statement, rng.normal(size=n), rng.random(m)
-        zeros = np.zeros(n)
-        back = scaled.outward(
-            EngineAnswer(x, Multipliers(y, none[1], zeros, zeros), 0, EngineStatus.OPTIMAL)
-        )
+        back = scaled.outward(EngineAnswer(x, y, 0, EngineStatus.OPTIMAL))
         left = inside.P @ x + inside.c + inside.G.T @ y
-        whole = given_.P @ back.x + given_.c + given_.G.T @ back.multipliers.inequality
+        whole = given_.P @ back.x + given_.c + given_.G.T @ back.y
         np.testing.assert_allclose(left, whole * scaled.units * scaled.objective, rtol=1e-9)
 
 
@@ -247,8 +242,6 @@ def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
         program.upper,
     )
     rough = run_engine(program, engine_class("daqp")(), 1e-9, GIVEN).solution
-    multipliers = Multipliers(rough.inequality, rough.equality, rough.lower, rough.upper)
-    found, *_ = polish_steps(
-        statement, EngineAnswer(x + 1e-4, multipliers, 0, EngineStatus.GAVE_UP)
-    )
+    y = np.append(rough.inequality, rough.equality)
+    found, *_ = polish_steps(statement, EngineAnswer(x + 1e-4, y, 0, EngineStatus.GAVE_UP))
     assert np.abs(found.x - x).max() <= 1e-12

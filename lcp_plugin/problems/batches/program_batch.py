@@ -11,7 +11,6 @@ from ...auto import parse_call
 from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
-from ...engines.engine import split_bound_multipliers
 from ..many.chunks import run_in_chunks
 from ..programs.criterion import errors_of_each
 from ..programs.program import CANCELS
@@ -88,7 +87,10 @@ class ProgramBatchRun(BatchRun):
             x[k], signed[k], steps[k] = at, multipliers, count
         y = signed[:, n:]
         y[:, :m] = np.maximum(y[:, :m], 0.0)
-        of_bounds = split_bound_multipliers(signed[:, :n], lower, upper)
+        of_bounds = (
+            np.maximum(-signed[:, :n], 0.0) * np.isfinite(lower),
+            np.maximum(signed[:, :n], 0.0) * np.isfinite(upper),
+        )
         x = np.clip(x, lower, upper)
         together = blocks(P, c, C, d, m, lower, upper)
         of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])

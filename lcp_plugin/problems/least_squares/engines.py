@@ -190,9 +190,10 @@ class Split(NamedTuple):
         E, k = self.E, self.slopes.size
         none = np.zeros((0, k)), np.zeros(0)
         cost = self.slopes - E.T @ b
-        z, multipliers = _answer(E.T @ E, cost, *none, *none, self.lower, self.upper)[1][:2]
-        z = np.where(multipliers.lower > z - self.lower, self.lower, z)
-        return self.join_parts(np.where(multipliers.upper > self.upper - z, self.upper, z))
+        z = _answer(E.T @ E, cost, *none, *none, self.lower, self.upper)[1].x
+        slope = E.T @ (E @ z) + cost
+        z = np.where(slope > z - self.lower, self.lower, z)
+        return self.join_parts(np.where(-slope > self.upper - z, self.upper, z))
 
     def solve_residual_form(self, b: FloatVector) -> Iterator[FloatVector]:
         """Yield PIQP's x for min ½‖r‖² + slopesᵀz with E z − r = b, polished and as returned."""
@@ -228,7 +229,7 @@ class Split(NamedTuple):
             *(np.full(m, -np.inf), np.full(m, np.inf)),
         )[1]
         z = np.zeros(sign.size)
-        z[is_bounded], z[~is_bounded] = answer.multipliers[:2]
+        z[is_bounded], z[~is_bounded] = np.split(answer.y, [np.count_nonzero(is_bounded)])
         z = np.where(is_bounded & (z <= right - rows @ answer.x), 0.0, z)
         return self.join_parts(start + sign * z)
 

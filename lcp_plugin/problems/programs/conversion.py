@@ -77,19 +77,22 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
 def optimality_conditions(program: QuadraticProgram, tolerance: float = PROGRAM_TOLERANCE) -> LCP:
     """Return the conditions of a program known to be convex; a run on them stops at a solution of the program."""
     origin = QPOrigin(program, tolerance)
-    problem = origin.problem()
+    problem = conditions(origin.reduced)
     problem.origin = origin
     return problem
 
 
 def conditions(program: QuadraticProgram) -> LCP:
     """Return the optimality conditions of (x, inequality, equality); rows without a limit have no multiplier."""
-    limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
-    is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
-    lower = np.concatenate([-free, np.zeros(program.h.size), -none])
-    upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
-    q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
-    return LCP(program.matrices.kkt, q, lower=lower, upper=upper)
+    matrices, limits = program.matrices, program.constraints.right
+    m, p = matrices.sizes[:2]
+    is_limit = np.isfinite(limits)
+    return LCP(
+        matrices.kkt if m + p else matrices.hessian,
+        np.concatenate([program.c, np.where(is_limit, limits, 0.0)]),
+        lower=np.concatenate([program.lower, np.zeros(m), np.full(p, -np.inf)]),
+        upper=np.concatenate([program.upper, np.where(is_limit, np.inf, 0.0)]),
+    )
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
@@ -198,17 +201,6 @@ class QPOrigin:
     def form(self) -> str:
         """Return "direct" if only bounds remain, else "kkt"."""
         return "kkt" if self.rows else "direct"
-
-    def problem(self) -> LCP:
-        """Return the LCP of n + m + p rows; its symmetric part is P next to zeros."""
-        program, rows = self.reduced, self.rows
-        multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
-        return LCP(
-            program.matrices.kkt if rows else program.matrices.hessian,
-            np.concatenate([program.c, program.constraints.right]),
-            lower=np.concatenate([program.lower, multiplier]),
-            upper=np.append(program.upper, np.full(rows, np.inf)),
-        )
 
     def recover(self, answer: Any) -> QPSolution:
         """Return the solution of the program from a solution of the complementarity problem.

@@ -18,7 +18,6 @@ from ...engines import (
     EngineAnswer,
     EngineStatus,
     Limits,
-    Multipliers,
     ProgramData,
     engine_class,
 )
@@ -129,17 +128,16 @@ def run_engine(
             asked = statement if scaled is None else scaled.statement
             point = _call_engine(engine, asked, is_verbose)
             iterations, says = iterations + point.iterations, point.says
-            if not np.isfinite(np.concatenate([point.x, *point.multipliers[:2]])).all():
+            if not np.isfinite(np.append(point.x, point.y)).all():
                 continue
             rounds = 0 if says in NO_MINIMUM else ROUNDS
             for near in candidates(asked, point, rounds):
                 back = near if scaled is None else scaled.outward(near)
                 x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
-                y = np.concatenate(back.multipliers[:2])
-                found = Errors.of(reduced, x, y, tolerance)
+                found = Errors.of(reduced, x, back.y, tolerance)
                 is_better = found.largest < errors.largest or found.meet(tolerance)
                 if is_better and not (errors.meet(tolerance) and found.is_excused):
-                    best, errors = (x, y), found
+                    best, errors = (x, back.y), found
                 if (found.meet(tolerance) and not found.is_excused) or is_over():
                     break
             if errors.meet(tolerance) or is_over():
@@ -166,19 +164,19 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
     If the objective vanishes, multipliers may be noise, and if 0 meets all rows, all of x may be.
     """
     yield point
-    none = Multipliers(*(np.zeros_like(one) for one in point.multipliers))
-    zero, clean = np.clip(0.0, statement.lower, statement.upper), quiet(point)
+    none, clean = np.zeros_like(point.y), quiet(point)
+    zero = np.clip(0.0, statement.lower, statement.upper)
     may_be_zero = _is_feasible(statement, zero)
     if _has_noisy_multipliers(statement, clean):
-        yield clean._replace(multipliers=none)
+        yield clean._replace(y=none)
     if clean is not point:
         yield clean
     if may_be_zero:
-        yield point._replace(x=zero, multipliers=none)
+        yield point._replace(x=zero, y=none)
     for one in () if is_over() else polish_steps(statement, point, rounds):
         clean = quiet(one)
         if _has_noisy_multipliers(statement, clean):
-            yield clean._replace(multipliers=none)
+            yield clean._replace(y=none)
         yield one
         if clean is not one:
             yield clean
@@ -196,26 +194,20 @@ def _is_feasible(statement: ProgramData, x: FloatVector) -> bool:
 def _has_noisy_multipliers(statement: ProgramData, point: EngineAnswer) -> bool:
     """Return whether the terms of the objective differ greatly in size from the terms multiplier × right-hand side."""
     x, sides = point.x, np.concatenate([statement.h, statement.b])
-    y = np.concatenate(point.multipliers[:2])
-    of_rows = np.abs(y[y != 0.0]) @ np.abs(sides[y != 0.0])
+    used = point.y != 0.0
+    of_rows = np.abs(point.y[used]) @ np.abs(sides[used])
     objective = np.abs(statement.c) @ np.abs(x) + abs(x @ (statement.P @ x))
     return bool(min(of_rows, objective) <= MATTERS * max(of_rows, objective))
 
 
 def quiet(point: EngineAnswer) -> EngineAnswer:
     """Return the point with 0 in place of x and multipliers of rows at rounding level of the largest, if any."""
-    inequality, equality, *of_bounds = point.multipliers
-    y, x = np.concatenate([inequality, equality]), np.abs(point.x)
-    of_y = np.abs(y)
-    is_noise = of_y <= NOISE * of_y.max(initial=0.0), x <= NOISE * x.max(initial=0.0)
-    if not (y[is_noise[0]].any() or x[is_noise[1]].any()):
+    of_y, of_x = np.abs(point.y), np.abs(point.x)
+    y = np.where(of_y <= NOISE * of_y.max(initial=0.0), 0.0, point.y)
+    x = np.where(of_x <= NOISE * of_x.max(initial=0.0), 0.0, point.x)
+    if (x == point.x).all() and (y == point.y).all():
         return point
-    return point._replace(
-        x=np.where(is_noise[1], 0.0, point.x),
-        multipliers=Multipliers(
-            *np.split(np.where(is_noise[0], 0.0, y), [inequality.size]), *of_bounds
-        ),
-    )
+    return point._replace(x=x, y=y)
 
 
 def _statements(given: ProgramData) -> Iterator[ProgramData]:

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
-    assemble_csr,
     check_order,
     checked_limit,
     checked_right_side,
     checked_vector,
+    freeze_csr,
     read_only,
     rectangular_matrix,
     restore_state,
@@ -38,6 +38,7 @@ from .no_minimum import (
 )
 from .program_matrices import ProgramMatrices
 
+VECTORS = "c", "h", "b", "lower", "upper"
 SYMMETRIC_TO = 1e-12
 CANCELS = 1e-9  # of the objective: rounding that matters
 NO_LIMITS = read_only(np.zeros(0))  # of no rows
@@ -168,19 +169,9 @@ class QuadraticProgram:
         equal, sides = np.flatnonzero(is_equality), above.size + below.size
         order, signs = np.concatenate([above, below, equal]), np.ones(sides + equal.size)
         signs[above.size : sides] = -1.0
-        begins, counts = rows.indptr[order], np.diff(rows.indptr)[order]
-        ends = np.append(0, np.cumsum(counts))
-        places = np.arange(ends[-1]) + np.repeat(begins - ends[:-1], counts)
-        data, columns = rows.data[places] * np.repeat(signs, counts), rows.indices[places]
-        G, equations = (
-            assemble_csr(
-                data[ends[first] : ends[last]],
-                columns[ends[first] : ends[last]],
-                ends[first : last + 1] - ends[first],
-                (last - first, n),
-            )
-            for first, last in ((0, sides), (sides, order.size))
-        )
+        both = rows[order]
+        both.data *= np.repeat(signs, np.diff(both.indptr))
+        G, equations = freeze_csr(both[:sides]), freeze_csr(both[sides:])
         bounds = [
             checked_limit(bound, name, n) for bound, name in ((lower, "lower"), (upper, "upper"))
         ]
@@ -261,40 +252,15 @@ class QuadraticProgram:
         return made
 
     @classmethod
-    def with_matrices(
-        cls,
-        matrices: ProgramMatrices,
-        c: FloatVector,
-        h: FloatVector,
-        b: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-    ) -> QuadraticProgram:
-        """Return the program of these data, which are not checked."""
+    def with_matrices(cls, matrices: ProgramMatrices, *vectors: FloatVector) -> QuadraticProgram:
+        """Return the program of these matrices and of c, h, b, lower and upper, which are not checked."""
         made = object.__new__(cls)
-        made._keep(matrices, c, h, b, lower, upper)
+        made._keep(matrices, *vectors)
         return made
 
-    def _keep(
-        self,
-        matrices: ProgramMatrices,
-        c: FloatVector,
-        h: FloatVector,
-        b: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-    ) -> None:
-        self.__dict__.update(
-            P=matrices.P,
-            c=c,
-            G=matrices.G,
-            h=h,
-            A=matrices.A,
-            b=b,
-            lower=lower,
-            upper=upper,
-            matrices=matrices,
-        )
+    def _keep(self, matrices: ProgramMatrices, *vectors: FloatVector) -> None:
+        self.__dict__.update(zip(VECTORS, vectors, strict=True))
+        self.__dict__.update(P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
 
     @np.errstate(under="ignore")
     def objective(self, x: ArrayLike) -> float:

@@ -32,7 +32,7 @@ from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, ROWS, Errors
 from .engine_calls import NO_MINIMUM, EngineRun, attempts, nearest, run_engine
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
-from .program import QuadraticProgram
+from .program import VECTORS, QuadraticProgram
 from .reductions import FoldedRows
 from .solution import QPSolution
 
@@ -47,7 +47,6 @@ OF_THE_LCP = (
 SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 PIVOTS = "lemke"  # on thousands of rows they take minutes; external solvers are next
-VECTORS = {"c", "h", "b", "lower", "upper"}
 
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
@@ -483,7 +482,7 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
         )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):
-        if not isinstance(one, Mapping) or (unknown := set(one) - VECTORS):
+        if not isinstance(one, Mapping) or (unknown := set(one) - {*VECTORS}):
             what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
             raise InvalidProblem(
                 f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}"

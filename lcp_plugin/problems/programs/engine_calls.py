@@ -128,8 +128,6 @@ def run_engine(
             asked = statement if scaled is None else scaled.statement
             point = _call_engine(engine, asked, is_verbose)
             iterations, says = iterations + point.iterations, point.says
-            if not np.isfinite(np.append(point.x, point.y)).all():
-                continue
             rounds = 0 if says in NO_MINIMUM else ROUNDS
             for near in candidates(asked, point, rounds):
                 back = near if scaled is None else scaled.outward(near)

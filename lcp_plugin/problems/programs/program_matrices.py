@@ -95,11 +95,9 @@ class ProgramMatrices:
     @cached_property
     def has_short_rows(self) -> bool:
         """True if some row of G or A has at most one entry."""
-        counts = (
-            np.diff(one.indptr) if sp.issparse(one) else (one != 0.0).sum(axis=1)
-            for one in (self.G, self.A)
-        )
-        return any((count <= 1).any() for count in counts)
+        is_dense = self.is_dense
+        counts = (self.dense_rows != 0.0).sum(axis=1) if is_dense else np.diff(self.rows.indptr)
+        return bool((counts <= 1).any())
 
     @cached_property
     def is_dense(self) -> bool:
@@ -128,20 +126,13 @@ class ProgramMatrices:
         return P, C, abs(P), of_C, of_C.T if self.is_dense else sp.csr_array(of_C.T)
 
     @cached_property
-    def summands(self) -> tuple[int, int]:
-        """Largest numbers of terms in a row of [G; A] and in a row of P."""
+    def summands(self) -> tuple[Any, Any, Any]:
+        """Upper bounds of the numbers of terms in rows of [G; A], in rows of P, and in columns of [G; A]."""
+        m, p, n, _ = self.sizes
         if self.is_dense:
-            return self.P.shape[0], self.P.shape[0]
-        counts = (np.diff(one.indptr).max(initial=0) for one in (self.rows, self.sparse_P))
-        return tuple(map(int, counts))  # type: ignore[return-value]
-
-    def terms_of_columns(self, y: FloatVector) -> Any:
-        """Return the number of nonzero terms c_ij y_i in each column, or one upper bound for all columns."""
-        if self.is_dense:
-            return np.count_nonzero(y)
-        return np.bincount(
-            self.rows.indices, np.repeat(y != 0.0, np.diff(self.rows.indptr)), self.P.shape[0]
-        )
+            return n, n, m + p
+        in_rows, in_P = (np.diff(one.indptr).max(initial=0) for one in (self.rows, self.sparse_P))
+        return in_rows, in_P, np.bincount(self.rows.indices, minlength=n)
 
     @cached_property
     def fit(self) -> tuple[FloatVector, FloatVector]:

@@ -20,6 +20,7 @@ from ...core.checks import (
 from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
 from .convexity import refuse_nonconvex
+from .criterion import ProgramComponents
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
 from .program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_small
 
@@ -228,18 +229,17 @@ class QuadraticProgramBatch:
 
 def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> QuadraticProgram:
     """Return programs of one shape as one block diagonal program, from finite `QuadraticProgramBatch.arrays`."""
-    count = len(c)
-    matrices = ProgramMatrices(
-        *(
-            block_diagonal(np.broadcast_to(one, (count, *one.shape[1:])))
-            for one in (P, C[:, :m], C[:, m:])
-        )
-    )
+    (count, n), rows = c.shape, d.shape[1]
+    stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
+    matrices = ProgramMatrices(*map(block_diagonal, stacks))
     units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fit_units_of(P, C))
-    matrices.__dict__["fit"] = (
-        units.ravel(),
-        np.concatenate([of_rows[:, :m].ravel(), of_rows[:, m:].ravel()]),
-    )
+    both = np.concatenate([of_rows[:, :m].ravel(), of_rows[:, m:].ravel()])
+    matrices.__dict__.update(fit=(units.ravel(), both), summands=(n, n, rows))
+    is_connected = [(one != 0.0).all(axis=2).any(axis=1) for one in (P, C)]  # by a row without 0
+    if np.logical_or(*is_connected).all():
+        of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))
+        components = ProgramComponents(of_unknown, np.concatenate(parts), count)
+        matrices.__dict__["components"] = components
     h, b = d[:, :m].ravel(), d[:, m:].ravel()
     return QuadraticProgram.with_matrices(matrices, c.ravel(), h, b, lower.ravel(), upper.ravel())
 

@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
@@ -29,7 +28,6 @@ from ...engines.scaling import (
 )
 from .criterion import MATTERS, ROWS, Errors
 from .program import QuadraticProgram
-from .program_matrices import as_array
 from .reductions import FoldedRows
 from .solution import QPSolution
 
@@ -122,7 +120,8 @@ def run_engine(
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors = Errors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # a point that overflows fails the test
-        given = _statement(reduced)
+        (P, G, A), one = reduced.matrices.arrays, reduced
+        given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
         for statement in (given,) if units is GIVEN else _statements(given):
             scaled = None if units is GIVEN else _scale_statement(reduced, statement, units)
             asked = statement if scaled is None else scaled.statement
@@ -242,13 +241,3 @@ def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> En
 def _shorten_message(error: Exception) -> str:
     """Return the first sentence of an external error message, or the head of a binding's list of signatures."""
     return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
-
-
-def _statement(program: QuadraticProgram) -> ProgramData:
-    """Return a program in the form for engines: all matrices dense, or all sparse."""
-    matrices = program.matrices
-    if matrices.is_dense and (isinstance(program.P, np.ndarray) or matrices.is_small):
-        P, G, A = map(as_array, (program.P, program.G, program.A))
-    else:
-        P, G, A = map(sp.csr_array, (program.P, program.G, program.A))
-    return ProgramData(P, program.c, G, program.h, A, program.b, program.lower, program.upper)

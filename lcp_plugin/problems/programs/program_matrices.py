@@ -15,7 +15,6 @@ from ...core.checks import (
     DENSE_ABOVE_DENSITY,
     DENSE_UP_TO_SIZE,
     FloatVector,
-    read_only,
 )
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
@@ -79,9 +78,12 @@ class ProgramMatrices:
         return sp.vstack([self.rows, -identity, identity], format="csr")
 
     @cached_property
-    def dense_rows(self) -> FloatVector:
-        """[G; A] as an ndarray, C-contiguous."""
-        return read_only(np.vstack([as_array(self.G), as_array(self.A)]))
+    def arrays(self) -> tuple[Any, Any, Any]:
+        """P, G and A: all ndarrays if they are small or given so, else all CSR arrays."""
+        given = self.P, self.G, self.A
+        are_dense = self.is_small or all(isinstance(one, np.ndarray) for one in given)
+        P, G, A = map(as_array if are_dense else sp.csr_array, given)
+        return P, G, A
 
     @cached_property
     def engine_units(self) -> tuple[FloatVector, FloatVector]:
@@ -95,14 +97,9 @@ class ProgramMatrices:
     @cached_property
     def has_short_rows(self) -> bool:
         """True if some row of G or A has at most one entry."""
-        is_dense = self.is_dense
-        counts = (self.dense_rows != 0.0).sum(axis=1) if is_dense else np.diff(self.rows.indptr)
+        C = self.measured[1]
+        counts = np.diff(C.indptr) if sp.issparse(C) else (C != 0.0).sum(axis=1)
         return bool((counts <= 1).any())
-
-    @cached_property
-    def is_dense(self) -> bool:
-        """True if P, G and A are ndarrays or have no entries."""
-        return not self.has_sparse_rows and (isinstance(self.P, np.ndarray) or not self.P.nnz)
 
     @cached_property
     def components(self) -> ProgramComponents:
@@ -121,26 +118,27 @@ class ProgramMatrices:
     @cached_property
     def measured(self) -> tuple[Any, Any, Any, Any, Any]:
         """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
-        P, C = (self.P, self.dense_rows) if self.is_dense else (self.sparse_P, self.rows)
+        P, G, A = self.arrays
+        C = self.rows if sp.issparse(P) else np.vstack([G, A])
         of_C = abs(C)
-        return P, C, abs(P), of_C, of_C.T if self.is_dense else sp.csr_array(of_C.T)
+        return P, C, abs(P), of_C, sp.csr_array(of_C.T) if sp.issparse(P) else of_C.T
 
     @cached_property
     def summands(self) -> tuple[Any, Any, Any]:
         """Upper bounds of the numbers of terms in rows of [G; A], in rows of P, and in columns of [G; A]."""
-        m, p, n, _ = self.sizes
-        if self.is_dense:
+        (m, p, n, _), (P, C, *_) = self.sizes, self.measured
+        if not sp.issparse(P):
             return n, n, m + p
-        in_rows, in_P = (np.diff(one.indptr).max(initial=0) for one in (self.rows, self.sparse_P))
-        return in_rows, in_P, np.bincount(self.rows.indices, minlength=n)
+        in_rows, in_P = (np.diff(one.indptr).max(initial=0) for one in (C, P))
+        return in_rows, in_P, np.bincount(C.indices, minlength=n)
 
     @cached_property
     def fit(self) -> tuple[FloatVector, FloatVector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
-        n, rows = self.P.shape[0], sum(self.sizes[:2])
-        if n + rows > DENSE_FIT:
+        P, C = self.measured[:2]
+        if sp.issparse(P) or sum(C.shape) > DENSE_FIT:
             return fitted_units(self.sparse_P, self.rows)
-        return fit_units_of(as_array(self.P), self.dense_rows)
+        return fit_units_of(P, C)
 
     @cached_property
     def is_small(self) -> bool:
@@ -151,14 +149,6 @@ class ProgramMatrices:
             for one in (self.P, self.G, self.A)
         )
         return may_be_small(n, m + p, entries)
-
-    @cached_property
-    def has_sparse_rows(self) -> bool:
-        """True if some constraints are a sparse array."""
-        m, p = self.sizes[:2]
-        return bool(
-            (m and not isinstance(self.G, np.ndarray)) or (p and not isinstance(self.A, np.ndarray))
-        )
 
     @cached_property
     def gradient(self) -> sp.csr_array:

@@ -31,7 +31,6 @@ from lcp_plugin import (
     trace,
 )
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TESTS = Path(__file__).parents[1]
@@ -591,9 +590,8 @@ def least_squares(count: int = 108) -> Iterator[Input]:
         return draw(KINDS[number % len(KINDS)], np.random.default_rng([SEED, number]))
 
     def ask(case: Any) -> Any:
-        return bounded_least_squares(
-            case.A, case.b, case.lower, case.upper, weights=case.weights, ridge=case.ridge
-        )
+        kept = {"weights": case.weights, "ridge": case.ridge}
+        return solve(BoundedLeastSquares(case.A, case.b, case.lower, case.upper, **kept))
 
     def judge(number: int, case: Any, result: Any) -> str:
         if not result.is_solved:

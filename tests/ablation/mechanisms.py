@@ -394,12 +394,6 @@ MECHANISMS = (
         "problems/least_squares/engines.py:_solve_by_nnls",
     ),
     Mechanism(
-        "nnls as given",
-        "small nonnegative problems by nnls as they stand, judged at once",
-        {f"{LEAST}.engines:nnls_as_given": says(None)},
-        "problems/least_squares/engines.py:nnls_as_given problems/least_squares/engines.py:_nnls_optimality",
-    ),
-    Mechanism(
         "PIQP of least squares",
         "PIQP on normal equations, the dual, and the problem as it stands",
         {f"{LEAST}.engines:_answer": Instead(no_point)},

@@ -69,9 +69,9 @@ def _program() -> None:
 
 
 def _least_squares() -> None:
-    from lcp_plugin.problems.least_squares.solving import bounded_least_squares
+    from lcp_plugin import BoundedLeastSquares, solve
 
-    bounded_least_squares(_random(5 * SIZE, SIZE), np.arange(5.0 * SIZE))
+    solve(BoundedLeastSquares(_random(5 * SIZE, SIZE), np.arange(5.0 * SIZE)))
 
 
 def _game() -> None:

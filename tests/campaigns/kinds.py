@@ -34,7 +34,6 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.algorithm import SWEEPS
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 from . import (
     convex_programs,
@@ -447,7 +446,7 @@ def least_cost(rng: Generator, kind: str) -> Found:
     judge = least_squares
     case = judge.draw(kind, rng)
     given = {"weights": case.weights, "ridge": case.ridge, "tolerance": judge.TOLERANCE}
-    result = bounded_least_squares(case.A, case.b, case.lower, case.upper, **given)
+    result = least_squares.bounded_least_squares(case.A, case.b, case.lower, case.upper, **given)
     if not result.is_solved:
         yield Finding(OPEN, result.status.name)
     elif judge.complaint(case, judge.Exact(case), result.x) == "FALSE":

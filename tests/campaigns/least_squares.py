@@ -22,6 +22,9 @@ from typing import Any
 import numpy as np
 from exact import solve_fractions
 
+from lcp_plugin import BoundedLeastSquares
+from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, solve_least_squares
+
 INF = np.inf
 EPSILON = float(np.finfo(float).eps)
 TOLERANCE = 1e-8
@@ -37,6 +40,22 @@ KINDS = (
     "rank in units",
     "exact fit",
 )
+
+
+def bounded_least_squares(
+    A: Any,
+    b: Any,
+    lower: Any = 0.0,
+    upper: Any = INF,
+    *,
+    weights: Any = None,
+    ridge: float = 0.0,
+    l1: Any = 0.0,
+    **options: Any,
+) -> LeastSquaresResult:
+    """Solve a problem, stated by its data, with the options of a run."""
+    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge, l1=l1)
+    return solve_least_squares(problem, **options)
 
 
 @dataclass(frozen=True)

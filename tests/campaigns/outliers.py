@@ -26,11 +26,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from campaigns.least_squares import bounded_least_squares
 from exact import exact_rows, solve_fractions
 from scipy.linalg import block_diag
 
 import lcp_plugin as lp
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 Generator = np.random.Generator
 RIGHT, REFUSED, FALSE, OPEN = "right", "refused", "FALSE", "open"

@@ -10,6 +10,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns.least_squares import bounded_least_squares
 from small_families import falling_bodies
 from test_driver import TRAP
 
@@ -24,7 +25,6 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 CONTACT = falling_bodies(10)
 TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle

@@ -14,8 +14,7 @@ from unittest import SkipTest
 
 import numpy as np
 
-from lcp_plugin import QPSolver, QuadraticProgram, Status, solve
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
+from lcp_plugin import BoundedLeastSquares, QPSolver, QuadraticProgram, Status, solve
 
 # The test: why it says nothing about this package.
 OPTIONS, REFUSED = "scipy's own options and warnings", "refused as input: lower > upper"
@@ -169,7 +168,7 @@ def our_linprog(
 
 def our_nnls(A: Any, b: Any, maxiter: Any = None, **_: Any) -> tuple[Any, float]:
     """scipy.optimize.nnls."""
-    found = bounded_least_squares(A, b)
+    found = solve(BoundedLeastSquares(A, b))
     return found.x, float(np.linalg.norm(np.asarray(A) @ found.x - b))
 
 
@@ -178,7 +177,7 @@ def our_lsq_linear(A: Any, b: Any, bounds: Any = (-np.inf, np.inf), **_: Any) ->
     from scipy.optimize import OptimizeResult
 
     lower, upper = (bounds.lb, bounds.ub) if hasattr(bounds, "lb") else bounds
-    found = bounded_least_squares(A, b, lower, upper)
+    found = solve(BoundedLeastSquares(A, b, lower, upper))
     fun = np.ravel(A @ found.x) - b
     mask = np.where(found.x == lower, -1, np.where(found.x == upper, 1, 0))
     return OptimizeResult(

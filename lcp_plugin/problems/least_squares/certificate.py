@@ -40,7 +40,7 @@ import scipy.sparse as sp
 from ...core.certificates.criterion import is_within
 from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
-from ...core.kernels.floats import TINY
+from ...core.kernels.floats import EPSILON, TINY
 from ...core.rounding import compensated_product
 from .data import BoundedLeastSquares
 from .enclosures import (
@@ -48,9 +48,8 @@ from .enclosures import (
     OUTWARD,
     Ball,
     Enclosures,
-    largest_residual,
+    clip,
     shortest_solution,
-    typical_rounding,
 )
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
@@ -111,11 +110,12 @@ class Optimality:
         """Return whether x is SOLVED."""
         return bool(is_within(self.value, 0.0, tolerance))
 
-    def is_better(self, other: Optimality) -> bool:
-        """Return whether this is more optimal than another."""
-        return (self.value, self.cost) < (other.value, other.cost)
-
     @property
+    def order(self) -> tuple[float, float]:
+        """Value and cost: a point with less is more optimal."""
+        return self.value, self.cost
+
+    @cached_property
     def cost(self) -> float:
         """The cost of x."""
         return self.enclosures.problem.cost(self.x, self.residual[0])
@@ -147,12 +147,25 @@ class Optimality:
 
     @cached_property
     def _largest(self) -> tuple[float, bool]:
-        problem = self.enclosures.problem
+        """An upper bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and if it is rounding.
+
+        prox moves by l1 towards 0, but not beyond. NaN if a component is not a number. Of a LinearOperator, whose terms
+        have unknown sizes, the rounding error of the gradient is estimated.
+        """
+        problem, scales, root = (
+            (one := self.enclosures.problem),
+            one.column_scales,
+            one.root_weights,
+        )
         slope, radius = self.enclosures.gradient(self.x, self.residual)
         if not problem.has_entries:
-            radius = typical_rounding(problem, self.x, self.residual[0])
-        bounds = problem.lower, problem.upper, problem.l1
-        return largest_residual((slope, radius), self.x, *bounds, problem.column_scales)
+            vectors = root * self.residual[0], root * problem.b, scales * self.x
+            radius = 4.0 * EPSILON * scales * sum(map(np.linalg.norm, vectors))
+        slope, radius, x, l1 = slope / scales, radius / scales, self.x * scales, problem.l1 / scales
+        residual = clip(x, slope - l1, slope + l1)
+        residual = np.abs(clip(residual, x - problem.upper * scales, x - problem.lower * scales))
+        size = np.max(np.where(np.isfinite(slope), residual + radius, np.nan), initial=0.0)
+        return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
 
 
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVector]:

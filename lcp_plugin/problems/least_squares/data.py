@@ -178,20 +178,6 @@ class BoundedLeastSquares:
         return made
 
     @property
-    def is_plain_nnls(self) -> bool:
-        """True if the problem is nonnegative least squares with a small dense A, without weights or penalties."""
-        return (
-            self.is_dense
-            and self.shape[1] > 0
-            and self.is_small
-            and self.weights is None
-            and self.ridge == 0.0
-            and not self.lower.any()
-            and bool((self.upper == np.inf).all())
-            and not self.l1.any()
-        )
-
-    @property
     def is_small(self) -> bool:
         """True if A has explicit entries, and m · n is so small that dense copies are cheap."""
         return self.has_entries and self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES
@@ -332,29 +318,14 @@ class ScaledLeastSquares:
         part.linear = np.where(falls, -self.l1, self.linear)
         return part
 
-    @cached_property
-    def inverse_columns(self) -> FloatVector:
-        """1/columns."""
-        return np.asarray(1.0 / self.columns)
-
     def from_caller(self, x: FloatVector) -> FloatVector:
         """Return x scaled."""
         return x * (self.columns / self.size)
 
-    @property
-    def caller_bounds(self) -> tuple[FloatVector, FloatVector]:
-        """The unscaled bounds of this orthant."""
-        lower, upper = self.problem.lower, self.problem.upper
-        if self.whole is self and not self.has_kink.any():
-            return lower, upper
-        kink = self.has_kink
-        return np.where(kink & (self.lower == 0.0), 0.0, lower), np.where(
-            kink & (self.upper == 0.0), 0.0, upper
-        )
-
     def to_caller(self, x: FloatVector) -> FloatVector:
         """Return the unscaled x, exactly at a bound if the scaled x is at this bound."""
-        lower, upper = self.caller_bounds
+        lower = np.where(self.has_kink & (self.lower == 0.0), 0.0, self.problem.lower)
+        upper = np.where(self.has_kink & (self.upper == 0.0), 0.0, self.problem.upper)
         there = np.clip(x * (self.size / self.columns), lower, upper)
         return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
 
@@ -374,8 +345,8 @@ class ScaledLeastSquares:
         """Return A, which must have entries: an ndarray or a CSR array."""
         A = self.problem.weighted_matrix()
         if self.problem.is_dense:
-            return A * self.inverse_columns
-        A = sp.csr_array(A @ sp.diags_array(self.inverse_columns))
+            return A / self.columns
+        A = sp.csr_array(A @ sp.diags_array(1.0 / self.columns))
         return A.toarray() if is_dense else A
 
     def rows(self, *, is_dense: bool) -> tuple[Any, FloatVector]:

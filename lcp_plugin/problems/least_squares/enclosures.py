@@ -161,39 +161,6 @@ def shortest_solution(A: FloatVector, b: FloatVector) -> FloatVector:
     return x
 
 
-def typical_rounding(
-    problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector
-) -> FloatVector:
-    """Return an estimate of the rounding error of a gradient if the magnitudes of its terms are unknown."""
-    root, scales = problem.root_weights, problem.column_scales
-    size = (
-        np.linalg.norm(root * residual)
-        + np.linalg.norm(root * problem.b)
-        + np.linalg.norm(scales * x)
-    )
-    return 4.0 * EPSILON * (scales * size)
-
-
-def largest_residual(
-    gradient: Ball,
-    x: FloatVector,
-    lower: FloatVector,
-    upper: FloatVector,
-    l1: FloatVector,
-    scales: FloatVector,
-) -> tuple[float, bool]:
-    """Return an upper bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and if it is rounding.
-
-    prox moves by l1 towards 0, but not beyond. NaN if a component is not a number.
-    """
-    slope, radius = gradient[0] / scales, gradient[1] / scales
-    x, l1 = x * scales, l1 / scales
-    residual = clip(x, slope - l1, slope + l1)
-    residual = np.abs(clip(residual, x - upper * scales, x - lower * scales))
-    size = np.max(np.where(np.isfinite(slope), residual + radius, np.nan), initial=0.0)
-    return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
-
-
 def clip(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
     """Return mid(lower, upper, x), sooner than numpy does for short vectors."""
     return np.minimum(np.maximum(x, lower), upper)

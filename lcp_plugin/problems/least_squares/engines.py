@@ -19,14 +19,13 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import seconds_left
-from ...core.kernels.floats import EPSILON, UNIT
+from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import EngineAnswer, Limits, ProgramData
 from ...engines.piqp import PIQP
 from ...engines.polish import polish_steps
-from ...systems.factors import lapack
-from .data import BoundedLeastSquares, ScaledLeastSquares
-from .enclosures import OUTWARD, clip, shortest_solution
+from .data import ScaledLeastSquares
+from .enclosures import clip, shortest_solution
 from .steps import FacePoint
 
 MAX_NNLS_COLUMNS = 600  # or rows, whichever are fewer: nnls frees one column at a time
@@ -39,8 +38,6 @@ FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
 SECONDS_PER_ENTRY = 1e-6  # of the factorization of a sparse A with little fill
 LARGEST_FILL = 1e8  # entries of a factorization
-MOST_HIDDEN = 1e-4  # of the square of the smallest b: rounding of nnls without scaling
-LARGEST = 2.0**200  # cost, or square of x, of the same
 LARGEST_SLOPE = 1e6  # relative to b and columns of size 1: x is 0
 
 
@@ -91,53 +88,6 @@ def _dense_solutions(
     yield "piqp", split.solve_normal_equations(b)
     yield from (("piqp", x) for x in split.solve_residual_form(b))
     yield "lstsq", shortest_solution(A, b)  # bounds may be far, and PIQP's point between them, too
-
-
-def nnls_as_given(
-    problem: BoundedLeastSquares, tolerance: float
-) -> tuple[FloatVector, FloatVector, FloatVector, float] | None:
-    """Return x by nnls, A x − b, y and the optimality of a plain small problem if it is SOLVED; None otherwise.
-
-    The test is the certificate for y = A x − b, or for its part orthogonal to the free columns. It takes a fourth of
-    the seconds of the general test.
-    """
-    from scipy.optimize import nnls
-
-    A, b = problem.A, problem.b
-    if not problem.is_plain_nnls or min(A.shape) > MAX_NNLS_COLUMNS:
-        return None
-    try:
-        x = nnls(A, b, maxiter=NNLS_STEPS * A.shape[1])[0]
-    except (RuntimeError, ValueError, np.linalg.LinAlgError):
-        return None
-    with np.errstate(all="ignore"):
-        residual, sizes = A @ x - b, np.abs(A)
-        rounding = (2 * x.size + 8) * UNIT * (sizes @ x + np.abs(b))
-        least = np.min(np.square(b), initial=np.inf, where=b != 0.0)
-        if not (x.dot(x) < LARGEST and rounding.max(initial=0.0) ** 2 <= MOST_HIDDEN * least):
-            return None
-        value = _nnls_optimality(A, sizes, x, residual, 0.0)
-        if value <= tolerance:
-            return x, residual, residual, value
-        columns = A[:, x > 0.0]
-        if not 0 < columns.shape[1] <= A.shape[0]:
-            return None
-        solved, info = lapack().dgels(columns, residual)[1:]
-        y = residual - columns @ solved[: columns.shape[1]]
-        off = np.maximum(np.abs(residual - y) - rounding, 0.0)
-        value = _nnls_optimality(A, sizes, x, y, 0.5 * float(off.dot(off)))
-    return (x, residual, y, value) if info == 0 and value <= tolerance else None
-
-
-def _nnls_optimality(
-    A: FloatVector, sizes: FloatVector, x: FloatVector, y: FloatVector, gap: float
-) -> float:
-    """Return the gap at x ≥ 0 relative to the cost of y, apart from rounding; ∞ if a multiplier has the wrong sign."""
-    slope, cost = A.T @ y, 0.5 * float(y.dot(y))
-    rounding = (2 * y.size + 8) * UNIT * (sizes.T @ np.abs(y))
-    if not ((slope + rounding >= 0.0).all() and 1.0 / LARGEST < cost < LARGEST):
-        return np.inf
-    return OUTWARD**3 * (gap + float(np.maximum(slope - rounding, 0.0).dot(x))) / cost
 
 
 def _solve_by_nnls(problem: ScaledLeastSquares, A: FloatVector, b: FloatVector) -> FloatVector:

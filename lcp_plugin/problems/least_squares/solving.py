@@ -1,4 +1,4 @@
-"""bounded_least_squares(): the run, and the result."""
+"""The run of a least-squares problem, and its result."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from ...core.solving.answer import NEXT, Answer
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
-from .engines import engine_points, is_within_reach, nnls_as_given
-from .steps import FacePoint, projected_steps, through_orthants
+from .engines import engine_points, is_within_reach
+from .steps import FacePoint, projected_steps
 
 NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last such steepness
 PATIENCE = (
@@ -31,40 +31,22 @@ WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness
 PROGRESS = 0.99
 
 
-def bounded_least_squares(
-    A: Any,
-    b: ArrayLike,
-    lower: ArrayLike = 0.0,
-    upper: ArrayLike = np.inf,
+def solve_least_squares(
+    problem: BoundedLeastSquares,
     *,
     x0: ArrayLike | None = None,
-    weights: ArrayLike | None = None,
-    ridge: float = 0.0,
-    l1: ArrayLike = 0.0,
     tolerance: float = 1e-8,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
 ) -> LeastSquaresResult:
     """Minimize ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x| over lower ≤ x ≤ upper.
 
-    With the default bounds it is nonnegative least squares (NNLS); with ``lower=-np.inf`` and an l1 the lasso.
-
     Parameters
     ----------
-    A : array, sparse array or scipy LinearOperator, shape (m, n)
-        Real, finite, of any shape and rank. A LinearOperator needs rmatvec.
-    b : array, shape (m,)
-    lower, upper : scalar or array, shape (n,)
-        Bounds of x; −∞ and ∞ are allowed, lower ≤ upper.
+    problem : BoundedLeastSquares
     x0 : array, shape (n,), or a number for n = 1, optional
         Start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. Only projected steps use
         it, but x0 is the result if it is optimal, and no point that costs more is SOLVED.
-    weights : array, shape (m,), optional
-        ≥ 0, one per row: 0 leaves a row out.
-    ridge : float
-        ≥ 0.
-    l1 : number or array, shape (n,)
-        ≥ 0. A lasso without bounds needs ``lower=-np.inf``. An x_j that the penalty sets to 0 is exactly 0.
     tolerance : float
         SOLVED means that cost exceeds the minimum by at most tolerance · cost, apart from rounding of the data: see
         `optimality` of :class:`LeastSquaresResult`, also for a LinearOperator.
@@ -79,8 +61,8 @@ def bounded_least_squares(
 
     Raises
     ------
-    InvalidProblem, InvalidOption
-        If the data do not define such a problem.
+    InvalidOption
+        If x0 does not fit, or for an impossible limit.
 
     Notes
     -----
@@ -92,32 +74,15 @@ def bounded_least_squares(
 
     Examples
     --------
-    >>> result = bounded_least_squares([[1, 0], [1, 1], [0, 1]], [2, 1, -1])
+    >>> result = solve_least_squares(BoundedLeastSquares([[1, 0], [1, 1], [0, 1]], [2, 1, -1]))
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge, l1=l1)
-    return solve_least_squares(
-        problem, x0=x0, tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds
-    )
-
-
-def solve_least_squares(
-    problem: BoundedLeastSquares,
-    *,
-    x0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-) -> LeastSquaresResult:
-    """Return the result of a problem that is stated already; see :func:`bounded_least_squares`."""
     clock = Clock()
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
-    start = None if x0 is None else problem.checked_start(x0)
-    may_step = settings.max_iterations > 0 and settings.max_seconds != 0.0
-    if may_step and (found := nnls_as_given(problem, settings.tolerance)) is not None:
-        return _result_of(problem, settings.tolerance, *found, Status.SOLVED, 1, "nnls", clock)
-    run = LeastSquaresRun(problem, settings, start, clock)
+    run = LeastSquaresRun(
+        problem, settings, None if x0 is None else problem.checked_start(x0), clock
+    )
     with np.errstate(all="ignore"):
         return run.result(run.status())
 
@@ -162,6 +127,7 @@ class LeastSquaresRun:
         if (self.has_start or is_at_rest) and self._is_certified(self.nearest):
             return Status.SOLVED
         for point in chain.from_iterable(self._stages()):
+            _require_time()
             if self._is_certified(point):
                 return Status.SOLVED
         if self.steps >= self.settings.max_iterations:
@@ -195,7 +161,7 @@ class LeastSquaresRun:
         self.algorithm, aim = "projected gradients", self.settings.tolerance
         since, before = 0, np.inf
         start = FacePoint(self.problem.scaled, self.nearest)
-        for point in through_orthants(projected_steps)(start):
+        for point in projected_steps(start):
             _require_time()
             if self.steps >= min(most, self.settings.max_iterations):
                 break
@@ -213,69 +179,41 @@ class LeastSquaresRun:
                 since, before = self.steps, self._smallest
         yield self.nearest
 
-    def _is_certified(self, x: FloatVector) -> bool:
+    def _is_certified(self, x: FloatVector, tolerance: float | None = None) -> bool:
         """Certify a scaled x, and store the best x; return whether this x is SOLVED."""
-        _require_time()
-        tolerance = self.settings.tolerance
-        judged = self._test_point(x, tolerance)
-        is_solved = judged.meets(tolerance)
-        if self.best is None or is_solved or judged.is_better(self.best):
+        goal = self.settings.tolerance
+        x = self.problem.scaled.to_caller(x)
+        judged = Optimality.of(
+            self.enclosures, x, tolerance=goal if tolerance is None else tolerance
+        )
+        is_solved = judged.meets(goal)
+        if self.best is None or is_solved or judged.order < self.best.order:
             self.best = judged
         return is_solved
 
-    def _test_point(self, x: FloatVector, tolerance: float) -> Optimality:
-        return Optimality.of(self.enclosures, self.problem.scaled.to_caller(x), tolerance=tolerance)
-
     def result(self, status: Status) -> LeastSquaresResult:
         """Return the result of the run with its best point."""
-        problem, best = self.problem, self.best
-        if best is None or status in (Status.MAX_SECONDS, Status.INTERRUPTED):
-            last = self._test_point(self.nearest, np.inf)
-            best = last if best is None or last.is_better(best) else best
-        x, residual = best.x, best.sharp_residual
-        return _result_of(
-            problem,
-            self.settings.tolerance,
-            x,
-            residual,
-            best.dual,
-            best.value,
-            status,
-            self.steps,
-            self.algorithm,
-            self.clock,
+        problem = self.problem
+        if self.best is None or status in (Status.MAX_SECONDS, Status.INTERRUPTED):
+            self._is_certified(self.nearest, np.inf)
+        best: Any = self.best
+        mask = (best.x >= problem.upper).astype(np.int_)
+        mask[best.x <= problem.lower] = -1
+        return LeastSquaresResult(
+            x=read_only(best.x),
+            cost=problem.cost(best.x, best.sharp_residual),
+            fun=read_only(best.sharp_residual),
+            optimality=best.value,
+            active_mask=read_only(mask),
+            status=status,
+            nit=self.steps,
+            algorithm=self.algorithm,
+            seconds=self.clock.read(),
+            tolerance=self.settings.tolerance,
+            is_proved=problem.has_entries,
+            problem=problem,
+            _dual=best.dual,
         )
-
-
-def _result_of(
-    problem: BoundedLeastSquares,
-    tolerance: float,
-    x: FloatVector,
-    residual: FloatVector,
-    dual: FloatVector,
-    optimality: float,
-    status: Status,
-    steps: int,
-    algorithm: str,
-    clock: Clock,
-) -> LeastSquaresResult:
-    mask = (x >= problem.upper).astype(np.int_)
-    mask[x <= problem.lower] = -1
-    return LeastSquaresResult(
-        x=read_only(x),
-        cost=problem.cost(x, residual),
-        fun=read_only(residual),
-        optimality=optimality,
-        active_mask=read_only(mask),
-        status=status,
-        nit=steps,
-        algorithm=algorithm,
-        seconds=clock.read(),
-        tolerance=tolerance,
-        is_proved=problem.has_entries,
-        problem=problem,
-        _dual=dual,
-    )
 
 
 def _require_time() -> None:

@@ -15,7 +15,7 @@ constrained optimization*, SIAM J. Optim. 17 (2006), doi:10.1137/050635225.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -143,37 +143,28 @@ class FacePoint:
         return self.move(direction, product, length)
 
 
-Take = Callable[[FacePoint], Iterator[FacePoint]]
-Steps = Generator[FacePoint, None, FacePoint]
-
-
-def through_orthants(take: Take) -> Take:
-    """Return steps in an orthant, then in the orthant to which columns at 0 are pulled, until no column is pulled.
+def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
+    """Yield points of an orthant, then of the orthant to which columns at 0 are pulled, until no column is pulled.
 
     In an orthant Σ l1 |x| is linear. Cost falls from one to the next: none comes back once it is solved.
     """
-
-    def steps(start: FacePoint) -> Iterator[FacePoint]:
-        point = start
-        while True:
-            orthant = start.problem.whole.orthant(point.x, point.slope)
-            for point in take(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
-                yield point
-                if point.pull_across > point.noise and LEFT_BEHIND * point.pull_across > _largest(
-                    point
-                ):
-                    break
-            if not point.pull_across > max(point.noise, _largest(point)):
-                return
-
-    return steps
+    point = start
+    while True:
+        orthant = start.problem.whole.orthant(point.x, point.slope)
+        for point in steps_in_orthant(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
+            yield point
+            pull = point.pull_across
+            if pull > point.noise and LEFT_BEHIND * pull > _largest(point):
+                break
+        if not point.pull_across > max(point.noise, _largest(point)):
+            return
 
 
 def _largest(point: FacePoint) -> float:
     return float(np.abs(point.natural_residual).max(initial=0.0))
 
 
-def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
+def steps_in_orthant(start: FacePoint) -> Iterator[FacePoint]:
     """Yield the start and the following points; end when no step makes progress."""
     yield start
     point, length = start, _cauchy_length(start)
@@ -213,7 +204,7 @@ def _spectral_steps(
     return point, length
 
 
-def _conjugate_steps(point: FacePoint) -> Steps:
+def _conjugate_steps(point: FacePoint) -> Generator[FacePoint, None, FacePoint]:
     """Take conjugate gradient steps on the face until a bound stops them or columns at a bound pull harder."""
     direction = -point.free_gradient
     size = float(direction @ direction)

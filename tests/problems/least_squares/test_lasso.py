@@ -11,6 +11,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns.least_squares import bounded_least_squares
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.linalg import aslinearoperator
@@ -18,7 +19,6 @@ from scipy.sparse.linalg import aslinearoperator
 from lcp_plugin import BoundedLeastSquares, QuadraticProgram, load_problem, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 INF = np.inf
 

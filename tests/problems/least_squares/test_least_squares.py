@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from campaigns import attack_programs as attacks
 from campaigns import least_squares as campaign
 from campaigns.kinds import least_cost
-from campaigns.least_squares import Case, Exact, complaint
+from campaigns.least_squares import Case, Exact, bounded_least_squares, complaint
 from exact import solve_fractions
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,7 +25,7 @@ from lcp_plugin import Status, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures
-from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, bounded_least_squares
+from lcp_plugin.problems.least_squares.solving import LeastSquaresResult
 
 INF = np.inf
 

@@ -147,10 +147,10 @@ class Optimality:
 
     @cached_property
     def _largest(self) -> tuple[float, bool]:
-        """An upper bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and if it is rounding.
+        """An upper bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and whether it is rounding.
 
-        prox moves by l1 towards 0, but not beyond. NaN if a component is not a number. Of a LinearOperator, whose terms
-        have unknown sizes, the rounding error of the gradient is estimated.
+        prox moves by l1 towards 0, but not beyond. NaN if a component is not a number. For a LinearOperator, the
+        rounding error of the gradient is estimated, because the sizes of its terms are unknown.
         """
         problem, scales, root = (
             (one := self.enclosures.problem),

@@ -147,7 +147,7 @@ class Optimality:
 
     @cached_property
     def _largest(self) -> tuple[float, bool]:
-        """An upper bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and whether it is rounding.
+        """A bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and whether it is at rounding level.
 
         prox moves by l1 towards 0, but not beyond. NaN if a component is not a number. For a LinearOperator, the
         rounding error of the gradient is estimated, because the sizes of its terms are unknown.

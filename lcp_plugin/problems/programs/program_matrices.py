@@ -319,7 +319,7 @@ def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
 
 def as_array(matrix: Any) -> FloatVector:
     """Return a matrix as an ndarray."""
-    return matrix.toarray() if sp.issparse(matrix) else matrix
+    return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
 
 
 def or_one(sizes: FloatVector) -> FloatVector:

@@ -47,7 +47,6 @@ from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.structure import connected_components
 from .data import Linearization, NonlinearProblem
 
 NEARBY = (
@@ -104,19 +103,6 @@ class Reference:
         least, most = (np.where(is_none, distance, np.minimum(end, limit)) for end in (least, most))
         return least, most
 
-    def kinds(self, problem: LCP, x: FloatVector, value: FloatVector) -> list[str]:
-        """Return a text per component that names the reference of its residual."""
-        most, where = self._ends_of_f(problem)[1], "the point of the bounds nearest to 0"
-        limited = most > self._limit(problem, x, value)
-        return [
-            f"the distance from {where}"
-            if size in (0.0, np.inf)
-            else f"what an affine F with this derivative has at most at {where}"
-            if is_limited
-            else f"F at {where}"
-            for size, is_limited in zip(most.tolist(), limited.tolist(), strict=True)
-        ]
-
     def snap_to_start(self, problem: LCP, x: FloatVector) -> FloatVector:
         """Return x with x° in the components that x° solves, and that x has come near on its way from the start."""
         most = self._ends_of_f(problem)[1]
@@ -159,16 +145,14 @@ class NonlinearCertificate(Certificate):
         F(x), which is w.
     reference : Reference
         F at z°.
-    relative_to : str
-        Name of the reference of the worst component: F at x°, the limit of an affine F, or the distance from x°.
 
     Examples
     --------
     >>> problem = NonlinearProblem(lambda x: x**2 - 4.0, lambda x: np.diag(2.0 * x), lower=[0.0])
     >>> reference = Reference.of(problem, np.array([1.0]))
     >>> certificate = NonlinearCertificate.at(Linearization(problem, np.array([2.001])), reference)
-    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4)), certificate.relative_to
-    (array([0.004]), 0.001, 'F at the point of the bounds nearest to 0')
+    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4))
+    (array([0.004]), 0.001)
     """
 
     is_linearised: ClassVar[bool] = True
@@ -235,15 +219,6 @@ class NonlinearCertificate(Certificate):
         """True if no row's residual exceeds four times its rounding floor, and the residual is small."""
         return self.relative_residual <= GAINED and self.is_at_rounding_level
 
-    @property
-    def relative_to(self) -> str:
-        """Name of the reference of the worst component."""
-        several = connected_components(self.problem.matrix)
-        kinds = self.reference.kinds(self.problem, self.z, self.value)
-        return kinds[
-            0 if several is None or self.worst_index < 0 else int(several.labels[self.worst_index])
-        ]
-
     def _sharp_ends(self) -> FloatVector:
         return self._scaled_ends[1]  # of the numbers that F returns, nothing is summed here
 
@@ -272,12 +247,6 @@ class NonlinearCertificate(Certificate):
                 )
             floor: FloatVector = (terms * EPSILON * size + left) / scale
         return floor
-
-    def __str__(self) -> str:
-        return (
-            f"{super().__str__()}\nrelative to         {self.relative_to}"
-            f"\nterm residual      {self.term_residual:.3e}"
-        )
 
 
 def _ends(

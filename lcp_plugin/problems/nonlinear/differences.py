@@ -8,9 +8,8 @@ A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import count
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,6 +36,9 @@ class Differences:
     def __init__(self, pattern: sp.csc_array, groups: NDArray[np.int32]) -> None:
         self.pattern, self.groups = pattern, groups
         self._columns = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
+        of_entries = groups[self._columns]
+        ends = np.cumsum(np.bincount(of_entries))[:-1]
+        self._places = np.split(np.argsort(of_entries, kind="stable"), ends)
 
     @classmethod
     def on(cls, pattern: sp.csc_array | None, n: int) -> Differences:
@@ -78,40 +80,20 @@ class Differences:
         If F is not defined on one side of x, the step goes to the other side. Entries that neither side gives are
         NaN.
         """
-        step, derivative = _steps(x, lower, upper), np.empty(self.pattern.nnz)
-        for members, places in self._groups():
-            found = self._quotients(F, x, value, np.where(members, step, 0.0), places)
-            if not np.isfinite(found).all():
-                other = self._quotients(F, x, value, np.where(members, -step, 0.0), places)
-                found = np.where(np.isfinite(found), found, other)
-            derivative[places] = found
-        pattern = self.pattern
+        pattern, columns = self.pattern, self._columns
+        step, derivative = _steps(x, lower, upper), np.full(pattern.nnz, np.nan)
+        for k, places in enumerate(self._places):
+            for way in (step, -step):
+                moved = np.where(self.groups == k, x + way, x)
+                change = F(moved) - value
+                found = change[pattern.indices[places]] / (moved - x)[columns[places]]
+                known = derivative[places]
+                derivative[places] = np.where(np.isfinite(known), known, found)
+                if np.isfinite(derivative[places]).all():
+                    break
         return sp.csr_array(
             sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape)
         )
-
-    def _groups(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[Any]]]:
-        """Yield the mask of the columns of each group, and the indices of their entries."""
-        of_entries = self.groups[self._columns]
-        order = np.argsort(of_entries, kind="stable")
-        ends = np.searchsorted(of_entries[order], np.arange(int(self.groups.max(initial=-1)) + 2))
-        for k in range(ends.size - 1):
-            yield self.groups == k, order[ends[k] : ends[k + 1]]
-
-    def _quotients(
-        self,
-        F: Callable[[FloatVector], FloatVector],
-        x: FloatVector,
-        value: FloatVector,
-        step: FloatVector,
-        places: NDArray[Any],
-    ) -> FloatVector:
-        moved = x + step
-        difference = F(moved) - value
-        quotient: FloatVector = (
-            difference[self.pattern.indices[places]] / (moved - x)[self._columns[places]]
-        )
-        return quotient
 
 
 def _steps(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:

@@ -21,7 +21,7 @@ from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
 from ...core.settings import Settings
-from ...core.solving.result import Result, Sample
+from ...core.solving.result import Result
 from ...core.solving.run import Run
 from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
@@ -40,7 +40,6 @@ ENOUGH = 0.1  # of the tolerance of the run: a linearization needs no smaller re
 PATIENCE = 25  # steps without a residual clearly below the residuals of the window before it
 WINDOW, GAIN = 12, 0.95  # a jump of the residual may start a long decrease
 RESTARTS, SMALL = 6, 1000  # starts; unknowns, beyond which a new start is too expensive
-FACTORS = 12  # of Newton without half the residual, on a large linearization
 PATHS = 2  # of pivots
 
 
@@ -67,7 +66,7 @@ class JosephyNewton(Algorithm):
     points. A full Newton step is also taken if its residual is at most ten times the least residual of these points:
     on traffic networks the residual rises before it falls. If no step helps, the LCP of F′(x) + μD is solved for
     larger and larger μ, D the residual scale (proximal steps). After that, small problems are restarted from other
-    points. A large linearization is abandoned after 12 active sets that do not halve the residual.
+    points.
 
     References
     ----------
@@ -296,24 +295,6 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
-    patience = _Patience() if problem.n > SMALL else None
-    run = Run(problem, method or "auto", settings, patience, clock)
+    run = Run(problem, method or "auto", settings, None, clock)
     stages = _stages_of_step(problem, method, run.judge.goal)
     return run.result(start, run.follow_all(stages, start))
-
-
-class _Patience:
-    """A callback that ends a run in which Newton has not halved the residual for many factorizations."""
-
-    def __init__(self) -> None:
-        self.lowest, self.idle, self.before = math.inf, 0, 0
-
-    def __call__(self, sample: Sample, z: FloatVector) -> bool:
-        """Return whether Newton has used its budget of factorizations."""
-        residual = math.inf if sample.residual is None else sample.residual
-        steps, self.before = sample.iteration - self.before, sample.iteration
-        if residual <= 0.5 * self.lowest:
-            self.lowest, self.idle = residual, 0
-        elif sample.label == "newton":
-            self.idle += steps
-        return sample.label == "newton" and self.idle >= FACTORS

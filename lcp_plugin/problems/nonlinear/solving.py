@@ -59,7 +59,7 @@ def solve_nonlinear(
         SOLVED means that the measured residual of the returned x is at most this, as for :func:`lcp_plugin.solve`,
         with F(x) for w and without rescaling of F. The residual of every component is relative to the residual of F at
         the point of the bounds nearest to 0. This reference is limited to its maximum over all affine F with this
-        derivative (``certificate.relative_to``). The residual of every row is also relative to the terms of the row
+        derivative. The residual of every row is also relative to the terms of the row
         (:mod:`lcp_plugin.problems.nonlinear.certificate`).
     max_iterations : int, default 100 000
         Newton steps.

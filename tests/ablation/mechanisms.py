@@ -24,7 +24,6 @@ INTERIOR, NEWTON, PROGRAMS = (
     "methods.newton.semismooth_newton",
     "problems.programs",
 )
-PARAMETRIC = "problems.parametric"
 CALLS = f"{PROGRAMS}.engine_calls"
 NONLINEAR = "problems/nonlinear/test_nonlinear.py"
 STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
@@ -125,17 +124,6 @@ def yielding(is_kept: Callable[[int, Any], bool], *, to_the_end: bool = True) ->
         return generator
 
     return Instead(lambda old: made(old, None), made)
-
-
-def one_row_alone(old: Any) -> Any:
-    """A row changes, and no other row at the same value."""
-
-    def pivot(follower: Any, z: Any, change: Any) -> Any:
-        follower.steps[change[0]] += change[1]
-        follower.motion = follower._settled(z)
-        return change
-
-    return pivot
 
 
 def without(*names: str) -> Instead:
@@ -526,14 +514,6 @@ MECHANISMS = (
         "steps on narrow bands, judged a block at a time",
         {"problems.march:take_steps_together": says(None)},
         "problems/march/__init__.py:take_steps_together problems/march/on_band.py",
-    ),
-    # --- paths
-    Mechanism(
-        "segments of solutions",
-        "a path goes along a segment of solutions at one value",
-        {f"{PARAMETRIC}.following:Follower._pivot": Instead(one_row_alone)},
-        "problems/parametric/following.py:Follower._pivot",
-        "problems/parametric/test_trace.py::test_linear_programs_move_along_faces",
     ),
     Mechanism(
         "batch loop",

@@ -4,9 +4,9 @@ Between two breakpoints each row stays on its step: z of the free rows solves M_
 row reaches the end of its step, the row changes to the next step, and a new system is factorized. If several rows
 reach an end at the same t, the fastest row changes first, and the other rows follow at the same t.
 
-If M_FF is singular, z moves by the least change that satisfies the rows. If the rows are inconsistent, the
-solutions at this t are a line segment, which is followed until another row changes. If the path would turn back, or
-if rounding error decides which row changes, the path is lost, and is started again just beyond this point.
+If M_FF is singular, z moves by the least change that satisfies the rows. If the rows are inconsistent, if the path
+would turn back, or if rounding error decides which row changes, the path is lost, and is started again just beyond
+this point.
 """
 
 from __future__ import annotations
@@ -160,34 +160,9 @@ class Follower:
             stuck = stuck + 1 if length <= ROUNDING * stop else 0
             if stuck > AT_ONE_PLACE * self.n + 100:
                 return
-            self.t = end
-            changed = self._pivot(motion.z[0] + length * motion.z[1], changed)
-
-    def _pivot(self, z: FloatVector, change: Change) -> Change:
-        """Change a row, and further ones along the solutions at t until these determine a way on; return the last.
-
-        A direction d with M_FF d_F = 0 leads from one solution at t to others, as from vertex to vertex of a linear
-        program: it is followed to where another row comes to the end of its step.
-        """
-        for _ in range(AT_ONE_PLACE * self.n + 100):
-            row, way = change
+            self.t, (row, way) = end, changed
             self.steps[row] += way
-            self.motion = self._settle(z)
-            if self.motion is not None:
-                break
-            free = np.flatnonzero(self.steps % 2)
-            columns, root = self._block(free), np.sqrt(self.problem.columns.sizes[free])
-            _, values, across = np.linalg.svd(columns[:, free].T / root / root[:, np.newaxis])
-            null = across[values <= SINGULAR * values.max()] / root
-            rise = (free == row) * 1.0 if self.steps[row] % 2 else -columns[:, row]
-            direction = np.zeros((2, self.n))
-            direction[1, free] = way * (null @ rise) @ null
-            direction[0] = z
-            length, following = self._motion(direction, is_at_rest=True).first_end()
-            if following is None:
-                break
-            z, change = z + length * direction[1], following
-        return change
+            self.motion = self._settle(motion.z[0] + length * motion.z[1])
 
     def _block(self, rows: IntVector) -> FloatVector:
         """Return the columns of M that belong to some rows, shape (k, n)."""
@@ -212,17 +187,6 @@ class Follower:
             if solution is None:
                 return None
             z[:, free] = solution
-        return self._motion(z)
-
-    def _motion(self, z: FloatVector, *, is_at_rest: bool = False) -> Motion:
-        """Return the motion of z, shape (2, n); `is_at_rest` freezes the data at t."""
-        q, corners, levels = self.problem.at(self.t)
-        if is_at_rest:
-            q, corners, levels = (
-                np.stack([one[0], np.zeros_like(one[0])]) for one in (q, corners, levels)
-            )
-        every, sizes, k = np.arange(self.n), self.problem.columns.sizes, self.steps // 2
-        is_free = self.steps % 2 == 1
         moving = np.flatnonzero(z.any(axis=0))
         w = q + z[:, moving] @ self._block(moving)
         above = np.minimum(k + 1, corners.shape[1] - 1)

@@ -118,14 +118,6 @@ class GramColumns(Columns):
         made[np.arange(len(numbers)), numbers] += self._ridge[numbers]
         return np.asarray(made)
 
-    def column(self, j: int) -> FloatVector:
-        """Return column j, shape (n,)."""
-        if sp.issparse(self._A):
-            return np.asarray(self.many([j])[0])
-        column: FloatVector = np.asarray(self._transpose @ self._transpose[j])
-        column[j] += self._ridge[j]
-        return column
-
 
 @dataclass(frozen=True, eq=False)
 class Staircases:

@@ -21,8 +21,8 @@ from ..exact.rational import Rational
 from .linear_constraints import DECISIVE, LinearConstraints
 from .proof import (
     Choices,
-    Closing,
     Infeasibility,
+    Margins,
     NoSolutionProof,
     row_choices,
 )
@@ -175,8 +175,8 @@ class NoSolution(NoSolutionProof):
             return None
         return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
 
-    def closings(self) -> Iterator[Closing | None]:
-        """Yield the certificate of each leaf, in exact arithmetic; None for an open leaf, or a split with gaps."""
+    def closings(self) -> Iterator[Margins | None]:
+        """Yield the margins of each leaf, in exact arithmetic; None for an open leaf, or a split with gaps."""
         for case, path in self._cases():
             if case.row >= 0:
                 ends = float(self.problem.lower[case.row]), float(self.problem.upper[case.row])

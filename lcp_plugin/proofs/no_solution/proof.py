@@ -1,16 +1,14 @@
 """Proofs that a problem has no solution, and by how much: a lower bound of the residual of every z.
 
 Each is a set of cases, with a Farkas vector for every one; the linear constraints alone are one case.
-
-The references that residuals are compared with are fractions: they reach beyond the range of doubles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -19,43 +17,21 @@ import scipy.sparse as sp
 from ...core.certificates.criterion import (
     references_of_components,
     rounding_of_data,
+    spread_to_rows,
 )
 from ...core.checks import FloatVector
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.structure import connected_components
 from ...core.matrix.symmetry import is_nearly_symmetric
 from ...core.settings import Status
-from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
+from ..exact.rational import ZERO, Rational, integer_matrix, rounded_down
 from .free_motion import is_at_rest, moved_unknowns
 from .linear_constraints import Contradiction
 
 SAFE_RANGE = (1e-290, 1e290)
 LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
 FEW = 500  # rows up to which all of M is kept in integers
-
-
-def exact_references(problem: LCP) -> Callable[[int], Fraction]:
-    """Return upper bounds of ‖r_P(z°)‖∞, P the component of a row; fractions reach beyond the range of doubles."""
-    several = connected_components(problem.matrix)
-    most = references_of_components(problem)[1]
-
-    @cache
-    def of_component(component: int) -> Fraction:
-        if most[component] == 0.0 or SAFE_RANGE[0] < most[component] < SAFE_RANGE[1]:
-            return Fraction(float(most[component]))
-        rows = (
-            range(problem.q.size)
-            if several is None
-            else np.flatnonzero(several.labels == component).tolist()
-        )
-        exact = exact_residuals(problem, problem.nearest_to_zero)
-        return max(exact[i] for i in rows)
-
-    def of_row(row: int) -> Fraction:
-        return of_component(0 if several is None else int(several.labels[row]))
-
-    return of_row
+Margins = tuple[float, float]
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -69,25 +45,6 @@ def row_choices(lower: float, upper: float) -> tuple[str, ...]:
     if lower == upper:
         return (FIXED,)
     return (LOWER,) * (lower > -np.inf) + (SLACKLESS,) + (UPPER,) * (upper < np.inf)
-
-
-@dataclass(frozen=True)
-class Closing:
-    """Certificate of one complementarity piece: every z in it has Σ weight_i |r_i(z)| ≥ contradiction.
-
-    Attributes
-    ----------
-    contradiction : Fraction
-        Positive, a lower bound.
-    relative : Fraction
-        At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the component of row i.
-    absolute : Fraction
-        At least Σ weight_i.
-    """
-
-    contradiction: Fraction
-    relative: Fraction
-    absolute: Fraction
 
 
 class NoSolutionProof:
@@ -109,8 +66,8 @@ class NoSolutionProof:
     status: ClassVar[Status] = Status.NO_SOLUTION  # the proved status
     radius: ClassVar[float] = np.inf  # it covers all z
 
-    def closings(self) -> Iterator[Closing | None]:
-        """Yield the verified certificate of each piece; None for an open piece."""
+    def closings(self) -> Iterator[Margins | None]:
+        """Yield the margins of each piece, (relative, absolute); None for an open piece."""
         raise NotImplementedError
 
     def verify(self) -> bool:
@@ -123,19 +80,29 @@ class NoSolutionProof:
         return self.verify()
 
     @cached_property
+    def _margins(self) -> Margins:
+        """The smallest margins of all pieces; 0 if a piece is open."""
+        found = list(self.closings())
+        closed = [margins for margins in found if margins is not None]
+        if len(closed) < len(found):
+            return 0.0, 0.0
+        relative, absolute = zip(*closed, strict=True)
+        return min(relative), min(absolute)
+
+    @property
     def margin(self) -> float:
         """Verified lower bound of the relative residual of every z within the bounds, or 0."""
-        return rounded_down(self._least[0])
+        return self._margins[0]
 
-    @cached_property
+    @property
     def absolute_margin(self) -> float:
         """A verified lower bound of ‖r(z)‖∞, in the unit of z, for every z within the bounds."""
-        return rounded_down(self._least[1])
+        return self._margins[1]
 
     @property
     def is_rounding(self) -> bool:
         """True if the margin is within the rounding of the largest number in q."""
-        return rounded_down(self._least[1]) <= rounding_of_data(self.problem)
+        return self.absolute_margin <= rounding_of_data(self.problem)
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
         """Return whether no z within the bounds could be called SOLVED with these settings of a run."""
@@ -145,17 +112,6 @@ class NoSolutionProof:
         return not absolute_tolerance or (
             tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
         )
-
-    @cached_property
-    def _least(self) -> tuple[Fraction | None, Fraction | None]:
-        """The least relative residual and the least one; None for ∞."""
-        found = list(self.closings())
-        closings = [closing for closing in found if closing is not None]
-        if len(closings) < len(found):
-            return ZERO, ZERO
-        relative = [one.contradiction / one.relative for one in closings if one.relative]
-        absolute = [one.contradiction / one.absolute for one in closings if one.absolute]
-        return min(relative, default=None), min(absolute, default=None)
 
 
 class Choices(NamedTuple):
@@ -201,26 +157,34 @@ class Choices(NamedTuple):
         rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
         return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
 
-    def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
-        """Return the certificate of the piece by a Farkas vector, for all z; None if it is not one."""
+    def closed_by(self, y: Mapping[int, Rational]) -> Margins | None:
+        """Return the margins of the piece by a Farkas vector; None if it does not prove that the piece is empty.
+
+        Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
+        margin is c / Σ share_i, the relative one c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
+        """
         found = self.contradiction(y)
         if not found.holds:
             return None
         scale, path = self.problem.residual_scale, self.path
-        sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
-        scaled = [(i, size * Fraction(float(scale[i]))) for i, size in sizes.items()]
-        leaving = {
-            i: abs(value)
+        shares = [
+            (i, abs(value) * Fraction(float(scale[i])))
+            for i, value in found.y.items()
+            if path.get(i) not in (LOWER, UPPER)
+        ] + [
+            (i, abs(value))
             for i, value in found.product.items()
             if path.get(i) == (LOWER if value > 0 else UPPER)
-        }  # of z_i from its bound
-        shares = [*scaled, *leaving.items()]
-        reference = exact_references(self.problem)
-        return Closing(
-            found.size,
-            sum((share * reference(i) for i, share in shares), ZERO),
-            sum((share for _, share in shares), ZERO),
-        )
+        ]  # of z_i from its bound
+        most = references_of_components(self.problem)[1]
+        reference = np.broadcast_to(spread_to_rows(self.problem, most), (self.problem.n,))
+        is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
+        if not is_safe.all():  # a reference may be rounded to 0, or to ∞
+            return 0.0, 0.0
+        relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
+        absolute = sum((share for _, share in shares), ZERO)
+        margins = (rounded_down(found.size / one if one else None) for one in (relative, absolute))
+        return next(margins), next(margins)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,8 +245,8 @@ class Infeasibility(NoSolutionProof):
         y[list(self._used)] = [float(value) for value in self._used.values()]
         return y
 
-    def closings(self) -> Iterator[Closing | None]:
-        """Yield the certificate of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
+    def closings(self) -> Iterator[Margins | None]:
+        """Yield the margins of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
         yield Choices(self.problem, {}).closed_by(self._used)
 
     def __str__(self) -> str:

@@ -361,7 +361,6 @@ class Statement:
             offset,
             self.integers,
             smooth,
-            [self.name_of(column) for column in range(n)],
         )
 
     def _value_of(self, pair: StatedRows) -> Indices:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.checks import BoolVector
-from ..core.errors import UnsuitableMatrix
 from ..core.settings import Status
+from ..core.solving.result import bound_or_reason
 from ..systems.free_systems import FreeSystem
 from .bounds.active_rows import estimated_error, free_rows
-from .bounds.error_bounds import ErrorBound, error_bound
 
 if TYPE_CHECKING:
     from ..core.solving.result import Result
@@ -61,28 +60,16 @@ def _stiffness(result: Result) -> str:
     if not spread > 1e6:
         return _nearness_to_singular(result)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
-    if not _is_bound_cheap(result):
+    problem = result.certificate.problem
+    if problem.n > BOUND_UP_TO and result.work < BOUND_PASSES:
         return f"{stiff} of z{_advised(result)}"
-    bound = _bound(result)
+    bound = bound_or_reason(problem, result.z).bound
     if bound is None:
         return f"{stiff} of z, and nothing about M allows a bound of it"
     return (
         f"{stiff} of z: here it is proved to be at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
         "largest |z_i|"
     )
-
-
-def _is_bound_cheap(result: Result) -> bool:
-    """Return whether a bound of the error costs less than the run has, or than is worth a word."""
-    problem = result.certificate.problem
-    return problem.n <= BOUND_UP_TO or result.work >= BOUND_PASSES
-
-
-def _bound(result: Result) -> ErrorBound | None:
-    try:
-        return error_bound(result.certificate.problem, result.z)
-    except UnsuitableMatrix:
-        return None
 
 
 def _nearness_to_singular(result: Result) -> str:

@@ -201,11 +201,6 @@ class ConeCertificate:
         """‖R_k‖ of that block, in the unit of z."""
         return float(self.measures.sizes[0, self.worst_index]) if self.z.size else 0.0
 
-    @property
-    def references(self) -> tuple[FloatVector, FloatVector]:
-        """The reference of each block's component, twice, shape (k,) each."""
-        return self.measures.reference[0], self.measures.reference[0]
-
     @cached_property
     def natural_residual(self) -> float:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""

@@ -23,12 +23,9 @@ from ...core.matrix.structure import row_numbers
 from ...systems.free_systems import FreeSystem
 from ...systems.linearized import LinearizedSystem
 from .data import Blocks
-from .newton import factorize_blocks, system_of_free_rows
+from .newton import polish_points, system_of_free_rows
 from .stack import ON, WITHIN, Array, ConeStack, length
 
-REFINEMENTS = 5  # steps of Newton towards the solution before it is differentiated
-REFINING = 1e-8  # of d, their proximal term, so that rounding does not move undetermined impulses
-EXACT = 2.0**-46  # relative to |z| + |w|/d: a smaller residual is not refined
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d: distance to another mode of a degenerate block
 ROUNDING = 1e-12  # of a block's terms: smaller z and w/d both count as 0
 PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at which it ends
@@ -59,7 +56,7 @@ class StackDerivative(LinearizedSystem):
     def __init__(self, stack: ConeStack, z: Array) -> None:
         self.stack = stack
         with np.errstate(all="ignore"):
-            self.z = self._refined(z)
+            self.z = polish_points(stack, z)[0]
             self.w = stack.slack(self.z)
             self.take_element_at(self.z, self.w)
 
@@ -76,33 +73,6 @@ class StackDerivative(LinearizedSystem):
         self.point, self.found = (z, w), stack.residual(z, w)
         self.by_z, self.by_w = stack.derivative(w, *self.found[1:])
         self.is_free = self.by_w.any((-1, -2))
-
-    def _refined(self, z: Array) -> Array:
-        stack = self.stack
-
-        def largest(values: Array) -> Array:
-            return np.abs(values).max((1, 2), initial=0.0)
-
-        w = stack.slack(z)
-        found = stack.residual(z, w)
-        goal = EXACT * largest(np.abs(z) + np.abs(w) / stack.d[..., None])
-        for _ in range(REFINEMENTS):
-            before = largest(found[0])
-            if not (before > goal).any():
-                break
-            by_z, by_w = stack.derivative(w, *found[1:])
-            shift = (REFINING * stack.d)[..., None, None]
-            try:
-                new = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found[0])
-            except np.linalg.LinAlgError:
-                break
-            w_new = stack.slack(new)
-            is_better = (before > goal) & (largest(stack.residual(new, w_new)[0]) < before)
-            if not is_better.any():
-                break
-            z, w = (np.where(is_better[:, None, None], *pair) for pair in ((new, z), (w_new, w)))
-            found = stack.residual(z, w)
-        return z
 
     @cached_property
     def system(self) -> Any:

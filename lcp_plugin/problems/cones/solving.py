@@ -198,7 +198,8 @@ class Log:
     ) -> None:
         self.settings, self.callback, self.clock = settings, callback, clock
         self.iterations, self.work, self.nonzeros = 0, 0.0, max(problem.nonzeros, 1)
-        self.stages: list[StageRecord] = []
+        self.stages: dict[tuple[str, str], StageRecord] = {}  # by name and reason
+        self.stage = "", ""
         self.samples: list[Sample] = []
         self.is_watched = settings.record or settings.verbose or callback is not None
         self._next = self._next_line = 0
@@ -207,25 +208,25 @@ class Log:
             self.say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
     def begin(self, name: str, because: str) -> None:
-        """Begin a stage."""
-        self.stages.append(StageRecord(name, because, 0, 0.0))
-        self._next_line = self.iterations
+        """Begin a stage, unless it is the current one."""
+        if self.stage == (name, because):
+            return
+        self.stage, self._next_line = (name, because), self.iterations
+        self.stages.setdefault(self.stage, StageRecord(name, because, 0, 0.0))
         if self.settings.verbose:
             self.say(f"{name}: {because}" if because else name)
 
     def count(self, work: float, iterations: int) -> None:
         """Add a step to the last stage."""
         self.iterations, self.work = self.iterations + iterations, self.work + work
-        last = self.stages[-1]
-        self.stages[-1] = last._replace(
-            iterations=last.iterations + iterations, work=last.work + work
-        )
+        _, _, before, spent, _ = self.stages[self.stage]
+        self.stages[self.stage] = StageRecord(*self.stage, before + iterations, spent + work)
 
     def show(self, residual: float | None, z: Callable[[], FloatVector]) -> None:
         """Record, print and call back with the clock stopped; a true return value raises Ended."""
         with self.clock.pause():
-            name = self.stages[-1].name
-            sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
+            seconds, name = self.clock.read(), self.stage[0]
+            sample = Sample(self.iterations, self.work, seconds, residual, name)
             wants_to_stop = self.callback is not None and bool(self.callback(sample, z()))
             is_due = residual is not None and (self.iterations >= self._next or wants_to_stop)
             if self.settings.record and is_due:
@@ -235,7 +236,7 @@ class Log:
             if self.settings.verbose and is_due:
                 self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
                 self.say(
-                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}"
+                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {seconds:>9.3f}"
                 )
         if wants_to_stop:
             raise Ended(Status.INTERRUPTED)
@@ -372,8 +373,7 @@ class ConeRun:
     ) -> None:
         """Continue the sweeps from their last point, then take Newton's steps."""
         log = self.log
-        if log.stages[-1][:2] != ("npgs", because):
-            log.begin("npgs", because)
+        log.begin("npgs", because)
         count = min(count, SWEEPS_A_STEP * (log.settings.max_iterations - log.iterations))
         for number, at in enumerate(sweeps(self.stack, self.swept, count, STOP * self.tolerance)):
             if not np.isfinite(at).all():
@@ -507,7 +507,8 @@ def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm
     words = dict(WORDS)
     if not settings.prove_infeasibility:
         words[Status.STALLED] += NOT_ASKED
-    stages = tuple(stage for stage in log.stages if stage.work) or tuple(log.stages[:1])
+    every = tuple(log.stages.values())
+    stages = tuple(stage for stage in every if stage.work) or every[:1]
     if run.status is Status.SOLVED and not log.iterations:
         stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
     name = ", ".join(dict.fromkeys(stage.name for stage in stages))
@@ -521,7 +522,7 @@ def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm
         tolerance=settings.tolerance,
         absolute_tolerance=settings.absolute_tolerance,
         history=tuple(log.samples),
-        stages=_merge_stages(stages),
+        stages=stages,
         infeasibility=run.proof,
         _advice=words,
     )
@@ -551,18 +552,6 @@ def result_of(
         tolerance=settings.tolerance,
         stages=(stage,),
     )
-
-
-def _merge_stages(stages: tuple[StageRecord, ...]) -> tuple[StageRecord, ...]:
-    """Return the stages; stages of the same name and reason are merged."""
-    merged: dict[tuple[str, str], StageRecord] = {}
-    for stage in stages:
-        known = merged.get(stage[:2])
-        iterations, work = (0, 0.0) if known is None else (known.iterations, known.work)
-        merged[stage[:2]] = stage._replace(
-            iterations=iterations + stage.iterations, work=work + stage.work
-        )
-    return tuple(merged.values())
 
 
 @dataclass(frozen=True, eq=False, repr=False)

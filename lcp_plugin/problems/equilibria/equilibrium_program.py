@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -81,8 +80,6 @@ class EquilibriumProgram:
         The variables that are integers.
     smooth : SmoothPart, optional
         Terms and rows that are neither linear nor quadratic.
-    names : sequence of str, optional
-        Names of the variables, for messages; by default x[0], x[1], ….
 
     Raises
     ------
@@ -106,7 +103,6 @@ class EquilibriumProgram:
     offset: float = 0.0
     integers: Any = ()
     smooth: SmoothPart | None = None
-    names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.program, QuadraticProgram):
@@ -222,12 +218,6 @@ class EquilibriumProgram:
     def is_provable(self) -> bool:
         """True if bounds of pieces can be proved."""
         return self.is_convex and not self.integers.size
-
-    @property
-    def relaxation(self) -> QuadraticProgram:
-        """The program with all branches open."""
-        lower, upper = self.bounds(self.all_cases)
-        return self.program.with_vectors(lower=lower, upper=upper)
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""

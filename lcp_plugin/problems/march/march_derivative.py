@@ -29,8 +29,6 @@ from . import BLOCK, March, checked_rows
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
 
-STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
-SETTLED = 2.0**-26  # relative to z, of the last change: the next change would be rounding error
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
 BACKWARD = 2.0**-40  # relative residual of a stable solution
@@ -115,13 +113,11 @@ class Steps:
         return len(self.z)
 
     def _settle(self, band: Band) -> None:
-        """Solve each step on its free rows until the active set is stable; classify rows."""
-        problem, z, sides = self.march.problem, self.z, self.sides
+        """Solve each step on its free rows once, and classify its rows if the active set stays."""
+        problem, z = self.march.problem, self.z
         lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
-        change, are_settled = np.zeros(z.shape), np.zeros(len(z), np.bool_)
-        rounding = EPSILON * (np.diff(band.M.indptr) + 1)
-        is_open = np.ones(len(z), np.bool_)
-        for _ in range(STEPS):
+        change, before = np.zeros(z.shape), self.sides
+        for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
@@ -129,29 +125,23 @@ class Steps:
             found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
             found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
             found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
-            ended = is_open & are_settled & (found == sides).all(axis=1)
-            size *= rounding
-            near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
-            is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
-            is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
-            self.is_plain |= ended & (is_clear | is_kink).all(axis=1)
-            kinks = np.where(below < above, KINK, -KINK)
-            sides[ended] = np.where(is_kink & (lower != upper), kinks, found)[ended]
-            is_open &= ~ended
-            for k in np.flatnonzero(is_open):
-                sides[k] = state = found[k]
+            if is_last:
+                break
+            before = found
+            for k, state in enumerate(found):
                 bound = np.where(state < 0, lower, upper)
                 step = solve_on_band(band.entries, state, np.where(state, bound - z[k], 0.0), w[k])
                 if step is None:
-                    is_open[k] = False
+                    before[k] = KINK
                     continue
-                z[k] = np.where(state, bound, z[k] + step)
-                change[k] = np.abs(step)
-                are_settled[k] = np.max(change[k], initial=0.0) <= SETTLED * np.max(
-                    np.abs(z[k]), initial=0.0
-                )
-            if not is_open.any():
-                return
+                z[k], change[k] = np.where(state, bound, z[k] + step), np.abs(step)
+        size *= EPSILON * (np.diff(band.M.indptr) + 1)
+        near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
+        is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
+        is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
+        self.is_plain = ((found == before) & (is_clear | is_kink)).all(axis=1)
+        kinks = np.where(below < above, KINK, -KINK)
+        self.sides = np.where(is_kink & (lower != upper), kinks, found)
 
     def at(self, k: int) -> Derivative:
         """Return the derivative of a step by the data of the step."""

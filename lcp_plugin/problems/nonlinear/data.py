@@ -11,7 +11,6 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import (
-    BoolVector,
     FloatVector,
     check_order,
     checked_limit,
@@ -150,10 +149,10 @@ class NonlinearProblem:
         InvalidProblem
             If the derivative is not finite, or the callable returns another type or shape.
         """
-        returned, name = self._call_jacobian(self._point(x), value)
+        returned, name = self.call_jacobian(self._point(x), value)
         return _finite(returned, name, np.size(x))
 
-    def _call_jacobian(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
+    def call_jacobian(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
         """Return F′(x), unchecked, and its name in errors."""
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
@@ -185,7 +184,8 @@ class NonlinearProblem:
         """
         x = self._point(x)
         value = self.value(x) if value is None else value
-        M = self.slopes(x, value)[0]
+        returned, name = self.call_jacobian(x, value)
+        M = _finite(_replace_infinite_rows(returned, x.size), name, x.size)
         problem = self.with_size(x.size)
         with np.errstate(all="ignore"):
             q = value - M @ x
@@ -194,23 +194,6 @@ class NonlinearProblem:
                     "F(x) − F′(x) x overflows; start nearer to 0, or scale F and x"
                 )
             return LCP(M, q, lower=problem.lower, upper=problem.upper)
-
-    def slopes(self, x: FloatVector, value: FloatVector) -> tuple[Any, BoolVector]:
-        """Return F′(x) with rows of infinite slope replaced by rows of the identity, and the mask of these rows.
-
-        Parameters
-        ----------
-        x, value : array, shape (n,)
-            The point, and F there.
-
-        Raises
-        ------
-        InvalidProblem
-            If an entry is NaN, or the callable returns another type or shape.
-        """
-        returned, name = self._call_jacobian(x, value)
-        returned, is_steep = _replace_infinite_rows(returned, x.size)
-        return _finite(returned, name, x.size), is_steep
 
     def _point(self, x: ArrayLike) -> FloatVector:
         return checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
@@ -236,18 +219,18 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
         raise
 
 
-def _replace_infinite_rows(derivative: Any, n: int) -> tuple[Any, BoolVector]:
-    """Return the derivative with identity rows for rows with an infinite entry, and their mask."""
-    is_steep = np.zeros(n, dtype=bool)
+def _replace_infinite_rows(derivative: Any, n: int) -> Any:
+    """Return the derivative with identity rows for rows with an infinite entry."""
     entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
     if np.shape(derivative) != (n, n) or entries.dtype.kind != "f" or not np.isinf(entries).any():
-        return derivative, is_steep
+        return derivative
     M = sp.coo_array(derivative)
+    is_steep = np.zeros(n, dtype=bool)
     is_steep[M.row[np.isinf(M.data)]] = True
     kept = ~is_steep[M.row]
     rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
     levelled = sp.csr_array(rows) + sp.diags_array(is_steep.astype(np.float64))
-    return (sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()), is_steep
+    return sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()
 
 
 class Linearization:
@@ -268,11 +251,6 @@ class Linearization:
     def lcp(self) -> LCP:
         """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearize`."""
         return self.problem.linearize(self.x, self.value)
-
-    @cached_property
-    def is_steep(self) -> BoolVector:
-        """Mask of the rows with an infinite slope, bool, shape (n,)."""
-        return self.problem.slopes(self.x, self.value)[1]
 
     @cached_property
     def is_defined(self) -> bool:

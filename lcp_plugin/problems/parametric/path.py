@@ -20,7 +20,6 @@ SHOWN = 8  # breakpoints in a paragraph
 INSIDE = 1e-6, 1e-5  # of half a segment: distances from its begin and end at which it is checked
 MIDST = 0.3819660112501051  # of a segment: integers would cancel at a simple fraction
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
-JOINED = 1e-9  # relative to the unknowns: largest difference of two segments that join
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +106,6 @@ class Path:
             if status is Status.SOLVED:
                 break
         return status
-
-    @property
-    def points(self) -> list[PathPoint]:
-        """The solutions at the breakpoints, two per breakpoint where segments do not join."""
-        found = []
-        for k, piece in enumerate(self.pieces):
-            if not k or not _join(self.pieces[k - 1], piece):
-                found.append(self.at(piece.begin, piece))
-            found.append(self.at(piece.end, piece))
-        return found
 
     @cached_property
     def status(self) -> Status:
@@ -270,12 +259,3 @@ class Path:
 
     def __str__(self) -> str:
         return self.explain()
-
-
-def _join(one: Piece, other: Piece) -> bool:
-    """Return whether a segment begins at the end of the previous one, in θ and z."""
-    if one.end != other.begin:
-        return False
-    here = one.z_at(one.end)
-    off = np.abs(here - other.z_at(other.begin)).max(initial=0.0)
-    return bool(off <= JOINED * np.abs(here).max(initial=0.0))

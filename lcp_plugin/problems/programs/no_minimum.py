@@ -35,7 +35,7 @@ from ...proofs.exact.rational import (
     rounded_down,
     short,
 )
-from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
+from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, best_proof, linear_program
 from ...proofs.no_solution.free_motion import (
     is_at_rest,
     is_far_out,
@@ -50,7 +50,7 @@ from ...proofs.no_solution.linear_constraints import (
 from ...systems.definiteness import positive_definite_solver
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
-from .criterion import PROGRAM_TOLERANCE, ROWS
+from .criterion import ROWS
 from .program_matrices import sums_and_terms
 from .reductions import FoldedRows
 
@@ -68,7 +68,6 @@ CANCELS = 1e-6  # of the terms of a sum that a linear program takes for 0
 MOST_NAMED = 4  # constraints in a sentence
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
-REACHED = 1e-6, 1e5  # of the unit of a linear program: sizes that it can tell from 0 and from ∞
 NARROW = 1e-7  # a slack that may be none
 
 
@@ -471,7 +470,7 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
                 return proof
         return None
 
-    return _first_enough(constraints.within_bounds, 1.0, proven, exactly=exactly)
+    return _best_proof(constraints.within_bounds, 1.0, proven, exactly=exactly)
 
 
 def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:
@@ -493,54 +492,37 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
                 return proof
         return None
 
-    return _first_enough(
+    return _best_proof(
         stationarity(program, P[_independent_rows(P)]), None, proven, exactly=exactly
     )
 
 
-def _first_enough(
+def _best_proof(
     asked: LinearConstraints,
     first: float | None,
     proven: Callable[[Multipliers], T | None],
     *,
     exactly: bool,
 ) -> T | None:
-    """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin.
-
-    The linear program is solved with several units of offsets and bounds, starting with `first` or the largest unit.
-    The linear program cannot distinguish 1e-6 of a unit from 0, and it truncates 1e5 units.
-    """
-    found, tried = list[T](), list[float]()
+    """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin."""
     scale: FarkasProgram = FarkasProgram(asked)
     q = np.where(np.isfinite(asked.q), np.abs(asked.q), 0.0)
     bounds = [
         np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (asked.lower, asked.upper)
     ]
-    for unit in scale.sizes if first is None else [first, *scale.sizes]:
-        if any(REACHED[0] * one <= unit <= REACHED[1] * one for one in tried):
-            continue
-        tried.append(unit)
+
+    def weighed(unit: float) -> LinearConstraints:
         with np.errstate(over="ignore"):  # in that scale, coefficient + size / unit
             weights = 1.0 / scale.rows + q / unit
             below, above = (
                 (scale.columns + bound / unit) * (given > 0.0)
                 for bound, given in zip(bounds, asked.bound_weights, strict=True)
             )
-        weighed = replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
-        farkas = FarkasProgram(weighed, unit)
-        answer = farkas.solve()
-        if answer is None or not answer.is_contradiction:
-            continue
-        proof = None if exactly else proven(farkas.polished(answer))
-        if proof is None or not proof.excludes(PROGRAM_TOLERANCE):
-            proof = farkas.proof(answer, proven)
-        if proof is not None:
-            found.append(proof)
-            if proof.excludes(PROGRAM_TOLERANCE):
-                break
-        if is_over():
-            break
-    return max(found, key=lambda proof: proof.margin, default=None)
+        return replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
+
+    units = scale.sizes if first is None else [first, *scale.sizes]
+    found: T | None = best_proof(weighed, units, proven, exactly=exactly)
+    return found
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:

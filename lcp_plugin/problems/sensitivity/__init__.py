@@ -341,9 +341,6 @@ class Derivative(LinearizedSystem):
         """Return a finite vector."""
         return finite_vector(values, name, self.problem.q.size)
 
-    def _acts(self, x: FloatVector) -> bool:
-        return bool(x.any())
-
     def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
         M = self.problem.matrix.array
         product: FloatVector = (M.T if transposed else M) @ x

@@ -87,10 +87,6 @@ class ErrorBound:
         """
         return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)
 
-    def proves(self, tolerance: float) -> bool:
-        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every component."""
-        return self.relative <= tolerance
-
     def __str__(self) -> str:
         undecided = self.n - self.active - self.inactive
         return (

@@ -23,7 +23,7 @@ from ...core.kernels.floats import TINY, UNIT
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.scaling import Exponents, scale_matrix
-from ...core.matrix.structure import Components, connected_components
+from ...core.matrix.structure import connected_components
 from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
@@ -134,53 +134,33 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     blur = np.maximum(sum_above(residual, negative), 0.0)
     if not (residual.any() or blur.any()):
         return np.zeros(problem.n)
-    transpose = transpose_of(problem.matrix)
+    transpose = sp.csr_array(problem.csr.T)
     value, radius = compensated_product(transpose, residual, residual * inverse_step)
-    absolute = absolute_transpose(problem.matrix)
-    blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
+    blurred, blurred_radius = compensated_product(abs(transpose), blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
     size = sum_above(size, 4.0 * TINY)  # products may have underflowed
     several, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
-    norm = np.asarray(
-        norm_above(even) if several is None else _norms_above(even, several)[several.labels]
-    )
+    labels = np.zeros(problem.n, np.int64) if several is None else several.labels
+    norm = norms_above(even, labels)[labels]
     bound = product_above(eigenvalue.scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 
 
 def norm_above(x: FloatVector) -> np.float64:
     """Return a double above ‖x‖₂ for x ≥ 0, also with underflow."""
-    largest = np.float64(x.max(initial=0.0))
-    if largest == 0.0 or not np.isfinite(largest):
-        return largest
-    unit = np.exp2(np.floor(np.log2(largest)))
-    squares = float(np.sum((x / unit) ** 2)) * OUTWARD + x.size * UNDERFLOW
-    return np.float64(unit * np.sqrt(squares) * OUTWARD)
+    return np.float64(norms_above(x, np.zeros(x.size, np.int64)).max(initial=0.0))
 
 
-def _norms_above(x: FloatVector, several: Components) -> FloatVector:
-    """Return doubles above ‖x_P‖₂ of each component P, shape (components,)."""
-    largest = several.largest(x)
+def norms_above(x: FloatVector, labels: Any) -> FloatVector:
+    """Return a double above ‖x_P‖₂, x ≥ 0, for each set P of entries with one label; also with underflow."""
+    largest = np.zeros(int(labels.max(initial=-1)) + 1)
+    np.maximum.at(largest, labels, x)
     is_usual = (largest > 0.0) & np.isfinite(largest)
     unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
-    squares = (
-        np.bincount(several.labels, (x / unit[several.labels]) ** 2, several.count) * OUTWARD
-        + x.size * UNDERFLOW
-    )
+    squares = np.bincount(labels, (x / unit[labels]) ** 2, largest.size) * OUTWARD
+    squares += x.size * UNDERFLOW
     norms: FloatVector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
     return norms
-
-
-@fact
-def transpose_of(matrix: Matrix) -> sp.csr_array:
-    """Return Mᵀ as CSR, shape (n, n)."""
-    return sp.csr_array(matrix.csr.T)
-
-
-@fact
-def absolute_transpose(matrix: Matrix) -> sp.csr_array:
-    """Return |Mᵀ|, shape (n, n)."""
-    return abs(transpose_of(matrix))
 
 
 def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:

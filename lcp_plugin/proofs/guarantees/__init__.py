@@ -214,12 +214,8 @@ def _paper_says(problem: LCP, facts: IterationFacts) -> str:
 def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_SPLITTING:
         return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_SPLITTING}"
-    if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING) and _is_h_plus(problem):
-        return "M is an H₊-matrix, but with this scaling and these α, β no theorem here applies"
     if _is_h_plus(problem):
-        return (
-            "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
-        )
+        return "M is an H₊-matrix, but with these options no theorem here applies beyond rounding"
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     return "M is not proven to be an H₊-matrix"

@@ -49,9 +49,8 @@ from ...core.matrix.iteration_facts import (
     IterationFacts,
 )
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.row_sums import inverse_residual_scale, row_blocks, triangle_sums
+from ...core.matrix.row_sums import inverse_residual_scale, triangle_sums
 
-ALL = slice(None)
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
 Weights = FloatVector | float
 
@@ -85,36 +84,36 @@ class RowBound:
 # --- row bounds ------------------------------------------------------------------------------------------
 
 
-def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBound:
-    """Return the bound of one sweep for these rows; L is the already updated part (for 𝓜: its entries)."""
+def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
+    """Return the bound of one sweep; L is the already updated part (for 𝓜: its entries)."""
     if facts.family == PROJECTED_TYPE:
-        return _projected_type(facts, problem, rows)
+        return _projected_type(facts, problem)
     if facts.family == PROJECTED_SPLITTING:
-        theta, weight = scaled(facts, problem, rows)
+        theta, weight = scaled(facts, problem)
         zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
         return RowBound(
             2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight))
         )
     alpha, beta = numbers(facts)
-    diagonal = problem.diagonal[rows]
-    per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
+    diagonal = problem.diagonal
+    per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix))
     if facts.family == PROJECTED_RELAXATION:
         free = min(alpha, 2.0 - alpha)
         lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
         return RowBound(
             1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),)
         )
-    omega = np.ones(diagonal.size) if facts.omega is None else facts.omega[rows] / diagonal
+    omega = np.ones(diagonal.size) if facts.omega is None else facts.omega / diagonal
     kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
     lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
     case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
     return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
 
 
-def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBound:
+def _projected_type(facts: IterationFacts, problem: LCP) -> RowBound:
     alpha, beta = numbers(facts)
     g = beta / alpha
-    theta, weight = scaled(facts, problem, rows)
+    theta, weight = scaled(facts, problem)
     zero = RowCase(
         np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0
     )
@@ -126,13 +125,10 @@ def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBoun
     return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))
 
 
-def scaled(
-    facts: IterationFacts, problem: LCP, rows: slice = ALL
-) -> tuple[FloatVector, FloatVector]:
+def scaled(facts: IterationFacts, problem: LCP) -> tuple[FloatVector, FloatVector]:
     """Return (θ, s divided by the row scaling of the triangle sums), one entry per row."""
-    diagonal = problem.diagonal[rows]
-    scaling = np.ones(diagonal.size) if facts.scaling is None else facts.scaling[rows]
-    return scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)[rows]
+    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
+    return scaling * problem.diagonal, scaling / inverse_residual_scale(problem.matrix)
 
 
 def numbers(facts: IterationFacts) -> tuple[float, float]:
@@ -182,7 +178,12 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contract
     if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
         return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
     sums = sums_for(facts, problem, v)
-    found = [_smallest_gap(facts, problem, v, order) for order in _directed(facts, sums)]
+    terms, bound = longest_row(problem.matrix), row_bound(facts, problem)
+    lost = underflow(v, terms)
+    found = [
+        float(gaps(bound, v, (updated + lost, rest + lost), terms).min(initial=1.0))
+        for updated, rest in _directed(facts, sums)
+    ]
     if not min(found) > 0.0:
         return None
     rates = [rate_of(gap) for gap in found]
@@ -190,20 +191,6 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contract
     if rate is not None and len(rates) > 1:
         rate = float(np.nextafter(rate, 2.0))
     return Contraction(rate, v)
-
-
-def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> float:
-    smallest, terms = 1.0, longest_row(problem.matrix)
-    lost = underflow(v, terms)
-    for rows in row_blocks(problem.n):
-        bound = row_bound(facts, problem, rows)
-        smallest = min(
-            smallest,
-            float(gaps(bound, v[rows], (sums[0][rows] + lost, sums[1][rows] + lost), terms).min()),
-        )
-        if not smallest > 0.0:
-            break
-    return smallest
 
 
 # --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------

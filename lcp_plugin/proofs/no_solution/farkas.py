@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,44 +26,29 @@ from .linear_constraints import LinearConstraints, without_rounding
 
 AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
 NEGLIGIBLE = 1e-12
-VIOLATED = 1e-6  # of the terms of its row
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 POLISHES = 2  # the second removes the rounding of the first
 MOST_DENSE = 1_000_000  # entries; .1 s
 MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
-MOST = 1e5  # times the unit: resolution of a linear program in double precision
+MOST, LEAST = 1e5, 1e-6  # times the unit: sizes that a linear program can tell from ∞ and from 0
+ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
 CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
-ALIKE = 1.0 - 2.0**-40  # margins that differ by less are rounded differently
 NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program
 KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
 SLACK = 0.1  # of the norm of v, for all of its entries together
 
 
-class HasMargin(Protocol):
-    """A proof of all x up to some size."""
-
-    @property
-    def radius(self) -> float:
-        """The size."""
-
-    @property
-    def margin(self) -> float:
-        """Margin of the inconsistency."""
-
-
-Proof = TypeVar("Proof", bound=HasMargin)
 Multipliers = FloatVector | Sequence[Rational]
 
 
 @dataclass(frozen=True)
 class FarkasAnswer:
-    """Optimum and multipliers in the scale of the program, the point in the scale of the constraints."""
+    """Optimum and multipliers in the scale of the program."""
 
     optimum: float
     multipliers: FloatVector
-    point: FloatVector
 
     @property
     def is_contradiction(self) -> bool:
@@ -137,40 +122,25 @@ class FarkasProgram:
         )
         if result is None:
             return None
-        return FarkasAnswer(
-            float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns
-        )
+        return FarkasAnswer(float(result.fun), result.x)
 
-    def proof(
-        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None]
-    ) -> Proof | None:
-        """Return the first proof with half the predicted margin, else the proof with the largest.
+    def proof(self, answer: FarkasAnswer, proven: Callable[[Multipliers], Any]) -> Any:
+        """Return the first proof of all x with half the predicted margin, else that of the largest margin, or None.
 
-        One within a radius only if no other has been found.
+        A proof within a radius is returned only if no other has been found.
 
         Parameters
         ----------
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None if that is none.
         """
-        wanted, plain, within = (
-            NEAR_ENOUGH * self.margin_of(answer.optimum),
-            list[Proof](),
-            list[Proof](),
-        )
+        wanted, found = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Any]()
         for y in self._tried(answer):
-            proof = proven(y)
-            if proof is not None:
-                (plain if proof.radius == math.inf else within).append(proof)
-            if is_over() or (plain and plain[-1].margin >= wanted):
+            found += filter(None, [proven(y)])
+            is_enough = found and found[-1].radius == math.inf and found[-1].margin >= wanted
+            if is_enough or is_over():
                 break
-        if plain or not within:
-            return max(plain, key=lambda proof: proof.margin, default=None)
-        most = max(proof.margin for proof in within)
-        return max(
-            (proof for proof in within if proof.margin >= ALIKE * most),
-            key=lambda proof: proof.radius,
-        )
+        return max(found, key=lambda one: (one.radius == math.inf, one.margin), default=None)
 
     def polished(self, answer: FarkasAnswer) -> FloatVector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
@@ -251,23 +221,6 @@ class FarkasProgram:
         with np.errstate(over="ignore"):
             cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
         return _StandardForm(m, place, signed, cost, equations, norm)
-
-    def unit_of_violation(self, x: FloatVector) -> float | None:
-        """Return the largest size, in the scale of the program, of a row that x leaves violated; None if none is."""
-        asked = self.constraints
-        with np.errstate(all="ignore"):
-            w = asked.matrix @ x + asked.q
-            size = abs(asked.matrix) @ np.abs(x) + np.abs(asked.q)
-            missing = np.maximum(
-                np.where(asked.needs_rise, -w, -np.inf), np.where(asked.needs_fall, w, -np.inf)
-            )
-            violated = missing > VIOLATED * size
-            size *= self.rows
-        if not np.isfinite(
-            size
-        ).all():  # a sum that overflows has no sign: nothing can be called feasible
-            return float(np.finfo(np.float64).max)
-        return float(size[violated].max()) if violated.any() else None
 
     def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
         """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
@@ -365,6 +318,44 @@ class _StandardForm:
             np.float64
         )
         return y
+
+
+def best_proof(
+    stated: Callable[[float], LinearConstraints],
+    units: Sequence[float],
+    proven: Callable[[Multipliers], Any],
+    *,
+    exactly: bool = True,
+    pivots: int | None = None,
+) -> Any:
+    """Return the first proof that excludes the tolerance 1e-6, else the proof of the largest margin, or None.
+
+    Parameters
+    ----------
+    stated : callable
+        Gives the constraints with the weights of a unit.
+    units : sequence of float
+        Units of offsets and bounds, as the linear program cannot tell 1e-6 of a unit from 0, and truncates 1e5 units.
+    """
+    found, tried = list[Any](), list[float]()
+    for unit in units:
+        if any(LEAST * one <= unit <= MOST * one for one in tried):
+            continue
+        tried.append(unit)
+        farkas = FarkasProgram(stated(unit), unit, pivots)
+        answer = farkas.solve()
+        if answer is None or not answer.is_contradiction:
+            continue
+        proof = None if exactly else proven(farkas.polished(answer))
+        if proof is None or not proof.excludes(ENOUGH):
+            proof = farkas.proof(answer, proven)
+        if proof is not None:
+            found.append(proof)
+            if proof.excludes(ENOUGH):
+                break
+        if is_over():
+            break
+    return max(found, key=lambda proof: proof.margin, default=None)
 
 
 def linear_program(

@@ -64,30 +64,18 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
     """Return a proof by the multipliers of a linear program, in a scaling in which it detects the inconsistency."""
-    from .farkas import FarkasProgram
+    from .farkas import FarkasProgram, best_proof
 
     reference = reference_residual(problem)
     constraints = replace(_linear_constraints(problem), reference=reference)
-    unit = (
-        reference if 0.0 < reference < np.inf else None
-    )  # then the optimum is minus the largest margin
-    for _ in range(3):  # units
-        program = FarkasProgram(constraints, unit, effort)
-        answer = program.solve()
-        if answer is None:
-            return None
-        if answer.is_contradiction:
-            proof = program.proof(
-                answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value})
-            )
-            if proof is not None or unit is None:
-                return proof
-            unit = None  # entries cut off by this unit may matter
-            continue
-        unit = program.unit_of_violation(np.clip(answer.point, problem.lower, problem.upper))
-        if unit is None:  # the point satisfies the constraints
-            return None
-    return None
+    is_usual = 0.0 < reference < np.inf  # then the optimum is minus the largest margin
+    units = [reference] * is_usual + FarkasProgram(constraints).sizes
+
+    def proven(y: Any) -> Infeasibility | None:
+        return _proven(problem, {i: value for i, value in enumerate(y) if value})
+
+    found: Infeasibility | None = best_proof(lambda _: constraints, units, proven, pivots=effort)
+    return found
 
 
 def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -126,24 +126,6 @@ def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
     return sp.csr_array((matrix.data[kept], (rows[kept], matrix.indices[kept])), shape=matrix.shape)
 
 
-class Sides(Protocol):
-    """Interface of the constraints of a Farkas certificate: signs of rows, bounds of unknowns."""
-
-    @property
-    def matrix(self) -> sp.csr_array:
-        """M."""
-
-    @property
-    def q(self) -> FloatVector:
-        """The offset of w = M x + q."""
-
-    def signs(self, row: int) -> tuple[bool, bool]:
-        """Return whether w_i ≥ 0 and w_i ≤ 0 is required."""
-
-    def bounds(self, column: int) -> tuple[float, float]:
-        """Return the bounds of an unknown."""
-
-
 @dataclass(frozen=True, eq=False)
 class Contradiction:
     """Inconsistency of linear constraints, proved by a Farkas vector y in exact arithmetic.
@@ -155,7 +137,8 @@ class Contradiction:
 
     Attributes
     ----------
-    sides : Sides
+    sides : LinearConstraints or Choices
+        Signs of rows, bounds of unknowns, the matrix and q.
     y : mapping of int to Fraction
         Entries by row, none of them 0.
     rows : IntegerMatrix, optional
@@ -166,7 +149,7 @@ class Contradiction:
         c without the contribution of `left`.
     """
 
-    sides: Sides
+    sides: Any
     y: Mapping[int, Fraction]
     rows: InitVar[IntegerMatrix | None] = None
     plain: Fraction = field(init=False)

@@ -7,7 +7,7 @@ often meant to be its negative.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -59,8 +59,8 @@ class Claim:
 class MatrixReport:
     """Classes a matrix belongs to, each True, False or None (undecided), never a guess.
 
-    A verdict is computed on first access, by tests from cheap to costly, and kept. ``evidence[name]`` describes its
-    reason.
+    A verdict is computed on first access, by tests from cheap to costly, and kept. ``verdict(name).evidence`` describes
+    its reason; ``evidence`` computes all of them.
 
     Parameters
     ----------
@@ -85,8 +85,6 @@ class MatrixReport:
         log10 of largest over smallest nonzero magnitude of entries, rows, columns, diagonal.
     row_excess_signs : array, shape (n,)
         Exact signs of |m_ii| − Σ_j≠i |m_ij|.
-    block_labels : array, shape (n,)
-        The strongly connected block of each row.
 
     Examples
     --------
@@ -119,7 +117,6 @@ class MatrixReport:
     row_excess_signs = View(graph.row_excess_signs)
     components = View(graph.components)
     blocks = View(lambda matrix: graph.diagonal_blocks(matrix)[0])
-    block_labels = View(lambda matrix: graph.diagonal_blocks(matrix)[1])
     zero_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
     negative_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
     scale_spread = View(graph.scale_spread)
@@ -127,7 +124,11 @@ class MatrixReport:
     def __init__(self, matrix: Any) -> None:
         self.matrix = matrix_of(matrix)
         self.n = self.matrix.n
-        self.evidence: Mapping[str, str] = _Evidence(self)
+
+    @property
+    def evidence(self) -> dict[str, str]:
+        """The reasons of all verdicts, by name."""
+        return {name: v.evidence for name, v in self._all()}
 
     def verdict(self, name: str) -> Verdict:
         """Return (value, evidence) of a claim, for instance ``"is_h_plus"``.
@@ -135,7 +136,7 @@ class MatrixReport:
         Raises
         ------
         KeyError
-            If no claim has this name; ``list(report.evidence)`` has the names.
+            If no claim has this name.
         """
         if name not in CLAIMS:
             raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
@@ -176,22 +177,6 @@ class MatrixReport:
 
     def __repr__(self) -> str:
         return f"MatrixReport(n={self.n}, nonzeros={self.matrix.nonzeros})"
-
-
-class _Evidence(Mapping[str, str]):
-    """Mapping from a claim to its reason, computed on access."""
-
-    def __init__(self, report: MatrixReport) -> None:
-        self._report = report
-
-    def __getitem__(self, name: str) -> str:
-        return self._report.verdict(name).evidence
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(CLAIMS)
-
-    def __len__(self) -> int:
-        return len(CLAIMS)
 
 
 CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstance(claim, Claim)}

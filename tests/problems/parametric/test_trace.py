@@ -309,7 +309,7 @@ def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
     """A path is right if z and w both vanish up to rounding; some once ended STALLED."""
     path = trace(LCP([[5.0]], [-1.0]), {"q": [-3.0]}, 1.5, -1.0).require_solved()
     assert path.at(path.breakpoints[1]).is_solved
-    assert all(point.is_solved for point in path.points)
+    assert all(path.at(theta).is_solved for theta in path.breakpoints)
     for seed in range(150):
         if (stated := short_lcp(seed)) is not None:
             trace(stated[0], {"q": stated[1]}, 1.5, -1.0).require_solved()

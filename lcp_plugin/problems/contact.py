@@ -275,16 +275,15 @@ def contact_data(
 
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
     """Return the coefficients of k contacts, shape (k,), given so or as a number."""
-    need = f"friction must be a number, or an array of shape ({k},): {need}"
-    mu = _array(friction, need)
-    if mu.shape not in ((), (k,)):
-        raise InvalidProblem(f"{need}, got shape {mu.shape}")
+    mu = _of_contacts(
+        friction, k, f"friction must be a number, or an array of shape ({k},): {need}"
+    )
     if mu.min(initial=0.0) < 0.0:
-        at = np.argwhere(mu < 0.0)[0].tolist()
+        i = int(np.argmax(mu < 0.0))
         raise InvalidProblem(
-            f"friction must not be negative, but friction{at or ''} = {mu[tuple(at)]}; give μ ≥ 0, 0 for none"
+            f"friction must not be negative, but friction[{i}] = {mu[i]}; give μ ≥ 0, 0 for none"
         )
-    return np.broadcast_to(mu, k).copy()
+    return mu
 
 
 def is_of_bodies(contacts: Any) -> bool:
@@ -305,10 +304,15 @@ def closing_speeds(gaps: ArrayLike | None, time_step: float | None, k: int) -> F
     if not is_number(time_step) or not 0.0 < time_step < np.inf:
         raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
     need = f"gaps must be a number, or a finite array of shape ({k},): one per contact"
-    distances = _array(gaps, need)
-    if distances.shape not in ((), (k,)):
-        raise InvalidProblem(f"{need}, got shape {distances.shape}")
-    return np.broadcast_to(distances / time_step, k)
+    return _of_contacts(gaps, k, need) / time_step
+
+
+def _of_contacts(values: ArrayLike, k: int, need: str) -> FloatArray:
+    """Return a number per contact, shape (k,), from such an array or one number."""
+    given = _array(values, need)
+    if given.shape not in ((), (k,)):
+        raise InvalidProblem(f"{need}, got shape {given.shape}")
+    return np.broadcast_to(given, k).copy()
 
 
 def warn_of_much_friction(friction: FloatArray, level: int) -> None:

@@ -34,7 +34,6 @@ AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
 SHORT = 1e-14  # of the way: a piece of rounding alone, which the next one takes in
 AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is lost
 MOST_CHANGES = 200  # per row, and 10 000 besides
-CORRECTIONS = 20  # of the steps of a start
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,19 +116,9 @@ class Follower:
         self.problem, self.t, self.begin, self.n = problem, t, t, problem.n
         self.steps = problem.steps_of(t, z, w)
         self._columns: dict[int, FloatVector] = {}
-        self.motion = self._begin(z)
-
-    def _begin(self, z: FloatVector) -> Motion | None:
-        """Return the motion of consistent steps at t; rows off their steps change steps."""
-        for _ in range(CORRECTIONS):
-            motion = self._settle(z)
-            if motion is None or not (motion.outside > MISSED).any():
-                return motion
-            is_below = motion.low[0] < -MISSED * motion.blur
-            is_above = motion.high[0] < -MISSED * motion.blur
-            self.steps = self.steps + is_above - is_below
-            z = motion.z[0]
-        return None
+        motion = self._settle(z)
+        is_off = motion is None or bool((motion.outside > MISSED).any())
+        self.motion = None if is_off else motion
 
     def lines(self, stop: float) -> Iterator[Segment]:
         """Yield the lines up to stop, or to where the path is lost."""

@@ -154,8 +154,6 @@ class _Trace:
         """
         for share in shares:
             t = min(self.reached + share * self.span, self.end)
-            if t == 0.0 and (follower := self._start_at_corners()) is not None:
-                return follower
             result = self.path.beyond = self.family.solve_at(self.theta(t))
             self.path.starts += 1
             if result.has_no_solution or result.x is None:
@@ -166,17 +164,6 @@ class _Trace:
             if t == self.end:
                 return None
         return None
-
-    def _start_at_corners(self) -> Follower | None:
-        """Return a follower if the corner nearest to 0 is the solution at the start, as for a large penalty."""
-        corners = self.problem.corners[0]
-        z = np.take_along_axis(corners, np.abs(corners).argmin(axis=0)[np.newaxis], axis=0)[0]
-        if not np.isfinite(z).all():
-            return None
-        follower = self._follower(0.0, z)
-        return (
-            follower if follower.motion is not None and (follower.motion.z[0] == z).all() else None
-        )
 
     def _follower(self, t: float, z: FloatVector) -> Follower:
         """Return a path follower that starts near a solution."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,8 +51,6 @@ class ErrorBound:
         "v-certificate", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
     proven_active, proven_inactive : ndarray of bool, shape (n,)
         z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0.
-    n, active, inactive : int
-        Number of rows, and numbers of rows that are proven active and inactive.
     residual : float
         ‖r(z)‖∞, the numerator of the relative residual: in the unit of z, as `infinity` is.
     near : NearPoint or None
@@ -68,12 +65,14 @@ class ErrorBound:
     method: str
     proven_active: BoolVector = field(repr=False)
     proven_inactive: BoolVector = field(repr=False)
-    n: int
-    active: int
-    inactive: int
     residual: float = np.nan
     near: NearPoint | None = field(default=None, repr=False)
     seconds: float = field(default=0.0, repr=False)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of rows that are proven active, and inactive."""
+        return int(self.proven_active.sum()), int(self.proven_inactive.sum())
 
     def carried_to(self, z: FloatVector) -> FloatVector:
         """Return a bound of |z − z*|, componentwise, for any z of shape (n,): by its distance to `near`, in O(n).
@@ -88,10 +87,10 @@ class ErrorBound:
         return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)
 
     def __str__(self) -> str:
-        undecided = self.n - self.active - self.inactive
+        n, (active, inactive) = self.componentwise.size, self.counts
         return (
             f"‖z − z*‖∞ ≤ {self.infinity:.3e}, relative {self.relative:.3e} ({self.method})\n"
-            f"proven: {self.active} active, {self.inactive} inactive, {undecided} of {self.n} undecided"
+            f"proven: {active} active, {inactive} inactive, {n - active - inactive} of {n} undecided"
         )
 
 
@@ -194,17 +193,9 @@ class BestBound:
             largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z)
         )
         relative = max(map(relative_to, *of_components), default=0.0)
-        return _counted(
-            problem,
-            y,
-            active | (problem.lower == problem.upper),
-            inactive,
-            infinity=infinity,
-            relative=relative,
-            method=self.method,
-            residual=residual,
-            near=NearPoint(self.near.high, self.near.low, self.near_y),
-        )
+        is_active = active | (problem.lower == problem.upper)
+        near = NearPoint(self.near.high, self.near.low, self.near_y)
+        return ErrorBound(y, infinity, relative, self.method, is_active, inactive, residual, near)
 
 
 def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
@@ -243,27 +234,5 @@ def relative_to(infinity: float, size: float) -> float:
 
 def _nothing_known(problem: LCP, method: str) -> ErrorBound:
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-    return _counted(
-        problem,
-        np.full(problem.q.size, np.inf),
-        problem.lower == problem.upper,
-        is_free,
-        infinity=np.inf,
-        relative=np.inf,
-        method=method,
-    )
-
-
-def _counted(
-    problem: LCP, componentwise: FloatVector, active: BoolVector, inactive: BoolVector, **known: Any
-) -> ErrorBound:
-    counts = [int(np.count_nonzero(rows)) for rows in (active, inactive)]
-    return ErrorBound(
-        componentwise=componentwise,
-        proven_active=active,
-        proven_inactive=inactive,
-        n=problem.n,
-        active=counts[0],
-        inactive=counts[1],
-        **known,
-    )
+    unknown = np.full(problem.n, np.inf)
+    return ErrorBound(unknown, np.inf, np.inf, method, problem.lower == problem.upper, is_free)

@@ -208,7 +208,7 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
 def _paper_says(problem: LCP, facts: IterationFacts) -> str:
     if facts.family != PROJECTED_TYPE or facts.is_scaled:
         return ""
-    return theorem_4_2(facts, problem, jacobi_radius(problem.matrix), _is_h_plus(problem))[1]
+    return theorem_4_2(facts, problem, jacobi_radius(problem.matrix), _is_h_plus(problem))
 
 
 def _nothing_known(problem: LCP, facts: IterationFacts) -> str:

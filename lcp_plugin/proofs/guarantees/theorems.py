@@ -157,8 +157,8 @@ def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str 
 
 def theorem_4_2(
     facts: IterationFacts, problem: LCP, bounds: Sequence[float], is_h_plus: bool
-) -> tuple[bool, str]:
-    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, and a sentence with the reason.
+) -> str:
+    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, as a sentence with the reason.
 
     Parameters
     ----------
@@ -170,32 +170,23 @@ def theorem_4_2(
     is_h_plus : bool
         Whether M is proven to be an H₊-matrix.
     """
-    alpha, beta = numbers(facts)
-    lower, upper = bounds
-    between = f"{lower:.3g} … {upper:.3g}"
-    number = (
-        f"ρ|L+U| = {(lower + upper) / 2.0:.3g}"
-        if upper - lower <= 0.004 * upper
-        else f"ρ|L+U| in {between}"
-    )
-    diagonal = problem.diagonal
-    premise = 0.0 <= beta <= alpha <= 1.0
     if not is_h_plus:
-        return False, "not covered by the original Theorem 4.2 (M is not proven to be an H₊-matrix)"
-    case = 1 if np.all(diagonal >= 1.0) and upper < 1.0 else 2 if np.all(diagonal < 1.0) else 0
-    if case and premise:
-        return True, f"covered by the original Theorem 4.2, case {case} ({number})"
-    reason = number if not case else "its splitting needs ⟨M⟩ = ⟨𝓜⟩ − |𝓝|, that is 0 ≤ β ≤ α ≤ 1"
-    is_mixed = not (np.all(diagonal >= 1.0) or np.all(diagonal < 1.0))
-    reason += "; neither D ≥ I nor D < I" if is_mixed else ""
-    hindered = (
-        "; its premise ⟨M⟩ = ⟨𝓜⟩ − |𝓝| needs 0 ≤ β ≤ α ≤ 1 besides"
-        if not premise and not case
-        else ""
-    )
+        return "not covered by the original Theorem 4.2 (M is not proven to be an H₊-matrix)"
+    (alpha, beta), (lower, upper), diagonal = numbers(facts), bounds, problem.diagonal
+    is_close = upper - lower <= 0.004 * upper
+    number = f"= {(lower + upper) / 2.0:.3g}" if is_close else f"in {lower:.3g} … {upper:.3g}"
+    is_large, is_small = bool((diagonal >= 1.0).all()), bool((diagonal < 1.0).all())
+    case = 1 if is_large and upper < 1.0 else 2 if is_small else 0
+    reasons = [f"ρ|L+U| {number}"] if not case else []
+    if not (is_large or is_small):
+        reasons.append("neither D ≥ I nor D < I")
+    if not 0.0 <= beta <= alpha <= 1.0:
+        reasons.append("its splitting needs ⟨M⟩ = ⟨𝓜⟩ − |𝓝|, that is 0 ≤ β ≤ α ≤ 1")
+    if not reasons:
+        return f"covered by the original Theorem 4.2, case {case} (ρ|L+U| {number})"
     return (
-        False,
-        f"not covered by the original Theorem 4.2 ({reason}); covered after diagonal scaling{hindered}",
+        f"not covered by the original Theorem 4.2 ({'; '.join(reasons)}); covered after diagonal "
+        "scaling"
     )
 
 

@@ -32,7 +32,10 @@ NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear pr
 POLISHES = 2  # the second removes the rounding of the first
 MOST_DENSE = 1_000_000  # entries; .1 s
 MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
-MOST, LEAST = 1e5, 1e-6  # times the unit: sizes that a linear program can tell from ∞ and from 0
+MOST, LEAST = (
+    1e5,
+    1e-6,
+)  # times the unit: sizes that a linear program distinguishes from ∞ and from 0
 ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
 CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
 NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program
@@ -125,7 +128,7 @@ class FarkasProgram:
         return FarkasAnswer(float(result.fun), result.x)
 
     def proof(self, answer: FarkasAnswer, proven: Callable[[Multipliers], Any]) -> Any:
-        """Return the first proof of all x with half the predicted margin, else that of the largest margin, or None.
+        """Return the first proof of all x with half the predicted margin, else one with the largest margin, or None.
 
         A proof within a radius is returned only if no other has been found.
 
@@ -335,7 +338,7 @@ def best_proof(
     stated : callable
         Gives the constraints with the weights of a unit.
     units : sequence of float
-        Units of offsets and bounds, as the linear program cannot tell 1e-6 of a unit from 0, and truncates 1e5 units.
+        Units of offsets and bounds: the linear program cannot distinguish 1e-6 of a unit from 0, and truncates 1e5.
     """
     found, tried = list[Any](), list[float]()
     for unit in units:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from lcp_plugin import LCPError
 
-from .inputs import FALSE, OPEN, PROVED, SOLVED, Input, inputs, work_of
+from .inputs import FALSE, OPEN, RIGHT, Input, inputs
 from .mechanisms import NAMES
 from .switching import Patch, forget, replaced
 
@@ -24,14 +24,13 @@ PAGE = Path(__file__).with_name("ablation.md")
 SLOWER = 1.5  # times as long in the mean of a source of inputs: a loss
 LONGEST = 20  # seconds of one solve
 QUICK, TIMES = 0.02, 3  # a solve that takes less is timed again so often
-LEAST_WORK, SHORTEST = 1e-12, 1e-6
+SHORTEST = 1e-6
 
 
 class Ran(NamedTuple):
-    """The verdict, work and seconds of an input."""
+    """The verdict and seconds of an input."""
 
     verdict: str
-    work: float
     seconds: float
     has_raised: bool = False
 
@@ -49,25 +48,20 @@ class Tally:
         on, off = (sum(pair[k].verdict == verdict for pair in self.runs) for k in (0, 1))
         return on, off
 
-    def ratio(self, name: str, least: float = SHORTEST) -> float:
-        """Return the geometric mean of off ÷ on."""
-        pairs = [(getattr(on, name), getattr(off, name)) for on, off in self.runs]
-        return mean([off / on for on, off in pairs if min(on, off) > least])
+    def ratio(self) -> float:
+        """Return the geometric mean of the seconds, off ÷ on."""
+        return mean([off.seconds / on.seconds for on, off in self.runs])
 
     def losses(self) -> list[str]:
         """Return the losses without the mechanism, in words."""
         found = []
-        for verdict, name, sign in (
-            (SOLVED, "solved", 1),
-            (PROVED, "proved", 1),
-            (FALSE, "false", -1),
-        ):
+        for verdict, sign in ((RIGHT, 1), (FALSE, -1)):
             on, off = self.counts(verdict)
             if sign * (on - off) > 0:
-                found.append(f"{abs(on - off)} {name}")
+                found.append(f"{abs(on - off)} {verdict}")
         if raised := sum(off.has_raised for _, off in self.runs):
             found.append(f"{raised} raised")
-        return found + [f"time: {self.source}"] * (self.ratio("seconds") >= SLOWER)
+        return found + [f"time: {self.source}"] * (self.ratio() >= SLOWER)
 
 
 def mean(ratios: Sequence[float]) -> float:
@@ -84,9 +78,7 @@ def meetings(names: Sequence[str]) -> dict[str, list[Input]]:
         for one in inputs():
             before = {name: sum(p.times for p in patches) for name, patches in watched.items()}
             forget()
-            ran = _run(one)
-            _judged(one, *ran)  # some results are computed when asked for
-            if ran[2].has_raised:
+            if run(one).has_raised:
                 raise AssertionError(f"{one.source}, {one.name}: raises while it is watched")
             for name, patches in watched.items():
                 if sum(p.times for p in patches) > before[name]:
@@ -118,11 +110,11 @@ def measure(one: Input, patches: list[Patch]) -> tuple[Ran, Ran]:
     runs = []
     for chosen in ([], patches):
         with replaced(chosen):
-            runs.append(_judged(one, *_run(one)))
+            runs.append(run(one))
     for _ in range(TIMES if max(ran.seconds for ran in runs) <= QUICK else 1):
         for k, chosen in enumerate(([], patches)):
             with replaced(chosen):
-                seconds = min(runs[k].seconds, _run(one)[2].seconds)
+                seconds = min(runs[k].seconds, run(one).seconds)
                 runs[k] = runs[k]._replace(seconds=seconds)
     return runs[0], runs[1]
 
@@ -136,17 +128,15 @@ def row_of(name: str, tallies: Sequence[Tally]) -> str:
     met = len(whole.runs)
     losses = [loss for tally in tallies for loss in tally.losses()]
     claim = [f"`{mechanism.claim.partition('::')[2]}`"] if mechanism.claim else []
-    worst = max(tallies, key=lambda one: one.ratio("seconds"), default=whole)
-    counts = [f"{on} → {off}" for on, off in map(whole.counts, (SOLVED, PROVED, FALSE))]
+    worst = max(tallies, key=Tally.ratio, default=whole)
+    counts = [f"{on} → {off}" for on, off in map(whole.counts, (RIGHT, FALSE))]
     cells = [
         name,
         mechanism.purpose,
         f"{met} of {met + whole.left}" if whole.left else str(met),
         *counts,
-        f"{whole.ratio('work', LEAST_WORK):.2f}",
-        f"{whole.ratio('seconds'):.2f}",
-        f"{worst.ratio('seconds'):.2f} {worst.source}",
-        str(mechanism.lines),
+        f"{whole.ratio():.2f}",
+        f"{worst.ratio():.2f} {worst.source}",
         "; ".join(losses or claim) or ("nothing" if met else "never met"),
     ]
     return f"| {' | '.join(cells)} |"
@@ -166,14 +156,14 @@ def write(new: dict[str, str]) -> None:
     PAGE.write_text(head + "\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _run(one: Input) -> tuple[Any, Any, Ran]:
-    """State an input and solve it; return the problem, the result or None, and the run."""
+def run(one: Input) -> Ran:
+    """Solve an input and judge the result."""
     with _quiet():
-        problem, result, has_raised = one.state(), None, False
+        result, verdict, has_raised = None, OPEN, False
         signal.alarm(LONGEST)
         begin = time.process_time()
         try:
-            result = one.solve(problem)
+            result = one.solve()
         except (LCPError, TimeoutError):
             pass
         except Exception:  # an exception without the mechanism counts against leaving it out
@@ -181,15 +171,9 @@ def _run(one: Input) -> tuple[Any, Any, Ran]:
         finally:
             signal.alarm(0)
         seconds = max(time.process_time() - begin, SHORTEST)
-        return problem, result, Ran(OPEN, 0.0, seconds, has_raised)
-
-
-def _judged(one: Input, problem: Any, result: Any, ran: Ran) -> Ran:
-    """Return the run with the verdict of a judge."""
-    if result is None:
-        return ran
-    with _quiet():
-        return ran._replace(verdict=one.judge(problem, result), work=work_of(result))
+        if result is not None:
+            verdict = one.judge(result)
+        return Ran(verdict, seconds, has_raised)
 
 
 @contextlib.contextmanager

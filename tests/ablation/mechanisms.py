@@ -1,18 +1,15 @@
-"""The mechanisms: name, purpose, replacements, and the definitions that would become unused."""
+"""The mechanisms: name, purpose and replacements."""
 
 from __future__ import annotations
 
-import ast
 import math
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .switching import Instead, Patch
 
-PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 DIRECT, LEAST, CONES, EQUILIBRIA = (
     "methods.direct",
     "problems.least_squares",
@@ -38,8 +35,6 @@ class Mechanism(NamedTuple):
     purpose : str
     off : dict
         Replacement for each patched definition, by its location.
-    goes : str
-        Files, folders and definitions that only this mechanism needs.
     claim : str
         A test of this folder's parent that fails without it, ``path::name``, if the inputs here show no loss.
     """
@@ -47,18 +42,12 @@ class Mechanism(NamedTuple):
     name: str
     purpose: str
     off: dict[str, Instead]
-    goes: str = ""
     claim: str = ""
 
     @property
     def patches(self) -> list[Patch]:
         """Return the patches that switch the mechanism off."""
         return [Patch(place, instead) for place, instead in self.off.items()]
-
-    @property
-    def lines(self) -> int:
-        """Lines of code that would go: no comments, docstrings or blank lines."""
-        return sum(code_lines(place) for place in self.goes.split())
 
 
 # --- replacements
@@ -211,13 +200,11 @@ MECHANISMS = (
         "banded",
         "rounds of active sets on narrow bands",
         {"methods.banded:banded_passes": says(math.inf)},
-        "methods/banded",
     ),
     Mechanism(
         "multigrid",
         "truncated V-cycles where sweeps are slow",
         {"auto:_cycle_passes": says(math.inf)},
-        "methods/multigrid systems/hierarchy",
     ),
     Mechanism(
         "psor",
@@ -228,44 +215,37 @@ MECHANISMS = (
         "clear dominance",
         "psor at once where diagonal entries outweigh rows",
         {"auto:_is_clearly_dominant": says(False)},
-        "auto.py:_is_clearly_dominant",
     ),
     Mechanism(
         "triangles of M",
         "one exact sweep of a triangular M",
         {"auto:_triangle": says(None)},
-        "auto.py:_triangle",
     ),
     Mechanism(
         "coupling",
         "psor before multigrid along strong flows",
         {"core.matrix.symmetry:mean_coupling": says(math.inf)},
-        "core/matrix/symmetry.py:mean_coupling",
     ),
     Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
         {"core.solving.run:Run._polish": given_back(1)},
-        "core/solving/run.py:Run._polish methods/newton/active_set.py:solve_case",
     ),
     # --- LCPs: the direct methods
     Mechanism(
         "search",
         "all cases of few unknowns: solutions and proofs",
         {f"{DIRECT}:direct_methods": without("search")},
-        "methods/search",
     ),
     Mechanism(
         "feasibility",
         "a linear program looks for a proof that there is no solution",
         {f"{DIRECT}:direct_methods": without("feasibility")},
-        "methods/search/stages.py:FeasibilityCheck",
     ),
     Mechanism(
         "one row",
         "a row that contradicts its bounds by itself is looked for first",
         {"proofs.no_solution.infeasibility:contradictory_row": says(None)},
-        "proofs/no_solution/infeasibility.py:contradictory_row",
     ),
     Mechanism(
         "some pivots",
@@ -281,93 +261,75 @@ MECHANISMS = (
         "lemke",
         "complementary pivoting",
         {f"{DIRECT}:direct_methods": without("lemke")},
-        "methods/lemke",
     ),
     Mechanism(
         "newton",
         "semismooth Newton on LCPs",
         {f"{DIRECT}:direct_methods": without("newton")},
-        "methods/newton/semismooth_newton.py methods/newton/active_set.py",
         claim="core/test_choice.py::test_a_grid_with_strong_flows_is_solved_by_newton",
     ),
     Mechanism(
         "interior point",
         "PIQP on the program of an LCP",
         {f"{DIRECT}:direct_methods": without("interior_point")},
-        "methods/interior_point.py",
     ),
     Mechanism(
         "games",
         "paths of Lemke and Howson on bimatrix games",
         {"methods.lemke.games:bimatrix_players": says(None)},
-        "methods/lemke/games.py methods/lemke/pivoting_path.py:_lemke_howson",
     ),
     Mechanism(
         "damped steps",
         "a line search on the function of Fischer and Burmeister",
         {f"{NEWTON}:damped_steps": nothing()},
-        "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "
-        "methods/newton/semismooth_newton.py:_searched methods/newton/semismooth_newton.py:_newton_direction",
     ),
     # --- multigrid
     Mechanism(
         "nested start",
         "multigrid begins on the coarsest grid",
         {"methods.multigrid.multigrid_run:MultigridRun._nested_start": skipped()},
-        "methods/multigrid/multigrid_run.py:MultigridRun._nested_start "
-        "methods/multigrid/multigrid_run.py:MultigridRun._add_coarse_problems "
-        "methods/multigrid/multigrid_run.py:MultigridRun._interpolated",
     ),
     Mechanism(
         "Krylov",
         "conjugate steps preconditioned by V-cycles",
         {"methods.multigrid.multigrid_run:MultigridRun._krylov": nothing()},
-        "methods/multigrid/multigrid_run.py:MultigridRun._krylov "
-        "systems/hierarchy/truncation.py:KrylovCorrection",
     ),
     # --- interior points
     Mechanism(
         "cases",
         "the linear system of the case that an engine's point of an LCP shows",
         {f"{INTERIOR}:_cases": nothing()},
-        "methods/interior_point.py:_cases",
     ),
     Mechanism(
         "signs",
         "the program of a saddle point problem rather than that of its gap",
         {f"{INTERIOR}:signs_of": says(None)},
-        "methods/interior_point.py:signs_of",
     ),
     # --- programs
     Mechanism(
         "engines",
         "programs answered by solvers of others, judged here",
         {f"{CALLS}:attempts": without_engines("daqp", "piqp", "clarabel", "highs")},
-        "engines problems/programs/engine_calls.py",
     ),
     Mechanism(
         "daqp",
         "the engine of small dense programs",
         {f"{CALLS}:attempts": without_engines("daqp")},
-        "engines/daqp.py",
     ),
     Mechanism(
         "PIQP",
         "the engine of all other programs",
         {f"{CALLS}:attempts": without_engines("piqp")},
-        "engines/piqp.py",
     ),
     Mechanism(
         "HiGHS",
         "the engine of linear programs",
         {f"{CALLS}:attempts": without_engines("highs")},
-        "engines/highs.py",
     ),
     Mechanism(
         "engine polish",
         "the linear system of the case that an engine's point names",
         {"engines.polish:polish_steps": nothing()},
-        "engines/polish.py",
     ),
     Mechanism(
         "folded rows",
@@ -379,65 +341,54 @@ MECHANISMS = (
         "nnls",
         "scipy's nnls on dense problems with bounds on one side",
         {f"{LEAST}.engines:_solve_by_nnls": Instead(nothing_found)},
-        "problems/least_squares/engines.py:_solve_by_nnls",
     ),
     Mechanism(
         "PIQP of least squares",
         "PIQP on normal equations, the dual, and the problem as it stands",
         {f"{LEAST}.engines:_answer": Instead(no_point)},
-        "problems/least_squares/engines.py:Split",
     ),
     Mechanism(
         "face of an engine's point",
         "an engine's point solved on the face that it names",
         {f"{LEAST}.engines:minimize_on_face": Instead(lambda old: lambda point, A, b: point)},
-        "problems/least_squares/engines.py:minimize_on_face problems/least_squares/engines.py:_step_to_minimum",
         "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls",
     ),
     Mechanism(
         "projected steps",
         "projected gradients and conjugate steps",
         {f"{LEAST}.solving:projected_steps": only_start()},
-        "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "
-        "problems/least_squares/steps.py:_spectral_steps",
     ),
     Mechanism(
         "repaired duals",
         "dual points repaired for the certificate of least squares",
         {f"{LEAST}.certificate:_repair": nothing()},
-        "problems/least_squares/certificate.py:_repair problems/least_squares/certificate.py:_pushes",
     ),
     # --- cones
     Mechanism(
         "cone bodies",
         "contacts of few bodies: the systems of Newton's steps and of the central path over their velocities",
         {f"{CONES}.systems:Arms.are_fewer": says(False)},
-        "problems/cones/systems.py:Arms",
     ),
     Mechanism(
         "late stages",
         "sweeps until nothing changes, and Newton's method from points nearby, at the end",
         {f"{CONES}.solving:ConeRun._to_the_end": skipped()},
-        "problems/cones/solving.py:ConeRun._to_the_end",
         "problems/cones/test_cones.py::test_the_answer_is_in_the_cone_where_a_diagonal_cancels",
     ),
     Mechanism(
         "cone interior",
         "an interior point along the central path of contacts",
         {f"{CONES}.solving:ConeRun._follow": skipped()},
-        "problems/cones/solving.py:ConeRun._follow",
     ),
     Mechanism(
         "cone proofs",
         "a conic program looks for a proof that there is no answer",
         {f"{CONES}.solving:ConeRun._prove": skipped()},
-        "problems/cones/infeasibility.py problems/cones/solving.py:ConeRun._prove",
     ),
     Mechanism(
         "components of cones",
         "components that a common run leaves open, each alone",
         {f"{CONES}.solving:ConeRun._solve_components": skipped()},
-        "problems/cones/solving.py:ConeRun._solve_components",
     ),
     Mechanism(
         "last step of cones",
@@ -447,50 +398,40 @@ MECHANISMS = (
                 lambda old: lambda stack, z: (z, stack.measure(z)[2])
             )
         },
-        "problems/cones/newton.py:polish_points",
     ),
     # --- nonlinear
     Mechanism(
         "nonlinear restarts",
         "other starts of small nonlinear problems",
         {f"{STEPS}.start_elsewhere": says(False)},
-        "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere",
     ),
     # --- equilibria
     Mechanism(
         "own nodes",
         "branch and bound of ours before and after SCIP",
         {f"{EQUILIBRIA}.branch_and_bound:BranchAndBound._search": skipped()},
-        "problems/equilibria/branch_and_bound.py:BranchAndBound._search "
-        "problems/equilibria/branch_and_bound.py:BranchAndBound._branch "
-        "problems/equilibria/branch_and_bound.py:BranchAndBound._settle "
-        "problems/equilibria/branch_and_bound.py:BranchAndBound._pair",
     ),
     Mechanism(
         "SCIP",
         "another's global search where ours is long",
         {"interfaces.scip:minimize_or_none": says(None)},
-        "interfaces/scip.py",
         "problems/equilibria/test_best_equilibrium_network.py::test_a_bilinear_leader_is_solved_by_scip",
     ),
     Mechanism(
         "incumbents",
         "solutions from the points of relaxations",
         {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},
-        "problems/equilibria/incumbents.py:LocalSearch.from_point",
     ),
     # --- certify
     Mechanism(
         "dual slack",
         "dual points repaired to have the signs that are needed",
         {f"{BOUNDS}._with_slack": given_back(1)},
-        "problems/programs/dual_bounds.py:DualBounds._with_slack",
     ),
     Mechanism(
         "exact dual",
         "the dual bound in exact arithmetic",
         {f"{BOUNDS}._exact_value": says(-math.inf)},
-        "problems/programs/dual_bounds.py:DualBounds._exact_value",
     ),
     Mechanism(
         "implied box",
@@ -500,32 +441,27 @@ MECHANISMS = (
                 lambda old: lambda one: (one.lower, one.upper)
             )
         },
-        "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten",
     ),
     # --- many
     Mechanism(
         "lesson",
         "a step of a march begins with what ended the one before",
         {"problems.march:beginning_of_next": says(None)},
-        "problems/march/__init__.py:beginning_of_next",
     ),
     Mechanism(
         "march loop",
         "steps on narrow bands, judged a block at a time",
         {"problems.march:take_steps_together": says(None)},
-        "problems/march/__init__.py:take_steps_together problems/march/on_band.py",
     ),
     Mechanism(
         "batch loop",
         "small problems of a batch in one compiled loop",
         {"problems.batches.batch_run:BatchRun.solve_at_once": skipped()},
-        "problems/batches/batch_run.py:BatchRun.solve_at_once problems/batches/stated.py:_solve",
     ),
     Mechanism(
         "batch of programs",
         "small programs of a batch judged together",
         {"problems.batches.program_batch:ProgramBatchRun.solve_at_once": skipped()},
-        "problems/batches/program_batch.py:ProgramBatchRun.solve_at_once",
     ),
     Mechanism(
         "threads",
@@ -535,40 +471,6 @@ MECHANISMS = (
                 lambda old: lambda self, count: old(self, 1)
             )
         },
-        "core/kernels/threads.py problems/many/chunks.py",
     ),
 )
 NAMES = {one.name: one for one in MECHANISMS}
-
-
-# --- lines ----------------------------------------------------------------------------------------------------------
-
-
-def code_lines(place: str) -> int:
-    """Return the lines of code of a folder, a file, or a definition in a file; fail where there is none."""
-    path, _, name = place.partition(":")
-    file = PACKAGE / path
-    files = sorted(file.rglob("*.py")) if file.is_dir() else [file]
-    return sum(_counted(one, name.split(".") if name else ()) for one in files)
-
-
-def _counted(file: Path, names: Sequence[str]) -> int:
-    text = file.read_text(encoding="utf-8")
-    node: Any = ast.parse(text)
-    for name in names:
-        node = next(one for one in node.body if getattr(one, "name", "") == name)
-    lines = text.splitlines()
-    first, end = (getattr(node, "lineno", 1), getattr(node, "end_lineno", len(lines)))
-    kept = {
-        k
-        for k in range(first, end + 1)
-        if (line := lines[k - 1].strip()) and not line.startswith("#")
-    }
-    for one in ast.walk(node):
-        if (
-            isinstance(one, ast.Expr)
-            and isinstance(one.value, ast.Constant)
-            and isinstance(one.value.value, str)
-        ):
-            kept -= {*range(one.lineno, (one.end_lineno or one.lineno) + 1)}
-    return len(kept)

@@ -49,47 +49,6 @@ def planted_contacts(
     return FrictionalContact(W, u.ravel() - W @ r.ravel(), mu), r.ravel(), u.ravel()
 
 
-def wall(width: int, height: int, friction: float = 0.6) -> tuple[FrictionalContact, float]:
-    """Bricks in a running bond, four contacts a face, for 10 ms of gravity; and the floor's impulse, over 4 · width."""
-    long, tall, deep, mass, pull = 0.2, 0.1, 0.1, 4.0, 0.0981
-    inertia = mass / 12.0 * np.array([tall**2 + deep**2, long**2 + deep**2, long**2 + tall**2])
-    centre = np.array(
-        [
-            [(column + 0.5 * (row % 2)) * long, 0.0, (row + 0.5) * tall]
-            for row in range(height)
-            for column in range(width)
-        ]
-    )
-    upper, lower, points = [], [], []
-    for one, at in enumerate(centre):
-        for other in (
-            [-1] if one < width else range(one // width * width - width, one // width * width)
-        ):
-            left, right = at[0] - 0.5 * long, at[0] + 0.5 * long
-            if other >= 0:
-                left, right = (
-                    max(left, centre[other][0] - 0.5 * long),
-                    min(right, centre[other][0] + 0.5 * long),
-                )
-            if right - left > 1e-9:
-                for x in (left, right):
-                    for y in (-0.5 * deep, 0.5 * deep):
-                        upper.append(one)
-                        lower.append(other)
-                        points.append([x, y, at[2] - 0.5 * tall])
-    rows = np.zeros((len(upper), 3, 6 * len(centre)))
-    for c, (one, other, point) in enumerate(zip(upper, lower, points, strict=True)):
-        for row, way in enumerate(np.eye(3)[[2, 0, 1]]):
-            for body, sign in ((one, 1.0), (other, -1.0)):
-                if body >= 0:
-                    arm = np.cross(np.array(point) - centre[body], way)
-                    rows[c, row, 6 * body : 6 * body + 6] = sign * np.concatenate([way, arm])
-    matrix = np.diag(np.tile(np.concatenate([np.full(3, mass), inertia]), len(centre)))
-    velocities = np.tile([0.0, 0.0, -pull, 0.0, 0.0, 0.0], len(centre))
-    problem = FrictionalContact((matrix, rows[:, 0], rows[:, 1:]), velocities, friction)
-    return problem, mass * pull * len(centre)
-
-
 def planted_cones(
     blocks: int, rng: np.random.Generator, *, rank: float = 1.0
 ) -> tuple[ConeProblem, Any]:
@@ -253,3 +212,19 @@ def tower(masses: Any, corners: Any) -> tuple[FrictionalContact, Any]:
         (inertia, rows[:, 0], rows[:, 1:]), np.tile([0.0, -pull, 0.0], len(masses)), 0.5
     )
     return problem, pull * np.cumsum(masses[::-1])[::-1]
+
+
+def corners_of_a_tower(boxes: int, rng: np.random.Generator) -> tuple[Any, Any]:
+    """Return J, shape (4 boxes, 3, 6 boxes), and the masses, of boxes on each other that touch at four corners."""
+    J = np.zeros((4 * boxes, 3, 6 * boxes))
+    mass = np.repeat(rng.uniform(0.5, 2.0, boxes), 6)
+    mass[3::6], mass[4::6], mass[5::6] = 0.02 * mass[3::6], 0.02 * mass[4::6], 0.03 * mass[5::6]
+    for row in range(4 * boxes):
+        box, corner = divmod(row, 4)
+        signs = (1 - 2 * (corner // 2), 1 - 2 * (corner % 2), -1)
+        arm = np.array([0.2, 0.2, 0.1]) * signs * rng.uniform(0.9, 1.0, 3)
+        for k, d in enumerate(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])):
+            J[row, k, 6 * box : 6 * box + 6] = [*d, *np.cross(arm, d)]
+            if box:
+                J[row, k, 6 * box - 6 : 6 * box] = [*-d, *-np.cross(arm * [1, 1, -1], d)]
+    return J, mass

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lcp_plugin import LCP
 from lcp_plugin.gallery import Scene
-
-FloatVector = NDArray[np.float64]
 
 
 def murty(

@@ -22,7 +22,6 @@ INTERIOR, NEWTON, PROGRAMS = (
     "problems.programs",
 )
 CALLS = f"{PROGRAMS}.engine_calls"
-NONLINEAR = "problems/nonlinear/test_nonlinear.py"
 STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
 
 

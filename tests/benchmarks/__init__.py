@@ -10,16 +10,13 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[2] / "examples"))  # paper_tables is an example
 
 BENCHMARKS = {
-    "sweeps": "one sweep against one scipy product with M, n = 10⁶, single thread",
     "paper-at-scale": "the paper's Example 1 at n = 10⁶ by NPSOR(1.7) against scipy implementations, end to end",
     "multigrid": "multigrid and auto on obstacle, bearing, wind, jumps … against a linear solve by pyamg",
     "small": "small dense problems, one by one and in batches, next to a compiled Lemke",
-    "contact": "contact with friction on pyramids: steps, trajectories, batches",
-    "cones": "contact with exact friction cones: warm steps of a pile, walls, batches",
+    "cones": "contact with exact friction cones: a batch, from scratch, warm, and its gradient",
     "piles": "a step of spheres poured into a box, next to MuJoCo, Drake and Siconos: its time and its residual",
     "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above",
     "cvxpy-models": "27 models of cvxpy's users, each stated anew, against Clarabel and OSQP",
-    "first-solves": "the first solve of a process: functions compiled and processor seconds",
 }
 
 

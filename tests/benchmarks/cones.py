@@ -1,4 +1,4 @@
-"""Contact with exact friction cones: warm steps of a pile in time, walls from scratch, batches.
+"""Contact with exact friction cones: a batch; and the pile and Siconos, for ``piles``.
 
 Siconos (Debian's python3-siconos), which ``piles`` compares with, runs in the system's Python, or in SICONOS_PYTHON,
 if that has it: its block Gauss–Seidel and its Alart–Curnier Newton, each to the same tolerance of its own criterion.
@@ -7,10 +7,8 @@ if that has it: its block Gauss–Seidel and its Alart–Curnier Newton, each to
 from __future__ import annotations
 
 import os
-import statistics
 import subprocess
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from cone_families import wall
 from scipy.spatial import cKDTree
 
 from lcp_plugin import FrictionalContact, derivative, solve, solve_batch
@@ -35,10 +32,7 @@ Outcome = tuple[float, float]
 
 
 def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield a line for each pile, for walls and for a batch."""
-    for count, steps in ((8, 10),) if quick else ((30, 1000), (100, 200)):
-        yield _pile(count, steps)
-    yield _walls((2,) if quick else (4, 8, 10))
+    """Yield the line of a batch."""
     yield _batch(200 if quick else 4096)
 
 
@@ -76,47 +70,6 @@ def siconos_answer(name: str, problem: FrictionalContact, start: Any = None) -> 
         return np.inf, np.nan
     judged = solve(problem, z0=r, max_iterations=0, tolerance=TOLERANCE).certificate
     return (float(answer["seconds"]) if answer["is_solved"] else np.inf), judged.relative_residual
-
-
-def _pile(count: int, steps: int) -> str:
-    """Return what a step of 10 ms costs of spheres that are poured into a box, each begun where the last one ended.
-
-    Beside it stand 50 sweeps of projected Gauss–Seidel from the same start, as engines for games take them.
-    """
-    pile, seconds, unsolved, kept = Pile(count), list[float](), 0, dict[Any, Any]()
-    swept = list[tuple[float, float]]()
-    for _ in range(steps):
-        problem, rows, pairs = pile.contacts()
-        start = np.concatenate([kept.get(pair, np.zeros(3)) for pair in pairs])
-        began = time.perf_counter()
-        result = solve(problem, z0=start, max_seconds=2.0)
-        seconds.append(time.perf_counter() - began)
-        unsolved += not result.is_solved
-        swept.append(fifty_sweeps(problem, start, time.perf_counter))
-        kept = dict(zip(pairs, result.z.reshape(-1, 3), strict=True))
-        pile.move(rows, result.z)
-    slow = sum(one > Pile.step for one in seconds)
-    median = statistics.median(seconds)
-    late = sum(one > 3.0 * median for one in seconds)
-    sweep, residual = map(statistics.median, zip(*swept, strict=True))
-    return (
-        f"{count} spheres poured into a box, {steps} steps of 10 ms, {len(pairs)} contacts at the end: "
-        f"{1e3 * median:.2f} ms a warm step, {max(seconds):.2g} s at the most, {late} later than 3 × the median, "
-        f"{slow} than 10 ms, {unsolved} unsolved; 50 sweeps {1e3 * sweep:.2f} ms, to a residual of {residual:.0e}"
-    )
-
-
-def _walls(sizes: Sequence[int]) -> str:
-    """Return the times of walls of bricks from scratch: four contacts a face, many times more than the bricks need."""
-    told = []
-    for size in sizes:
-        given = wall(size, size)[0]
-        problem = FrictionalContact(given.W, given.b, given.friction)
-        began = time.perf_counter()
-        result = solve(problem, tolerance=TOLERANCE)
-        seconds = time.perf_counter() - began
-        told.append(f"{problem.slope.size} contacts {1e3 * seconds:.0f} ms ({result.status.name})")
-    return f"walls of bricks from nothing: {', '.join(told)}"
 
 
 def fifty_sweeps(problem: FrictionalContact, start: Any, clock: Any) -> tuple[float, float]:

@@ -11,8 +11,6 @@ from textbook_scenes import murty
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.auto import plan
-from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.symmetry import mean_coupling
 from lcp_plugin.core.representation import format_count
 from lcp_plugin.gallery.stencil import stencil_matrix
 
@@ -56,23 +54,6 @@ def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
     assert result.iterations <= 3
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_no_scaling_changes_the_mean_coupling(seed: int) -> None:
-    """Rows and columns by powers of two: the same to rounding; beside √(a c) of a tridiagonal M, ρ(J) is no larger."""
-    rng = np.random.default_rng(seed)
-    M = (
-        np.diag(rng.uniform(3, 4, 30))
-        - np.diag(rng.uniform(0, 5, 29), 1)
-        - np.diag(rng.uniform(0, 0.2, 29), -1)
-    )
-    R, C = np.exp2(rng.integers(-30, 31, (2, 30)))
-    here = mean_coupling(Matrix(M))
-    for unit in (2.0**-600, 1.0, 2.0**600):  # whose squares are no doubles
-        assert here == pytest.approx(mean_coupling(Matrix(unit * R[:, None] * M * C)), rel=1e-12)
-    J = np.eye(30) - M / M.diagonal()[:, None]
-    assert np.abs(np.linalg.eigvals(J)).max() <= here * (1 + 1e-9)
-
-
 # --- The second table --------------------------------------------------------------------------------------------
 
 
@@ -84,18 +65,6 @@ def test_frictional_contact_is_solved_by_pivots_alone(contacts: int) -> None:
     assert result.is_solved
     assert names(result)[-1] in ("lemke", "path")
     assert result.work * problem.nonzeros <= 3.0 * problem.n**3
-
-
-def test_a_game_is_left_to_its_pivots() -> None:
-    """Where no diagonal entry is positive lemke has 20 n pivots before others are tried: all that the game takes."""
-    rng = np.random.default_rng(4)
-    A, B = rng.random((2, 90, 90))
-    zero = np.zeros((90, 90))
-    game = LCP(np.block([[zero, A], [B.T, zero]]), -np.ones(180))
-    auto, lemke = solve(game), solve(game, "lemke")
-    assert auto.is_solved
-    assert lemke.is_solved
-    assert auto.work <= 1.1 * lemke.work + 10.0
 
 
 @pytest.mark.parametrize("is_dense", [True, False])
@@ -111,32 +80,7 @@ def test_a_budget_row_is_pivoted_before_it_is_factorised(is_dense: bool) -> None
     assert auto.work <= interior.work
 
 
-def test_what_a_stage_did_without_a_label_is_counted() -> None:
-    """The works of the stages sum up to that of the run, also where only some steps are labelled."""
-    rng = np.random.default_rng(4)
-    A, B = rng.random((2, 60, 60))
-    game = LCP(np.block([[np.zeros((60, 60)), A], [B.T, np.zeros((60, 60))]]), -np.ones(120))
-    result = solve(game)
-    assert sum(stage.work for stage in result.stages) == pytest.approx(
-        result.work, abs=len(result.stages) + 1.0
-    )
-
-
 # --- What runs end with ------------------------------------------------------------------------------------------
-
-
-def test_no_positive_diagonal_is_needed() -> None:
-    """A rotation, on which every splitting circles, and a game are solved."""
-    assert solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0])).is_solved
-    assert solve(gallery.parse("bimatrix_game").problem).is_solved
-
-
-def test_where_gauss_seidel_diverges_a_direct_method_solves() -> None:
-    """A cyclic P-matrix on which the sweeps diverge is no obstacle."""
-    M = np.array([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]])
-    result = solve(LCP(M, -M @ [1.0, 1.0, 1.0]))
-    assert result.is_solved
-    assert not solve(LCP(M, -M @ [1.0, 1.0, 1.0]), "pgs").is_solved
 
 
 @pytest.mark.full
@@ -169,15 +113,6 @@ def test_an_infeasible_problem_ends_with_its_proof() -> None:
     assert swept.status not in (Status.SOLVED, Status.INFEASIBLE)
     assert swept.infeasibility is None
     assert len(swept.stages) == 1
-
-
-def test_a_feasible_problem_without_solution_ends_with_its_proof() -> None:
-    """NO_SOLUTION: w = (z₂ − 1, 1) is nonnegative for z₂ ≥ 1, but complementarity asks for z₂ = 0."""
-    problem = LCP([[0.0, 1.0], [0.0, 0.0]], [-1.0, 1.0])
-    result = solve(problem)
-    assert result.status is Status.NO_SOLUTION
-    assert result.infeasibility.verify()
-    assert problem.slack(np.array([0.0, 2.0])).min() >= 0.0
 
 
 def test_the_story_names_every_stage_with_its_reason() -> None:

@@ -24,8 +24,6 @@ from lcp_plugin import (
 
 RNG = np.random.default_rng(0)
 OBSTACLE = gallery.obstacle_2d(size=20).problem
-HILBERT = 1.0 / (np.arange(12)[:, None] + np.arange(12) + 1.0)
-PROGRAM = QuadraticProgram(np.zeros((2, 2)), [1, 2], A=[[1, 1]], b=[1], lower=0)
 FIT = BoundedLeastSquares(RNG.standard_normal((30, 5)), np.arange(30.0), l1=20.0)
 PAIRS, COSTS = RNG.standard_normal((12, 12)), RNG.standard_normal(24)
 BEST = EquilibriumProgram(

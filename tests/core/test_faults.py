@@ -12,15 +12,11 @@ from shutil import copytree, ignore_patterns
 
 import numpy as np
 import pytest
-from families import BOUNDED
-from relations import bits
 
-from lcp_plugin import LCP, Status, analyze, error_bound, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, Step
+from lcp_plugin import LCP, Status, gallery, solve
+from lcp_plugin.algorithms import Step
 from lcp_plugin.core.splittings.projected_type import NPSOR
 
-ALL = ["auto", *REGISTRY]
-EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
 SWEPT = gallery.build("obstacle_2d", size=30).problem  # auto begins with npsor
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 
@@ -244,17 +240,3 @@ def test_compiled_code_needs_no_place_on_disk(
 
 
 # --- Many at once ---------------------------------------------------------------------------------------------------
-
-
-def everything(problem: LCP) -> tuple[bytes, ...]:
-    """Return the bits of all results for a problem: algorithms, reports, bounds, batches."""
-    found: tuple[bytes, ...] = ()
-    for name in ("auto", *(name for name in BOUNDED if name != "npsplitting")):
-        found += bits(solve(problem, name, max_iterations=200).z)
-    report, bound = analyze(problem.M), error_bound(problem, problem.nearest_to_zero)
-    found += bits(report.v, report.margin, bound.componentwise, bound.infinity)
-    return found + bits(solve(problem.with_q(2.0 * problem.q)).z)
-
-
-def scene() -> LCP:
-    return gallery.build("random_h_plus", n=40).problem

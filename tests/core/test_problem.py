@@ -299,30 +299,6 @@ def test_with_q_changes_q_and_the_bounds_given() -> None:
 # --- copies and attributes -------------------------------------------------------------------------------------
 
 
-def same(one: Any, other: Any) -> bool:
-    """Return whether two arrays are kept alike and hold the same bits."""
-    if sp.issparse(one) != sp.issparse(other):
-        return False
-    first, second = ((given.toarray() if sp.issparse(given) else given) for given in (one, other))
-    return first.shape == second.shape and first.tobytes() == second.tobytes()
-
-
-def test_a_problem_shows_what_its_users_want() -> None:
-    """Function dir() lists data, properties, and conversions; internal attributes are private."""
-    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-1.0, -1.0])
-    program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
-    shown = [{name for name in dir(one) if not name.startswith("_")} for one in (problem, program)]
-    assert " ".join(sorted(shown[0])) == (
-        "M csr diagonal from_contacts from_cvxpy from_game from_qp from_rows is_dense is_plain load "
-        "lower matrix n nearest_to_zero nonzeros origin q residual_scale save slack to_cvxpy to_qp "
-        "upper with_q"
-    )
-    assert " ".join(sorted(shown[1])) == (
-        "A G P asymmetry b c constraints facts from_ranges h is_convex lower matrices n objective "
-        "ranges upper with_matrices with_vectors"
-    )
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

@@ -139,24 +139,17 @@ HUGE = np.array([[np.longdouble("1e4000")]])
 
 MATRICES = [
     matrix(np.ones((2, 3)), SQUARE + r"\(2, 3\)"),
-    matrix(2.0, SQUARE + r"\(\)"),
     matrix(with_entry(1, 2, NAN), r"M must be finite.*M\[1, 2\] = nan.*repair"),
-    matrix(with_entry(2, 0, INF), r"M must be finite.*M\[2, 0\] = inf.*repair"),
     matrix(damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]), r"M\[0, 0\] = inf"),
     matrix(HUGE, r"M must be finite.*M\[0, 0\] = "),
     matrix(with_entry(0, 1, 1j, complex), r"M must hold real numbers.*complex.*convert"),
-    matrix(np.eye(3).astype(object), r"M must hold real numbers.*object"),
     matrix(None, r"M must hold real numbers"),
     matrix("4 1; 1 4", r"M must hold real numbers.*text"),
-    matrix(np.array([["2024-01-01"]], dtype="M8[D]"), r"M must hold real numbers.*dates"),
     matrix([[1.0, 2.0], [3.0]], r"M .*rectangular array.*check its rows"),
     matrix(np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
-    row(InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
     matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
     matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
-    matrix(damaged_csr(indptr=[0, 2, 1, 0]), r"damaged sparse.*decreasing"),
     matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
-    matrix(damaged_csr(data=[1.0]), r"damaged sparse"),
 ]
 
 
@@ -169,29 +162,16 @@ VECTOR = r"q must be a finite vector of length 3.*"
 OFFSETS = [
     offset([1.0, 2.0], VECTOR + r"\(2,\)"),
     offset([1.0, NAN, 3.0], r"q must be finite, but q\[1\] = nan; repair"),
-    offset([1.0, 2.0, -INF], r"q must be finite, but q\[2\] = -inf; repair"),
-    offset([1.0, 2.0, 0j], r"q must .*got complex.*convert"),
     offset(None, r"q must .*got None"),
-    offset([[1.0], [2.0, 3.0]], r"q .*rectangular array.*check its rows"),
-    offset(np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0]), r"q .*masked array.*fill"),
     offset(
         sp.csr_array([[1.0, 2.0, 3.0]]),
         r"q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel",
     ),
     row(InvalidProblem, VECTOR + r"\(2,\): 1 too few", lambda g: g.problem.with_q([1.0, 2.0])),
-    row(InvalidProblem, r"q\[0\] = nan", lambda g: g.problem.with_q([NAN, 2.0, 3.0])),
-    row(
-        InvalidProblem, r"lower must be .*3.*\(2,\)", lambda g: g.problem.with_q(g.q, lower=[0, 0])
-    ),
     row(
         InvalidProblem,
         r"lower\[1\] = 6.0 and upper\[1\] = 5.0",
         lambda g: g.problem.with_q(g.q, lower=6.0),
-    ),
-    row(
-        InvalidProblem,
-        r"z must be a.* vector of length 3.*\(2,\)",
-        lambda g: g.problem.slack([1.0, 2.0]),
     ),
 ]
 
@@ -209,12 +189,8 @@ BOUNDS = [
         lower=[0.0, 2.0, 0.0],
         upper=1.0,
     ),
-    bounds(r"lower ≤ upper.*lower\[0\] = 0.0 and upper\[0\] = -1.0", upper=-1.0),
     bounds(r"lower ≤ upper.*upper\[0\] = -inf", lower=-INF, upper=-INF),
     bounds(r"lower must .*got None", lower=None),
-    bounds(r"lower must .*got text.*convert", lower="0"),
-    bounds(r"lower must .*got (a sparse array|object)", lower=sp.csr_array([[0.0, 0.0, 1.0]])),
-    bounds(r"lower .*masked array.*fill", lower=np.ma.array([0.0, 0.0, 0.0], mask=[1, 0, 0])),
 ]
 
 
@@ -232,7 +208,6 @@ RUNS = [
     run(r"unknown algorithm 'gurobi'.*known", "gurobi", error=UnknownAlgorithm),
     run(r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'", "piqp", error=UnknownAlgorithm),
     run(r"did you mean 'clarabel'\?", "clarable", error=UnknownAlgorithm),
-    run(r"algorithm must be a name or an object.*got None", None, error=UnknownAlgorithm),
     run(r"algorithm must be a name or an object.*PSOR\(", PSOR, error=UnknownAlgorithm),
     run(
         r"psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep", "psor", relaxtion=1.0
@@ -249,40 +224,23 @@ RUNS = [
     run(r"'relaxation'.*beside an algorithm object.*NPSOR\(", NPSOR(), relaxation=1.5),
     row(
         InvalidOption,
-        r"march has no option 'propagater'; did you mean 'propagator'\?",
-        lambda g: march(g.plain, np.zeros((1, 3)), propagater=-1.0),
-    ),
-    row(
-        InvalidOption,
         r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",
         lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
     ),
     run(r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
     run(r"solve takes no x0 for an LCP; the start is called z0", x0=[0.0, 0.0, 0.0]),
     run(r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
-    run(r"tolerance must be finite and not negative, got nan", tolerance=NAN),
     run(r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),
-    run(r"tolerance must be .*number, got True", tolerance=True),
-    run(r"tolerance must be .*finite", tolerance=10**309),
     run(WHOLE + "-1", max_iterations=-1),
-    run(WHOLE + "5.0", max_iterations=5.0),
     run(r"max_seconds must be finite and not negative, got -1", max_seconds=-1),
-    run(r"max_seconds must be .*number, got '1'", max_seconds="1"),
     run(r"callback must be .*got 3", callback=3),
     run(LENGTH_3 + r".*\(2,\)", z0=[1.0, 2.0]),
     run(r"z0 must be finite, but z0\[1\] = nan; repair", z0=[1.0, NAN, 1.0]),
-    run(r"z0 must be finite, but z0\[1\] = inf; repair", z0=[1.0, INF, 1.0]),
-    run(LENGTH_3, z0="warm"),
-    run(r"z0 must ", z0=[1j, 0.0, 0.0]),
-    run(r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])),
-    run(LENGTH_3, z0=sp.csr_array([[1.0, 2.0, 3.0]])),
     *(
         run(r"^mgs: omega must be", "mgs", omega=omega)
-        for omega in (1j, [1.0, 2.0], [1.0, -1.0, 1.0], [1.0, NAN, 1.0], sp.eye_array(3))
+        for omega in (1j, [1.0, 2.0], [1.0, -1.0, 1.0])
     ),
     run(r"^npsplitting: .*\bsplitting\b.*None", "npsplitting", splitting=None),
-    run(r"^npsplitting: .*\bsplitting\b.*\(3, 3\).*\(\)", "npsplitting", splitting=3.0),
-    run(r"^npsplitting: .*\bsplitting\b.*complex", "npsplitting", splitting=np.eye(3) * 1j),
     run(r"splitting\b.*finite.*\[1, 2\] = nan", "npsplitting", splitting=with_entry(1, 2, NAN)),
     row(
         InvalidOption, r"solve needs an LCP.* got ndarray; .*LCP\(M, q\)", lambda g: solve(g.M, g.q)
@@ -294,13 +252,7 @@ LENGTH_OF_Z = r"z must be a.* vector of length 3"
 
 POINTS = [
     row(InvalidProblem, LENGTH_OF_Z + pattern, lambda g, z=z: Certificate.of(g.problem, z))
-    for z, pattern in [
-        ([1.0, 2.0], r".*\(2,\)"),
-        (np.ones((3, 1)), r".*\(3, 1\)"),
-        (None, ""),
-        ([1j, 0.0, 0.0], ""),
-        (sp.csr_array([[1.0, 2.0, 3.0]]), ""),
-    ]
+    for z, pattern in [([1.0, 2.0], r".*\(2,\)"), (None, "")]
 ]
 
 
@@ -416,18 +368,6 @@ def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]
     )
 
 
-def test_advice_is_not_what_was_already_done() -> None:
-    """A pivot that is not positive is the diagonal's fault, which no scaling changes: auto is named."""
-    problem = LCP([[4.0, 0.0], [0.0, -5.0]], [1.0, -1.0])
-    for name in ("npgs", "npsplitting"):
-        for scaling in ("auto", "diagonal", *([None] if name == "npgs" else [])):
-            with pytest.raises(
-                UnsuitableMatrix, match=r'(M\[1, 1\]|singular).* algorithm="auto"$'
-            ) as caught:
-                solve(problem, name, scaling=scaling)
-            assert "scaling=" not in str(caught.value)
-
-
 @pytest.mark.parametrize(
     "options", [{}, {"scaling": None}, {"scaling": "diagonal"}], ids=["auto", "unscaled", "scaled"]
 )
@@ -512,9 +452,7 @@ def test_every_error_is_its_builtin_too() -> None:
 
 DAMAGES = {
     "CSC row beyond n": "M = sp.csc_array(E); M.indices = np.array([0, 2_000_000_000, 2], np.int32)",
-    "BSR indptr beyond the data": "M = sp.bsr_array(E, blocksize=(1, 1)); M.indptr[3] = 900_000_000",
     "COO row beyond n": "M = sp.coo_array(E); M.row[1] = 500_000_000",
-    "LIL row with more columns than values": "M = sp.lil_array(E); M.rows[1] = [1, 2]",
 }
 DAMAGE_SCRIPT = """
 import numpy as np, scipy.sparse as sp

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given
-from hypothesis import strategies as st
 from planted import planted_program
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
@@ -21,8 +17,6 @@ from lcp_plugin.engines import (
     ProgramData,
     engine_class,
 )
-from lcp_plugin.engines.polish import polish_steps
-from lcp_plugin.engines.scaling import ScaledProgram, scale_program
 from lcp_plugin.problems.programs.engine_calls import GIVEN, run_engine
 
 INF = np.inf
@@ -205,43 +199,3 @@ def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: fl
     found = solve(stretched, name)
     assert found.objective == pytest.approx(value, abs=1e-8)
     assert np.abs(found.x - x).max() <= 1e-7
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_a_scaled_statement_leads_back(seed: int) -> None:
-    """Multipliers of rows and x, scaled by powers of two, leave the same gradient."""
-    rng = np.random.default_rng(seed)
-    n, m = int(rng.integers(1, 5)), int(rng.integers(0, 6))
-    G, F = rng.normal(size=(m, n)), rng.normal(size=(n, n))
-    none, bounds = (np.zeros((0, n)), np.zeros(0)), (np.full(n, -1e12), rng.normal(size=n) + 9.0)
-    given_ = ProgramData(F @ F.T, rng.normal(size=n), G, rng.normal(size=m), *none, *bounds)
-    units, rows = (2.0 ** rng.integers(-30, 30, size) for size in (n, m))
-    for scaled in (
-        ScaledProgram.from_units(given_, units, rows, 2.0 ** rng.integers(-9, 9)),
-        scale_program(given_, units),
-    ):
-        inside, x, y = scaled.statement, rng.normal(size=n), rng.random(m)
-        back = scaled.outward(EngineAnswer(x, y, 0, EngineStatus.OPTIMAL))
-        left = inside.P @ x + inside.c + inside.G.T @ y
-        whole = given_.P @ back.x + given_.c + given_.G.T @ back.y
-        np.testing.assert_allclose(left, whole * scaled.units * scaled.objective, rtol=1e-9)
-
-
-@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
-def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
-    """An x with errors of 1e-4 and the right multipliers is polished to the known x."""
-    program, x, _ = planted_program(12, 9, 3, 12, 2)
-    statement = ProgramData(
-        kind(program.P),
-        program.c,
-        kind(program.G),
-        program.h,
-        kind(program.A),
-        program.b,
-        program.lower,
-        program.upper,
-    )
-    rough = run_engine(program, engine_class("daqp")(), 1e-9, GIVEN).solution
-    y = np.append(rough.inequality, rough.equality)
-    found, *_ = polish_steps(statement, EngineAnswer(x + 1e-4, y, 0, EngineStatus.GAVE_UP))
-    assert np.abs(found.x - x).max() <= 1e-12

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from dataclasses import replace
 
@@ -16,15 +15,14 @@ from lcp_plugin import (
     InvalidOption,
     InvalidProblem,
     Result,
-    Status,
     gallery,
     solve,
 )
 from lcp_plugin.evidence import cross_check
-from lcp_plugin.evidence.convex_program import GAP, PLAIN, ReferenceProgram
-from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate
+from lcp_plugin.evidence.convex_program import GAP, PLAIN
+from lcp_plugin.evidence.cross_check import cross_validate
 
-COUNT = 500 if os.environ.get("LCP_PLUGIN_LONG") == "1" else 60
+COUNT = 60
 BATCHES = 10
 BOUNDS = ("plain", "free rows", "boxes", "everything")
 
@@ -137,22 +135,6 @@ def test_scenes_agree(target: str, kind: str) -> None:
     assert check.difference_z < 1e-8
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
-    """A nonsymmetric monotone problem agrees with its gap program for all types of bounds."""
-    generator = np.random.default_rng(seed)
-    n = int(generator.integers(2, 20))
-    skew = generator.normal(size=(n, n))
-    lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
-    M = spd_matrix(generator, n) + np.eye(n) + 0.3 * (skew - skew.T)
-    check = cross_validate(
-        LCP(M, generator.normal(size=n), lower=lower, upper=upper), tolerance=1e-12
-    )
-    assert check.agrees, check
-    assert check.formulation.startswith("gap quadratic program")
-    assert check.difference_z < 1e-7
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("reference", ["DAQP", "OSQP", "SCS", "PIQP", "CLARABEL", "HIGHS"])
 def test_every_installed_reference_agrees(reference: str) -> None:
@@ -236,21 +218,6 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cross_validate(problem, right).agrees
 
 
-@pytest.mark.parametrize("monotone_only", [False, True])
-def test_disagreement_of_any_two_points_is_explained(monotone_only: bool) -> None:
-    """For a monotone M any two points, solutions or not, disagree by no more than their residuals explain."""
-    generator = np.random.default_rng(1)
-    for seed in range(100):
-        n = int(generator.integers(1, 15))
-        B, skew = generator.normal(size=(n, max(1, n // 2))), generator.normal(size=(n, n))
-        M = B @ B.T + (skew - skew.T if monotone_only else 0.0)
-        lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
-        problem = LCP(M, generator.normal(size=n), lower=lower, upper=upper)
-        first, second = (Certificate.of(problem, generator.normal(size=n)) for _ in range(2))
-        facts = cross_check._compare(ReferenceProgram.of(problem), first, second)
-        assert facts["disagreement"] <= facts["allowance"]
-
-
 def test_an_answer_less_accurate_than_asked_is_no_mismatch() -> None:
     """A run that ended early is not comparable; a run with a loose tolerance agrees."""
     problem = gallery.parse("obstacle_2d:size=20").problem
@@ -281,8 +248,6 @@ def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -
     ("M", "reason"),
     [
         ([[1.0, 2.0], [2.0, 1.0]], "M is symmetric indefinite: a pivot is negative at shift"),
-        ([[1.0, 0.0], [0.0, -1.0]], "M is symmetric indefinite: a diagonal entry is negative"),
-        ([[0.0, 1.0], [1.0, 1.0]], "M is symmetric indefinite"),
         (
             [[1.0, 5.0], [0.0, 1.0]],
             "M[0, 1] and M[1, 0] differ; the symmetric part of M is indefinite",
@@ -346,15 +311,6 @@ def test_arguments_that_cannot_be_used() -> None:
         cross_validate(problem, [0.5])  # type: ignore[arg-type]
     with pytest.raises(InvalidProblem, match="z must be"):
         cross_validate(problem, solve(LCP(np.eye(2), [-1.0, -1.0])))
-
-
-def test_answer_that_is_not_finite() -> None:
-    """A SOLVED result with z = NaN does not agree, and the comparison raises no error."""
-    problem = LCP([[2.0, 0.0], [0.0, 2.0]], [-1.0, -1.0])
-    check = cross_validate(problem, altered(solve(problem), 0, np.nan))
-    assert check.verdict != "agree"
-    assert isinstance(check, CrossCheck)
-    assert solve(problem).status is Status.SOLVED
 
 
 def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:

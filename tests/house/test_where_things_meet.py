@@ -204,13 +204,6 @@ def by_trace(sample: Sample, folder: Path) -> None:
         assert np.allclose(path.at(0.5).x, sample.x, atol=1e-6)
 
 
-def by_marches(sample: Sample, folder: Path) -> None:
-    for done in march(sample.problem, np.stack([[sample.problem.q] * 2] * 2), 0.0):
-        confirm(done[0], sample)
-    for done in march([sample.problem] * 2, np.stack([sample.problem.q] * 2), [0.0, 0.0]):
-        confirm(done[0], sample)
-
-
 def by_derivative(sample: Sample, folder: Path) -> None:
     answer = solved(sample)
     if answer.is_solved:

@@ -10,9 +10,8 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.settings import Status
-from lcp_plugin.methods.interior_point import InteriorPoint, signs_of
+from lcp_plugin.methods.interior_point import InteriorPoint
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 
 
@@ -144,27 +143,6 @@ def test_units_do_not_matter() -> None:
     first, second = (solve(p, InteriorPoint(), tolerance=1e-11) for p in (problem, other))
     assert (first.status, second.status) == (Status.SOLVED, Status.SOLVED)
     np.testing.assert_allclose(second.w / c, first.w, atol=1e-8)
-
-
-def test_signs_are_found_or_there_are_none() -> None:
-    """diag(s) M is symmetric, 0 between negative ones, for the signs that are found; planted ones are found again."""
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        n, m = (int(k) for k in rng.integers(0, 8, 2))
-        B = rng.integers(-2, 3, (n, n)).astype(float)
-        C = rng.integers(-2, 3, (m, n)).astype(float)
-        order = rng.permutation(n + m)
-        M = np.block([[B + B.T, -C.T], [C, np.zeros((m, m))]])[order][:, order]
-        s = signs_of(Matrix(sp.csr_array(M)))
-        assert s is not None
-        assert (s[:, np.newaxis] * M == (s[:, np.newaxis] * M).T).all()
-        assert not M[s < 0.0][:, s < 0.0].any()
-    triangle = np.array(
-        [[0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [-1.0, -1.0, 0.0]]
-    )  # all three oppose each other
-    bent = np.array([[1.0, 1.0], [-1.0, 1.0]])  # a multiplier with an entry of its own
-    for M in (triangle, np.triu(triangle), bent):
-        assert signs_of(Matrix(M)) is None
 
 
 @pytest.mark.few(1)

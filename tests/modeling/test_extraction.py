@@ -41,33 +41,24 @@ class Unknowns:
 
 FORMS = {
     # leaves, sums, signs
-    "variable": lambda u: u.x,
     "matrix variable": lambda u: u.X,
     "n-d variable": lambda u: u.Z,
-    "sum of two": lambda u: u.x + u.y,
     "variable used many times": lambda u: u.x + S @ u.x - u.x[::-1] + 3 * u.x,
     "negative of a product": lambda u: -(S @ u.x + V),
     # indices
-    "index": lambda u: u.x[2],
     "slice": lambda u: u.x[1:3],
     "negative step": lambda u: u.x[::-1],
-    "matrix entry": lambda u: u.X[1, -2],
     "block": lambda u: u.X[1:, ::-2],
     "list index": lambda u: u.x[[3, 0, 0, 2]],
-    "list of rows": lambda u: u.X[[2, 0]],
     "boolean index": lambda u: u.x[MASK],
     "boolean matrix index": lambda u: u.X[MASKS],
     "index of a product": lambda u: (S @ u.x + V)[1:4:2],
     # shapes
     "reshape F": lambda u: cp.reshape(u.X, (2, 6), order="F"),
-    "n-d reshape": lambda u: cp.reshape(u.X, (2, 3, 2), order="F"),
-    "vec F": lambda u: cp.vec(u.X, order="F"),
     "T": lambda u: u.X.T,
-    "transpose": lambda u: cp.transpose(u.X @ B),
     "n-d transpose": lambda u: cp.transpose(u.Z, (2, 0, 1)),
     "permute_dims": lambda u: cp.permute_dims(u.Z, (1, 2, 0)),
     "hstack": lambda u: cp.hstack([u.x, V, u.y]),
-    "hstack of matrices": lambda u: cp.hstack([u.Y, u.X.T, S]),
     "vstack of matrices": lambda u: cp.vstack([u.X, u.Y, u.X]),
     "bmat": lambda u: cp.bmat([[u.Y, u.c], [u.X, np.ones((3, 1))]]),
     "concatenate columns": lambda u: cp.concatenate([u.Y, u.c], axis=1),
@@ -86,33 +77,24 @@ FORMS = {
     ),
     "broadcast_to": lambda u: cp.broadcast_to(u.x, (3, 4)),
     # products
-    "number times": lambda u: 3 * u.X,
     "dense @": lambda u: A @ u.x,
     "sparse @": lambda u: SPARSE @ u.x,
-    "integer @": lambda u: np.arange(12).reshape(3, 4) @ u.x,
     "vector @": lambda u: V @ u.x,
-    "@ vector": lambda u: u.X @ V,
     "x @ sparse": lambda u: u.x @ SPARSE,
-    "@ dense": lambda u: u.X @ B,
     "both sides": lambda u: A @ u.Y @ B,
     "outer": lambda u: cp.outer(V, u.x),
     "vdot": lambda u: cp.vdot(V, u.x),
     "scalar variable times sparse": lambda u: u.s * SPARSE,
     "stack @": lambda u: STACK @ u.Z,
-    "n-d @ vector": lambda u: u.Z @ V,
     "sparse @ n-d": lambda u: SPARSE @ cp.reshape(u.Z, (2, 4, 3), order="F"),
     "multiply": lambda u: cp.multiply(V, u.x),
     "multiply sparse": lambda u: cp.multiply(SPARSE, u.Y),
-    "multiply broadcasts": lambda u: cp.multiply(V.reshape(4, 1), u.Y),
     "multiply column variable": lambda u: cp.multiply(u.c, S),
-    "multiply of a scalar variable": lambda u: cp.multiply(u.s, S),
     "divide vector": lambda u: (S @ u.x + V) / np.array([1.0, 2.0, -4.0, 0.5]),
     # sums
     "sum axis 0": lambda u: cp.sum(u.X, axis=0),
     "sum keepdims": lambda u: cp.sum(u.X, axis=1, keepdims=True),
     "n-d sum of two axes": lambda u: cp.sum(u.Z, axis=(0, 2)),
-    "mean axis": lambda u: cp.mean(u.Y, axis=0),
-    "trace": lambda u: cp.trace(u.Y),
     "cumsum axis 1": lambda u: cp.cumsum(u.X, axis=1),
     "diff twice along axis 1": lambda u: cp.diff(u.X, k=2, axis=1),
     "convolve": lambda u: cp.convolve(np.array([1.0, -2.0, 1.0]), u.x),
@@ -123,18 +105,15 @@ FORMS = {
     "power one": lambda u: cp.power(u.x, 1),
     "quadratic form of zero": lambda u: cp.quad_form(u.x, np.zeros((4, 4))) + u.s,
     # constants and parameters
-    "folded constants": lambda u: (cp.Constant(S) @ cp.Constant(S)) @ u.x + cp.square(V),
     "folded sparse constants": lambda u: (
         (2 * cp.Constant(SPARSE).T @ cp.Constant(SPARSE) / 4) @ u.x
     ),
     "sparse block constant": lambda u: (
         cp.bmat([[SPARSE, -SPARSE], [SPARSE, SPARSE]]) @ cp.hstack([u.x, u.y])
     ),
-    "sparse constant diagonal": lambda u: cp.multiply(cp.diag(cp.Constant(SPARSE)), u.x),
     "sparse constant kron": lambda u: (
         cp.kron(cp.Constant(SPARSE), cp.Constant(np.eye(2))) @ cp.hstack([u.x, u.y])
     ),
-    "parameter offset": lambda u: S @ u.x + u.v,
     "parameter factor": lambda u: cp.multiply(u.v, u.x),
     "parameter matrix": lambda u: u.P @ u.x + u.p,
     "parameters, not DPP": lambda u: (u.p * u.P) @ u.x + cp.exp(u.p) * u.v,
@@ -143,9 +122,8 @@ FORMS = {
 MISSING = {
     "stack": "stack",
     "einsum": "einsum",
-    "einsum trace": "einsum",
     "broadcast_to": "broadcast_to",
-} | {name: name for name in ("squeeze", "convolve", "permute_dims", "swapaxes")}
+} | {name: name for name in ("convolve", "permute_dims")}
 
 
 def affine_map(expression, memo=None):
@@ -198,21 +176,18 @@ def by_matrices(found, point):
 #: cvxpy itself has no value where sparse constants are stacked or broadcast.
 DENSE_TWIN = {
     "sparse @ n-d": lambda u: S @ cp.reshape(u.Z, (2, 4, 3), order="F"),
-    "bmat of sparse constants": lambda u: cp.bmat([[S, u.Y], [u.Y, S]]),
     "sparse block constant": lambda u: np.block([[S, -S], [S, S]]) @ cp.hstack([u.x, u.y]),
 }
 
 
-#: Division by 3 and the exponential round.
-ROUNDED = {"parameter as divisor", "parameters, not DPP"}
+#: The exponential rounds.
+ROUNDED = {"parameters, not DPP"}
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_every_affine_form_is_extracted_exactly(name):
     """M x + q equals cvxpy's own value at integer points, bit for bit where the data are dyadic."""
     F = expression(name)
-    if name == "sum axis -1" and F.shape != (3,):
-        pytest.skip(f"cvxpy {cp.__version__} gives it the shape {F.shape}")
     found = affine_map(F)
     twin = F
     if name in DENSE_TWIN:
@@ -311,16 +286,12 @@ def test_an_answer_by_a_wrong_matrix_is_none(monkeypatch, is_defined):
     ("form", "message"),
     [
         (lambda u: S @ cp.abs(u.x), r"abs\(x\) is not smooth.*of its own"),
-        (lambda u: cp.max(u.x) + 1, r"max\(x.*\) is not smooth"),
         (lambda u: cp.lambda_max(u.Y) + u.s, r"lambda_max\(Y\) is not affine.*linearise"),
         (
             lambda u: u.x + cp.Parameter(4, name="load"),
             r"parameter load has no value; set load.value",
         ),
-        (lambda u: cp.Parameter(name="k") * u.x, r"parameter k has no value"),
         (lambda u: u.x + np.array([1.0, np.nan, 0.0, 0.0]), r"constants must be finite.*nan"),
-        (lambda u: u.x * np.inf, r"constants must be finite.*inf"),
-        (lambda u: u.x / 0.0, r"finite"),
         (
             lambda u: sp.csr_array(np.diag([1.0, np.inf, 1.0, 1.0])) @ u.x,
             r"constants must be finite.*inf",
@@ -333,7 +304,7 @@ def test_an_answer_by_a_wrong_matrix_is_none(monkeypatch, is_defined):
                 lambda u, of=of: u.Y + cp.Variable((4, 4), name="b", **{of: True}),
                 f"variable b has the attribute '{of}'",
             )
-            for of in ("boolean", "integer", "complex", "PSD", "symmetric", "diag", "hermitian")
+            for of in ("integer", "complex", "PSD")
         ),
     ],
 )

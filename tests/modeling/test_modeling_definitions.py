@@ -32,7 +32,7 @@ def solved(constraints: list[Any], **options: Any) -> Any:
 
 
 @pytest.mark.parametrize("order", [0, 1])
-@pytest.mark.parametrize("side", ["w == F", "F == w", "w - F == 0", "-3 w == -3 F", "first"])
+@pytest.mark.parametrize("side", ["w == F", "-3 w == -3 F", "first"])
 def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) -> None:
     """A slack w == M x + q beside x ≥ 0 ⟂ w ≥ 0 is the problem (M, q), in either order of the sides."""
     M, q, x_true, w_true = planted()
@@ -40,8 +40,6 @@ def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) ->
     F = M @ x + q
     equation = {
         "w == F": w == F,
-        "F == w": F == w,  # noqa: SIM300
-        "w - F == 0": w - F == 0,
         "-3 w == -3 F": -3 * w == -3 * F,
         "first": w == F,
     }[side]

@@ -59,8 +59,6 @@ def dot(left: list[Any], right: list[Any]) -> float:
 def test_every_affine_form_is_differentiated_by_its_parameters(name: str) -> None:
     """With parameters in the place of variables the change is M times theirs, and the gradient is Mᵀ's."""
     F = expression(name)
-    if name == "sum axis -1" and F.shape != (3,):
-        pytest.skip(f"cvxpy {cp.__version__} gives it the shape {F.shape}")
     known, unknowns = Reader().rows(F), ParametersForUnknowns()
     for leaf in "pvP":  # these are parameters in both
         getattr(unknowns, leaf).value = getattr(Unknowns(), leaf).value
@@ -83,12 +81,9 @@ def test_every_affine_form_is_differentiated_by_its_parameters(name: str) -> Non
 
 
 CURVED: dict[str, Callable[[Any], Any]] = {
-    "square": lambda u: u.x**2 + u.y,
     "reciprocal": lambda u: u.y / u.x + 1 / u.p,
     "exp times matrix": lambda u: (cp.exp(u.p) * SPARSE) @ u.x,
-    "product of three": lambda u: u.P @ u.Y @ u.x,
     "quadratic form": lambda u: cp.quad_form(u.x, np.eye(4) + 1.0) * u.y,
-    "two scaled sparse": lambda u: (u.s * SPARSE + u.p * SPARSE.T) @ u.x,
     "sparse product": lambda u: (u.s * SPARSE) @ (u.p * SPARSE) @ u.x,
     "sparse transposed and divided": lambda u: (u.s * SPARSE).T @ u.x / u.p + (SPARSE / u.s) @ u.y,
     "sparse blocks": lambda u: (
@@ -100,14 +95,12 @@ CURVED: dict[str, Callable[[Any], Any]] = {
     "on a sparse pattern": lambda u: (
         cp.multiply(u.Y, SPARSE) @ u.x + cp.multiply(u.s * SPARSE, u.p * SPARSE) @ u.y
     ),
-    "row times sparse": lambda u: u.x @ (u.s * SPARSE),
     "Gram matrix applied": lambda u: (
         (u.P.T @ u.P + np.eye(4)) @ u.x - (u.P @ u.Y + u.Y) @ (u.Y @ u.x)
     ),
     "sparse kron": lambda u: cp.kron(u.s * SPARSE, np.eye(2)) @ cp.hstack([u.x, u.y]),
     "log and root": lambda u: cp.log(u.x) + cp.sqrt(u.y) + cp.norm(u.v),
     "largest": lambda u: cp.maximum(u.x, 3 * u.y) + cp.max(u.v),
-    "the same twice": lambda u: cp.multiply(u.x, u.x) + u.x,
 }
 
 
@@ -140,7 +133,7 @@ def test_parameters_need_not_enter_affinely(name: str, held: tuple[str, ...]) ->
 
 # --- models: the answer first -------------------------------------------------------------------------------------
 
-M2, Z2 = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([2.5, 0.0])
+M2 = np.array([[2.0, 1.0], [1.0, 2.0]])
 
 
 def two_unknowns() -> Any:
@@ -169,21 +162,6 @@ def test_gradients_of_dual_values() -> None:
 
 def dominant(r: Any, n: int) -> Any:
     return r.standard_normal((n, n)) * 0.3 + n * np.eye(n)
-
-
-def matrix_and_offset(r: Any) -> Parts:
-    M, q = (
-        cp.Parameter((6, 6), value=dominant(r, 6)),
-        cp.Parameter(6, value=10 * r.standard_normal(6)),
-    )
-    x = cp.Variable(6)
-    pair = complements(x >= 0, M @ x + q >= 0)
-    return (
-        cp.Problem(cp.Minimize(0), [pair]),
-        [M, q],
-        [x],
-        [pair, pair.first.constraint, pair.second.constraint],
-    )
 
 
 def not_disciplined(r: Any) -> Parts:
@@ -257,18 +235,6 @@ def several_pairs(r: Any) -> Parts:
     )
 
 
-def upper_bounds(r: Any) -> Parts:
-    a, b = cp.Parameter(5, value=r.uniform(1, 2, 5)), cp.Parameter(5, value=r.standard_normal(5))
-    q, x = cp.Parameter(5, value=10 * r.standard_normal(5)), cp.Variable(5)
-    pair = complements(b - cp.multiply(a, x) >= 0, q - dominant(r, 5) @ x >= 0)
-    return (
-        cp.Problem(cp.Minimize(0), [pair]),
-        [a, b, q],
-        [x],
-        [pair, pair.first.constraint, pair.second.constraint],
-    )
-
-
 def bounds_of_the_variable(r: Any) -> Parts:
     lower, upper = (
         cp.Parameter(5, value=-r.uniform(0.1, 1, 5)),
@@ -281,25 +247,6 @@ def bounds_of_the_variable(r: Any) -> Parts:
     q = cp.Parameter(5, value=20 * r.standard_normal(5))
     pair = complements(x, dominant(r, 5) @ x + q)
     return cp.Problem(cp.Minimize(0), [pair]), [lower, upper, q], [x], [pair]
-
-
-def parts_of_a_variable(r: Any) -> Parts:
-    q, u = (
-        cp.Parameter(6, value=10 * r.standard_normal(6)),
-        cp.Parameter(3, value=r.standard_normal(3)),
-    )
-    x = cp.Variable(6)
-    F = dominant(r, 6) @ x + q
-    first, second = (
-        complements(x[:3] >= u, F[:3] >= 0),
-        complements(box(x[3:], -1, cp.exp(u)), F[3:]),
-    )
-    return (
-        cp.Problem(cp.Minimize(0), [first, second]),
-        [q, u],
-        [x],
-        [first, second, first.first.constraint],
-    )
 
 
 def chain_of_definitions(r: Any) -> Parts:
@@ -334,23 +281,9 @@ def free_with_its_equation(r: Any) -> Parts:
 
 
 MODELS = (
-    *(
-        matrix_and_offset,
-        not_disciplined,
-        boxed,
-        definitions_and_equations,
-        two_functions,
-        several_pairs,
-    ),
-    *(
-        upper_bounds,
-        bounds_of_the_variable,
-        parts_of_a_variable,
-        chain_of_definitions,
-        fixed_by_a_parameter,
-    ),
-    free_with_its_equation,
-)
+    not_disciplined, boxed, definitions_and_equations, two_functions, several_pairs,
+    bounds_of_the_variable, chain_of_definitions, fixed_by_a_parameter, free_with_its_equation,
+)  # fmt: skip
 
 
 def solved(problem: Any, **options: Any) -> None:
@@ -446,9 +379,7 @@ def test_tied_or_discrete_parameters_are_refused(attributes: dict[str, Any]) -> 
         derivative(problem)
 
 
-@pytest.mark.parametrize(
-    "given_gradient", [np.ones(3), [[1.0, 2.0]], 1.0, ["a", "b"], [np.nan, 0.0]], ids=str
-)
+@pytest.mark.parametrize("given_gradient", [np.ones(3), 1.0, [np.nan, 0.0]], ids=str)
 def test_gradients_and_changes_of_another_shape_are_refused(given_gradient: Any) -> None:
     """What is set must be finite numbers of the leaf's own shape."""
     problem, _, q, x = two_unknowns()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -14,9 +13,8 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import root
 
-from lcp_plugin import NonlinearProblem, Status, box, complements, derivative
+from lcp_plugin import NonlinearProblem, box, complements, derivative
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.program import Program
@@ -49,10 +47,6 @@ class Unknowns:
         return v[:3], v[3:9].reshape((2, 3), order="F"), v[9]
 
 
-def shared(e: Any, x: Any) -> Any:
-    return cp.multiply(e, e + x) + e
-
-
 def softplus(u: Any) -> Any:
     return np.log(1.0 + np.exp(u))
 
@@ -64,14 +58,10 @@ FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
     "logistic": (lambda u: cp.logistic(u.x - u.s), lambda x, X, s: softplus(x - s)),
     "entr": (lambda u: cp.entr(u.x), lambda x, X, s: -x * np.log(x)),
     "xexp": (lambda u: cp.xexp(u.x), lambda x, X, s: x * np.exp(x)),
-    "square": (lambda u: cp.square(u.x - 1), lambda x, X, s: (x - 1) ** 2),
     "real power": (lambda u: cp.power(u.x, 1.7), lambda x, X, s: x**1.7),
     "negative power": (lambda u: cp.power(u.X, -0.6), lambda x, X, s: X**-0.6),
-    "sqrt": (lambda u: cp.sqrt(u.x + 2 * u.s), lambda x, X, s: np.sqrt(x + 2 * s)),
     "multiply": (lambda u: cp.multiply(u.x, u.X[0] - u.s), lambda x, X, s: x * (X[0] - s)),
-    "multiply broadcasts": (lambda u: cp.multiply(u.s, u.X), lambda x, X, s: s * X),
     "quotient": (lambda u: u.x / (u.X[1] + 1), lambda x, X, s: x / (X[1] + 1)),
-    "inner product": (lambda u: u.x @ u.X[0], lambda x, X, s: x @ X[0]),
     "matrix of variables times vector": (lambda u: u.X @ u.x, lambda x, X, s: X @ x),
     "matrix @ nonlinear": (
         lambda u: S @ cp.exp(u.x) - B @ u.x,
@@ -85,7 +75,6 @@ FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
         lambda u: cp.vstack([cp.exp(u.x)[::-1], cp.square(u.X)[1], u.x]).T,
         lambda x, X, s: np.vstack([np.exp(x)[::-1], X[1] ** 2, x]).T,
     ),
-    "sum_squares": (lambda u: cp.sum_squares(u.X), lambda x, X, s: (X**2).sum()),
     "quad_over_lin": (lambda u: cp.quad_over_lin(u.x, u.s), lambda x, X, s: (x**2).sum() / s),
     "quad_form": (lambda u: cp.quad_form(u.x, B + B.T), lambda x, X, s: x @ (B + B.T) @ x),
     "geo_mean": (
@@ -99,10 +88,6 @@ FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
     "deep": (
         lambda u: cp.exp(-cp.square(cp.log(u.x) + u.s)) / (1 + cp.sum(cp.sqrt(u.X))),
         lambda x, X, s: np.exp(-((np.log(x) + s) ** 2)) / (1 + np.sqrt(X).sum()),
-    ),
-    "shared": (
-        lambda u: shared(cp.exp(u.x), u.x),
-        lambda x, X, s: np.exp(x) * (np.exp(x) + x) + np.exp(x),
     ),
 }
 
@@ -152,30 +137,13 @@ def test_values_and_derivatives_are_those_of_the_function(name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("name", FORMS)
-def test_cvxpy_evaluates_to_the_same(name: str) -> None:
-    """The program agrees with the expression's ``value``, without warnings."""
-    program, _, expression, _ = compiled_form(name)
-    v = points(2, 1)[0]
-    first = 0
-    for variable in expression.variables():
-        variable.value = v[first : first + variable.size].reshape(variable.shape, order="F")
-        first += variable.size
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        np.testing.assert_allclose(program.value(v), flat(expression.value), rtol=1e-13, atol=1e-13)
-
-
 # : Exponentials, quotients or sums that overflow although the atom does not, and the point.
 FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
     "log_sum_exp of thousands": (lambda x: cp.log_sum_exp(x + 5000), [1.0, 2.0, 3.0]),
     "log_sum_exp of minus thousands": (lambda x: cp.log_sum_exp(x), [-5000.0, -4999.0, -6000.0]),
-    "log_sum_exp of both": (lambda x: cp.log_sum_exp(x), [-5000.0, 0.0, 5000.0]),
     "logistic": (lambda x: cp.logistic(x), [1000.0, -1000.0, 0.0]),
     "rel_entr": (lambda x: cp.rel_entr(x[0], x[1:]), [1e-160, 1.0, 1e150]),
-    "rel_entr of the huge": (lambda x: cp.rel_entr(x, x[::-1]), [1e306, 1e306, 2e306]),
     "kl_div": (lambda x: cp.kl_div(x, x[::-1]), [1e306, 3e305, 2e306]),
-    "xexp": (lambda x: cp.xexp(x), [-1000.0, -1e300, 0.0]),
     "geo_mean": (lambda x: cp.geo_mean(x), [1e300, 1e300, 1e200]),
 }
 
@@ -214,19 +182,6 @@ def test_log_sum_exp_of_thousands_is_solved() -> None:
     np.testing.assert_allclose(x.value, [other - 1, other], atol=1e-8)
 
 
-def kojima_shindo(x: Any, stack: Callable[..., Any]) -> Any:
-    """Kojima and Shindo's problem; its solutions are (√6/2, 0, 0, 1/2), degenerate, and (1, 0, 3, 0)."""
-    a, b, c, d = (x[k] for k in range(4))
-    return stack(
-        [
-            3 * a**2 + 2 * a * b + 2 * b**2 + c + 3 * d - 6,
-            2 * a**2 + a + b**2 + 10 * c + 2 * d - 2,
-            3 * a**2 + a * b + 2 * b**2 + 2 * c + 9 * d - 9,
-            a**2 + 3 * b**2 + 2 * c + 3 * d - 3,
-        ]
-    )
-
-
 def test_nothing_is_known_outside_a_domain() -> None:
     """A point outside of the domain gives no number, and no exception."""
     x = cp.Variable(4)
@@ -241,67 +196,6 @@ def solved(constraints: list[Any], **options: Any) -> cp.Problem:
     assert problem.solve(method="LCP", tolerance=1e-11, **options) == 0.0
     assert problem.status == cp.OPTIMAL
     return problem
-
-
-def agrees_with_scipy(F: Callable[[Any], Any], x: Any, lower: Any = 0.0) -> None:
-    """Compare with the root of F on the entries above the lower bound, found by scipy from nearby."""
-    active = np.isclose(x, lower, rtol=0.0, atol=1e-9)
-
-    def rows(free: Any) -> Any:
-        whole = np.array(np.broadcast_to(lower, x.shape), dtype=float)
-        whole[~active] = free
-        return F(whole)
-
-    found = root(lambda free: rows(free)[~active], 1.001 * x[~active], tol=1e-13)
-    np.testing.assert_allclose(x[~active], found.x, rtol=1e-8)
-    assert (rows(found.x)[active] >= -1e-9).all()
-
-
-def test_kojima_shindo_as_published() -> None:
-    """A published solution is found, with its w; status, duals, statistics and violation as for affine models."""
-    x = cp.Variable(4)
-    pair = complements(x >= 0, kojima_shindo(x, cp.hstack) >= 0)
-    problem = solved([pair])
-    solutions = np.array([[math.sqrt(6) / 2, 0.0, 0.0, 0.5], [1.0, 0.0, 3.0, 0.0]])
-    assert np.abs(x.value - solutions).max(axis=1).min() < 1e-8
-    np.testing.assert_allclose(pair.dual_value, kojima_shindo(x.value, np.array), atol=1e-9)
-    assert pair.violation() < 1e-9
-    result = problem.solver_stats.extra_stats
-    assert result.status is Status.SOLVED
-    assert problem.solver_stats.num_iters == result.iterations
-    assert problem.solver_stats.solver_name == "LCP"
-
-
-def test_cournot_oligopoly_as_published() -> None:
-    """Murphy, Sherali and Soyster's five firms with isoelastic demand: the published quantities."""
-    c, K, beta = np.array([10.0, 8, 6, 4, 2]), 5.0, np.array([1.2, 1.1, 1.0, 0.9, 0.8])
-    gamma = 1.1
-    q = cp.Variable(5)
-    total = cp.sum(q)
-    price = 5000 ** (1 / gamma) * cp.power(total, -1 / gamma)
-    costs = cp.hstack([c[i] + cp.power(q[i] / K, 1 / beta[i]) for i in range(5)])
-    q.value = np.full(5, 10.0)
-    pair = complements(q >= 0, costs - price + (1 / gamma) * cp.multiply(price / total, q))
-    solved([pair])
-    np.testing.assert_allclose(q.value, [36.9325, 41.8181, 43.7066, 42.6592, 39.1790], atol=2e-4)
-
-
-def test_semilinear_obstacle() -> None:
-    """Solution of −u″ + exp(u) = 6 above an obstacle agrees with scipy, twice bit for bit."""
-    n = 40
-    h = 1.0 / (n + 1)
-    A = sp.csr_array(
-        sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
-        / h**2
-    )
-    obstacle = 0.35 - 4.0 * (np.linspace(h, 1 - h, n) - 0.4) ** 2
-    u = cp.Variable(n)
-    solved([complements(u >= obstacle, A @ u + cp.exp(u) - 3 >= 0)])
-    first = u.value
-    agrees_with_scipy(lambda v: A @ v + np.exp(v) - 3, first, obstacle)
-    assert 2 < np.isclose(first, obstacle, atol=1e-9).sum() < n - 2
-    solved([complements(u >= obstacle, A @ u + cp.exp(u) - 3 >= 0)], warm_start=False)
-    np.testing.assert_array_equal(u.value, first)
 
 
 @settings.get_profile("few")
@@ -346,10 +240,7 @@ def test_equations_pairs_and_slacks_may_be_nonlinear() -> None:
 #: Sides with their zeros and whether they increase; of two that do, the larger zero solves the pair.
 SIDES: dict[str, tuple[Callable[[Any], Any], float, bool]] = {
     "exp": (lambda x: cp.exp(x) - 3, math.log(3.0), True),
-    "low exp": (lambda x: cp.exp(x) - 1, 0.0, True),
     "log": (lambda x: cp.log(x) + 1, math.exp(-1.0), True),
-    "cube": (lambda x: x**3 - 2, 2.0 ** (1 / 3), True),
-    "root": (lambda x: cp.sqrt(x) - 1.5, 2.25, True),
     "softplus": (lambda x: 2 * cp.logistic(x) - 3, math.log(math.exp(1.5) - 1.0), True),
     "affine": (lambda x: 2 * x - 1, 0.5, True),
     "power": (lambda x: cp.power(x, -0.6) - 0.5, 0.5 ** (-1 / 0.6), False),
@@ -498,11 +389,6 @@ def test_affine_models_stay_lcps() -> None:
     assert not isinstance(model.problem, NonlinearProblem)
 
 
-def integer_pair() -> Any:
-    x = cp.Variable(2, integer=True)
-    return complements(x >= 0, cp.exp(x) - 1 >= 0)
-
-
 def with_parameter(value: Any) -> Any:
     x, p = cp.Variable(2), cp.Parameter(2)
     p._value = value
@@ -515,16 +401,11 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: complements(X >= 0, cp.abs(X) - 1 >= 0),
         r"abs\(.*not smooth.*of its own",
     ),
-    "maximum": (lambda: complements(X >= 0, cp.maximum(X, 1) - 2 >= 0), "not smooth"),
-    "norm": (lambda: complements(X[0] >= 0, cp.norm(X, 2) - 2 >= 0), "not smooth"),
     "unknown atom": (
         lambda: complements(X[0] >= 0, cp.lambda_max(cp.diag(X)) >= 0),
         "lambda_max.*no derivative",
     ),
-    "shapes": (lambda: complements(X >= 0, cp.sum(cp.exp(X)) >= 0), "same shape"),
-    "integer": (integer_pair, "integer"),
     "NaN parameter": (lambda: with_parameter(np.array([np.nan, 1.0])), "finite"),
-    "parameter without value": (lambda: with_parameter(None), "no value"),
     "two expressions of too many variables": (
         lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3),
         "1 equation, 1 of them from pairs of two expressions and 2 unknowns",

@@ -26,15 +26,6 @@ def nnls() -> tuple[Any, list[Any]]:
     return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), constraints), constraints
 
 
-def ridge_with_bounds() -> tuple[Any, list[Any]]:
-    A, b = RNG.standard_normal((20, 10)), RNG.standard_normal(20)
-    x = cp.Variable(10)
-    constraints = [x <= 0.2, x >= -0.1]
-    return cp.Problem(
-        cp.Minimize(cp.sum_squares(A @ x - b) + 0.5 * cp.sum_squares(x)), constraints
-    ), constraints
-
-
 def isotonic() -> tuple[Any, list[Any]]:
     y = np.sort(RNG.standard_normal(25)) + 0.8 * RNG.standard_normal(25)
     x = cp.Variable(25)
@@ -61,7 +52,7 @@ def portfolio() -> tuple[Any, list[Any]]:
 
 
 MODELS: dict[str, Callable[[], tuple[Any, list[Any]]]] = {
-    "nnls": nnls, "ridge": ridge_with_bounds, "isotonic": isotonic, "total variation": total_variation,
+    "nnls": nnls, "isotonic": isotonic, "total variation": total_variation,
     "portfolio": portfolio,
 }  # fmt: skip
 
@@ -90,32 +81,6 @@ def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
     assert (
         problem.solver_stats.num_iters >= 0
     )  # 0 where the minimum on the equations meets the rest
-
-
-def test_bounds_as_attributes_are_bounds() -> None:
-    """Nonneg and bounds attributes arrive as bounds of the direct problem."""
-    A, b = RNG.standard_normal((20, 6)), RNG.standard_normal(20)
-    x = cp.Variable(6, bounds=[-0.1, 0.2])
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)))
-    problem.solve(solver=QPSolver)
-    assert problem.status == "optimal"
-    assert problem.solver_stats.extra_stats.program.n >= 6
-    value = problem.value
-    problem.solve(solver=cp.OSQP, eps_abs=1e-9, eps_rel=1e-9)
-    assert value == pytest.approx(problem.value, abs=1e-6)
-
-
-def test_parameters_reuse_the_compiled_problem() -> None:
-    """A parameter's new value gives the new answer, warm-started from the last one."""
-    A, b = RNG.standard_normal((20, 6)), cp.Parameter(20)
-    x = cp.Variable(6)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), [x >= 0])
-    for _ in range(3):
-        b.value = RNG.standard_normal(20)
-        problem.solve(solver=QPSolver)
-        value = problem.value
-        problem.solve(solver=cp.OSQP, eps_abs=1e-9, eps_rel=1e-9)
-        assert value == pytest.approx(problem.value, abs=1e-6)
 
 
 def parametric(where: str, seed: int) -> tuple[Any, Any]:
@@ -153,18 +118,6 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
             assert problem.value == pytest.approx(fresh.value, rel=1e-8, abs=1e-9)
             for ours, theirs in zip(problem.constraints, fresh.constraints, strict=True):
                 np.testing.assert_allclose(ours.dual_value, theirs.dual_value, atol=1e-6)
-
-
-def test_cones_and_integers_are_cvxpy_s_to_refuse() -> None:
-    """A second-order cone or an integer variable is refused before it reaches us."""
-    x = cp.Variable(3)
-    with pytest.raises(cp.error.SolverError):
-        cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.norm(x) <= 1, cp.sum(x) == 1]).solve(
-            solver=QPSolver
-        )
-    y = cp.Variable(2, integer=True)
-    with pytest.raises(cp.error.SolverError):
-        cp.Problem(cp.Minimize(cp.sum_squares(y - 0.4))).solve(solver=QPSolver)
 
 
 # test_qp_bound_attr asks that bounds do not become rows, which is not wanted; test_cvxpy_programs.py solves it.

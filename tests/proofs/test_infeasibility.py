@@ -11,16 +11,13 @@ from campaigns import infeasible_by_margin
 from collection.truth import is_farkas
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.certificates.criterion import references_of_components
 from lcp_plugin.methods.search import NoSolution, search
 from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.proofs.exact.rational import exact_residuals
-from lcp_plugin.proofs.no_solution.farkas import CONTRADICTION, FarkasProgram
 from lcp_plugin.proofs.no_solution.infeasibility import contradictory_row, find_infeasibility
-from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
 from lcp_plugin.proofs.no_solution.proof import Infeasibility
 
 
@@ -263,17 +260,6 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
     assert infeasible_by_margin.one(16, 1685)[0] == []
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("case", range(24))
-def test_margins_are_told_as_they_were_planted(case: int) -> None:
-    """A share of the campaign `infeasible_by_margin`: its claims hold, case by case."""
-    bad, lines = infeasible_by_margin.one(11, case)
-    assert not bad
-    for kind, where, told in lines:
-        if where.startswith("≥"):
-            assert told in ("INFEASIBLE", "NO_SOLUTION", "infeasible"), kind
-
-
 def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:
     """Rows and bounds of sizes from 1e-3 to 1e3 that miss each other by less than 1 % of the residual at 0."""
     case = infeasible_by_margin.planted_lcp(np.random.default_rng([5, 103]))
@@ -281,49 +267,3 @@ def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:
     assert proof is not None
     assert proof.verify()
     assert 0.9 * case.relative.low <= proof.margin <= case.relative.high
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_optimum_is_the_least_miss(seed: int) -> None:
-    """Of any rows, equations among them, and any bounds, kept or with units of their own: by strong duality."""
-    rng = np.random.default_rng(seed)
-    m, n = (int(size) for size in rng.integers(1, 8, 2))
-    matrix, q = (
-        rng.integers(-3, 4, (m, n)) * 10.0 ** rng.integers(-2, 3, (m, 1)),
-        rng.integers(-4, 5, m) + 0.0,
-    )
-    needs_rise, needs_fall = rng.random((2, m)) < 0.6
-    lower = np.where(rng.random(n) < 0.6, rng.integers(-2, 1, n), -np.inf)
-    upper = np.where(rng.random(n) < 0.6, lower + rng.integers(0, 3, n), np.inf)
-    upper[np.isinf(lower)] = np.inf
-    weights, unit = 10.0 ** rng.integers(-1, 2, m), float(seed % 2)
-    constraints = LinearConstraints(
-        sp.csr_array(matrix),
-        q,
-        needs_rise,
-        needs_fall,
-        lower,
-        upper,
-        weights,
-        (np.full(n, unit), np.full(n, unit)),
-    )
-    answer = FarkasProgram(constraints, 1.0).solve()
-    t, low, high = weights[:, None], np.isfinite(lower), np.isfinite(upper)
-    inequalities = np.vstack(
-        [
-            np.hstack([-matrix, -t])[needs_rise],
-            np.hstack([matrix, -t])[needs_fall],
-            np.hstack([-np.eye(n), np.full((n, 1), -unit)])[low],
-            np.hstack([np.eye(n), np.full((n, 1), -unit)])[high],
-        ]
-    )
-    limits = np.concatenate([q[needs_rise], -q[needs_fall], -lower[low], upper[high]])
-    if not limits.size:
-        assert answer is None
-        return
-    least = linprog(
-        np.append(np.zeros(n), 1.0), inequalities, limits, bounds=[(None, None)] * n + [(0.0, None)]
-    )
-    assert answer is not None
-    assert answer.is_contradiction == (least.fun > CONTRADICTION)
-    assert -answer.optimum == pytest.approx(least.fun, rel=1e-6, abs=1e-8)

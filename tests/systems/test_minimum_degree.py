@@ -53,17 +53,12 @@ def arrow(n: int) -> Any:
 
 
 MATRICES = {
-    "grid 30²": lambda: grid(30, 2),
     "grid 100²": lambda: grid(100, 2),
     "cube 15³": lambda: grid(15, 3),
-    "strip of squares": lambda: elastic(201, 14),
     "block of squares": lambda: elastic(50, 50),
     "random graph": lambda: scattered(1500),
     "arrow": lambda: arrow(800),
-    "line": lambda: sp.csc_array(line(3000)),
     "full rows": with_full_rows,
-    "parts": lambda: sp.csc_array(sp.block_diag([grid(20, 2)] * 5)),
-    "one": lambda: sp.csc_array([[2.0]]),
 }
 
 

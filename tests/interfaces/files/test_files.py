@@ -205,7 +205,6 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
         r"a QuadraticProgram, not an LCP",
     ),
     "q too short": ({"q": np.ones(2)}, r"q must be a finite vector of length 3.*\(2,\)"),
-    "q NaN": ({"q": np.full(3, np.nan)}, r"q\[0\] = nan"),
     "q pickled": (
         {"q": np.array([1.0, 2.0, 3.0], dtype=object)},
         r"pickled objects, which are never read",
@@ -214,23 +213,11 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
         NO_ARRAYS | {"M": np.array(sp.csr_array(M))},
         r"never read; LCP\.save writes a sparse M",
     ),
-    "M dense, q missing": (NO_ARRAYS | {"M": M, "q": None}, r"lacks the keys \['q'\]"),
-    "M NaN": ({"data": np.full(7, np.nan)}, r"M must be finite"),
     "M not square": ({"shape": [3, 4]}, r"square.*\(3, 4\)"),
     "shape enormous": ({"shape": [10**15, 10**15]}, NO_CSR),
-    "shape fractional": ({"shape": [3.7, 3.7]}, NO_CSR),
-    "data too short": ({"data": np.ones(6)}, NO_CSR),
     "indptr too short": ({"indptr": [0, 2, 7]}, NO_CSR),
-    "indptr not monotone": ({"indptr": [0, 5, 2, 7]}, NO_CSR),
     "indices beyond n": ({"indices": np.full(7, 3)}, NO_CSR),
-    "indices fractional": ({"indices": np.full(7, 0.5)}, NO_CSR),
-    "lower texts": ({"lower": np.array(["a", "b", "c"])}, r"lower must .*got (text|complex)"),
-    "lower NaN": ({"lower": np.full(3, np.nan)}, r"lower must not hold NaN"),
     "lower 1e20": ({"lower": np.full(3, 1e20)}, r"lower ≤ upper.*lower\[2\] = 1e\+20"),
-    "bounds crossing": (
-        {"lower": np.full(3, 2.0)},
-        r"lower ≤ upper.*lower\[2\] = 2.0 and upper\[2\] = 1.0",
-    ),
 }
 
 
@@ -252,16 +239,12 @@ def array_bytes(array: np.ndarray) -> bytes:
 
 NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "damaged or no .npz"),
-    "one byte": (b"P", "damaged or no .npz"),
     "text": (b"M = [[4, 1], [1, 4]]\n", "damaged or no .npz"),
-    "zeros": (bytes(1000), "damaged or no .npz"),
-    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "damaged or no .npz"),
     "zip of nothing": (
         b"PK\x05\x06" + bytes(18),
         r"lacks the keys \['M', 'q'\]; an LCP file holds M \(or",
     ),
     "single array": (array_bytes(np.ones(3)), r"single array|no .npz"),
-    "single pickled array": (array_bytes(np.array([{}], dtype=object)), "never read|no .npz"),
     "pickle": (pickle.dumps({"data": 1}), "never read|no .npz"),
 }
 
@@ -302,78 +285,16 @@ def test_pickles_are_never_read(key: str, tmp_path: Path) -> None:
 # --- corrupt files -----------------------------------------------------------------------------------------------
 
 
-def archive(is_compressed: bool) -> bytes:
-    buffer = io.BytesIO()
-    (np.savez_compressed if is_compressed else np.savez)(buffer, **keys(PROBLEM))
-    return buffer.getvalue()
-
-
-MATRIX_MARKET_SCRIPT = """
-import pathlib, random, sys
-from lcp_plugin import LCP, InvalidProblem, UnreadableFile
-folder, outcomes = pathlib.Path(sys.argv[1]), []
-def load(kind):
-    print(kind, flush=True)
-    try:
-        p = LCP.load(folder)
-        outcomes.append(p.n)
-    except (UnreadableFile, InvalidProblem):
-        outcomes.append(None)
-chance = random.Random(0)
-for name in ("M", "q", "lower", "upper"):
-    path = folder / f"{name}.mtx"
-    whole = path.read_bytes()
-    for end in range(len(whole)):
-        path.write_bytes(whole[:end])
-        load(f"{name}.mtx cut off after {whole[:end][-30:]!r}")
-    for _ in range(100):
-        damaged = bytearray(whole)
-        for _ in range(chance.choice([1, 1, 3])):
-            damaged[chance.randrange(len(damaged))] = chance.choice([chance.randrange(256), *b"0123456789 -.\\n%e"])
-        path.write_bytes(damaged)
-        load(f"{name}.mtx damaged: {bytes(damaged)!r}")
-    path.write_bytes(whole)
-assert outcomes.count(None) > 600, outcomes
-assert set(outcomes) <= {None, 3}, outcomes
-print("finished")
-"""
-
-
-@pytest.mark.full
-def test_damaged_matrix_market_files_are_refused(tmp_path: Path) -> None:
-    """Text files that are cut off or have wrong bytes raise an error or load, without a crash."""
-    PROBLEM.save(tmp_path / "folder")
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", MATRIX_MARKET_SCRIPT, tmp_path / "folder"],
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )
-    last = done.stdout.splitlines()[-1]
-    assert (done.returncode, last) == (0, "finished"), (
-        f"{done.returncode} at {last}: {done.stderr[-500:]}"
-    )
-
-
 COORDINATES = "%%MatrixMarket matrix coordinate real general\n"
 WRONG_MATRIX_MARKET = {
     "empty": ("", "Matrix Market"),
-    "no header": ("3 3 1\n1 1 2.0\n", "Matrix Market"),
     "complex": (COORDINATES.replace("real", "complex") + "3 3 1\n1 1 2.0 0.0\n", "complex"),
-    "hermitian": (COORDINATES.replace("general", "hermitian") + "3 3 1\n1 1 2.0\n", "hermitian"),
     "no size": (COORDINATES, "Premature EOF"),
-    "two sizes": (COORDINATES + "3 3\n1 1 2.0\n", "Invalid integer"),
     "negative size": (COORDINATES + "-3 -3 0\n", "size|shape|negative"),
-    "fractional size": (COORDINATES + "3.5 3.5 1\n1 1 2.0\n", "Invalid integer"),
     "enormous size": (COORDINATES + "1000000000000 1000000000000 1\n1 1 2.0\n", r"M\.mtx"),
-    "enormous count": (COORDINATES + "3 3 1000000000000\n1 1 2.0\n", "1000000000000"),
     "too few entries": (COORDINATES + "3 3 2\n1 1 2.0\n", "Truncated"),
-    "too many entries": (COORDINATES + "3 3 1\n1 1 2.0\n2 2 2.0\n", "1"),
-    "an entry without value": (COORDINATES + "3 3 2\n1 1 2.0\n2 2\n", r"M\.mtx"),
-    "index 0": (COORDINATES + "3 3 1\n0 1 2.0\n", "Row index"),
     "index beyond n": (COORDINATES + "3 3 1\n1 4 2.0\n", "Column index"),
     "fractional index": (COORDINATES + "3 3 1\n1.5 1 2.0\n", "Line 3: Invalid integer"),
-    "not square": (COORDINATES + "3 4 1\n1 1 2.0\n", "square"),
     "NaN": (COORDINATES + "3 3 1\n2 1 nan\n", r"M\[1, 0\] = nan"),
     "decimal comma": (COORDINATES + "3 3 1\n1 1 2,5\n", "2,5"),
 }
@@ -396,13 +317,10 @@ def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_pat
 
 ENORMOUS = {
     "rows of M": {"M": COORDINATES + "300000000 300000000 0\n"},
-    "rows of q": {"q": COORDINATES + "300000000 1 0\n"},
     "rows of both": {
         "M": COORDINATES + "300000000 300000000 0\n",
         "q": COORDINATES + "300000000 1 0\n",
     },
-    "rows that q lacks": {"M": COORDINATES + "9999999 9999999 0\n"},
-    "rows of a bound": {"lower": COORDINATES + "1 300000000 0\n"},
 }
 
 
@@ -474,9 +392,7 @@ def test_failed_folder_keeps_the_old_one(
     [
         ("no/folder/p.npz", r"cannot write .*p\.npz: No such file or directory; choose"),
         ("file/p.npz", r"cannot write .*p\.npz: Not a directory"),
-        ("taken.npz", r"cannot write .*taken\.npz: Is a directory"),
         ("file", r"cannot make the folder .*file: "),
-        ("file/folder", r"cannot make the folder .*folder: "),
     ],
 )
 def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -> None:
@@ -487,23 +403,3 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
         PROBLEM.save(tmp_path / path)
     assert files_in(tmp_path) == {"file": b"precious"}
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "taken.npz"]
-
-
-def test_quadratic_programs_are_refused_in_words(tmp_path: Path) -> None:
-    """A file of a quadratic program raises an error that names the class, not the missing keys."""
-    P = sp.csc_array(np.eye(2))
-    content = {
-        f"{name}_{key}": getattr(P, key)
-        for name in "PA"
-        for key in ("data", "indices", "indptr", "shape")
-    }
-    vectors = {
-        "q": [1.0, 1.0],
-        "l": [-1e20, 0.0],
-        "u": [1e20, 1.0],
-        "r": 0.0,
-        "optimal_value": -1.0,
-    }
-    np.savez(tmp_path / "qp.npz", **content, **vectors)
-    with pytest.raises(UnreadableFile, match=r"qp\.npz holds a QuadraticProgram, not an LCP"):
-        LCP.load(tmp_path / "qp.npz")

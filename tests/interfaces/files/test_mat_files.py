@@ -83,25 +83,20 @@ def test_command_solves_a_mat_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"M": M}, r"lacks the keys \['q'\]; an LCP file holds M .*q"),
         ({"N": M, "r": [1.0]}, r"lacks the keys \['M', 'q'\]; .* in MATLAB save\(\"p\.mat\""),
         (
             {"A": M, "b": [1.0]},
             r"holds a BoundedLeastSquares, not an LCP: lcp_plugin\.load_problem",
         ),
         ({"M": M, "q": [1.0, 2.0]}, r"states no LCP: .*length 3.*, got shape \(2,\)"),
-        ({"M": M[:2], "q": [1.0, 2.0]}, r"M must be a square matrix .*\(2, 3\)"),
         ({"M": {"a": 1}, "q": [1.0]}, "M is of the class struct; save a matrix of numbers"),
-        ({"M": "text", "q": [1.0]}, "M is of the class char"),
         ({"M": 1j * M, "q": np.ones(3)}, "M is complex; save real numbers"),
-        ({"M": np.ones((2, 2, 2)), "q": np.ones(2)}, r"M has the shape \(2, 2, 2\)"),
         (
             {"M": M, "q": np.ones(3), "lb": np.zeros(3), "lower": np.zeros(3)},
             "lower and lb, which say the same",
         ),
-        ({"M": M, "q": [np.nan, 1.0, 2.0]}, "states no LCP: q must be"),
     ],
-    ids=range(11),
+    ids=range(6),
 )
 def test_what_is_no_problem_is_refused(content: dict[str, Any], words: str, tmp_path: Path) -> None:
     """Each refusal names the file, what it holds and what is needed."""

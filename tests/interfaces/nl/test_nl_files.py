@@ -113,27 +113,17 @@ def test_logical_rows_and_external_functions_are_refused(
     [
         (b"g3 1 1 0", b"q3 1 1 0", 1, "begins with g"),
         (b" 2 2 0 0 1 0", b" 999999999999 2 0 0 1 0", 2, "bytes follow"),
-        (b" 2 2 0 0 1 0", b" 2 x 0 0 1 0", 2, "integers"),
         (b" 2 0 0 1 0 0", b" 2 0 0 2 0 0", 3, "complementarity rows"),
-        (b" 4 0", b" 5 0", 8, "nonzeros"),
         (b"V2 1 0", b"V2 9 0", 13, "neither a number"),
         (b"0 -1.5", b"2 -1.5", 12, "one of 2"),
         (b"o44", b"o99", 13, "no operator"),
-        (b"o44", b"v2", 13, "variable that may stand here must be one of 2"),
         (b"C1\no2", b"C7\no2", 19, "one of 2"),
-        (b"n-2", b"v3", 18, "one of 3"),
-        (b"n-2\n", b"", 18, "part of an expression"),
         (b"5 1 1", b"5 1 3", 26, "from 1 to 2"),
-        (b"4 1.0", b"5 3 2", 3, "announced"),
         (b"2 0\n3\n", b"2 0\n", 30, "neither a number"),
         (b"J1 2", b"J0 1", 38, "no segment begins"),
         (b"J0 2\n0 1", b"J0 2\n1 1", 35, "in one place"),
         (b"J0 2\n0 1", b"J0 2\n0 inf", 34, "finite"),
-        (b"J0 2\n0 1", b"J0 2\n0 1x", 34, "neither a number"),
-        (b"x1\t", b"y1\t", 23, "no segment begins"),
         (b"o2\nv0", b"o2\n\x01", 21, "neither a number"),
-        (b"o0\t#+", b"o54\n9", 20, "part of an expression"),
-        (b"o2\nv0", b"v0\nv0", 21, "no segment begins"),
     ],
 )
 def test_a_wrong_line_is_named(
@@ -194,15 +184,6 @@ def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
     assert read_content(tmp_path / "m").lower.size == 2
     with pytest.raises(errors.UnreadableFile, match=r"no such file: .*other\.nl"):
         read_content(tmp_path / "other")
-
-
-def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
-    """A second row that is complementary to the same variable raises an error with its line."""
-    text = SMALL.replace(b" 2 0 0 1 0 0", b" 2 0 0 2 0 0").replace(b"4 1.0", b"5 3 1")
-    with pytest.raises(
-        errors.UnreadableFile, match=r"line 27 \('5 3 1'\): variable 1 is complementary to an"
-    ):
-        read(tmp_path, text)
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cmath
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,18 +15,15 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from lcp_plugin import (
     LCP,
-    NonlinearProblem,
     QuadraticProgram,
     Status,
     UnsupportedModel,
     complements,
     solve,
 )
-from lcp_plugin.commands.cli import app
 from lcp_plugin.expressions.program import Program
 from lcp_plugin.interfaces.nl import model_of, write_nl
 from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees
@@ -255,27 +251,6 @@ def test_values_and_derivatives_are_those_of_the_trees(system: Any) -> None:
     require_same_derivatives(*system)
 
 
-def deep(kind: str, levels: int) -> tuple[list[Tree], list[Tree]]:
-    """A row of that many levels, and its defined variables."""
-    tree: Tree = ("x", 0)
-    for k in range(levels):
-        if kind == "sum to the right":
-            tree = ("+", ("x", k % 3), tree)
-        elif kind == "sum to the left":
-            tree = ("-", tree, ("x", k % 3))
-        elif kind == "scalings":
-            tree = ("*", 2.0 if k % 2 else 0.5, tree)
-        elif kind == "signs":
-            tree = ("neg", tree)
-    if kind == "flat sum":
-        tree = ("sum", *(("x", k % 3) for k in range(levels)))
-    if kind == "chain":  # each is used once: one sum in the end
-        return [("x", 2 + levels)], [
-            ("+", ("x", k % 3), ("x", 3 + k - 1) if k else 1.0) for k in range(levels)
-        ]
-    return [tree], []
-
-
 def stocks(n: int) -> tuple[list[Tree], list[Tree], np.ndarray]:
     """Stocks v_k = v_(k−1)/2 + x_k as defined variables, rows v_k + x_k − 1, and the matrix of these."""
     defined = [("+", ("*", 0.5, ("x", n + k - 1)), ("x", k)) if k else ("x", 0) for k in range(n)]
@@ -294,24 +269,6 @@ def test_long_chains_of_affine_defined_variables_stay_affine() -> None:
     assert answer.x.shape == (300,)
     np.testing.assert_allclose(answer.x, solve(LCP(M, -np.ones(300)), tolerance=1e-12).z, atol=1e-9)
     np.testing.assert_allclose(answer.duals, M @ answer.x - 1.0, atol=1e-9)
-
-
-def test_programs_put_affine_defined_variables_in() -> None:
-    """A program has only its variables as unknowns; defined variables are substituted."""
-    rows, defined, M = stocks(100)
-    content = content_of(
-        100,
-        rows,
-        defined=defined,
-        row_upper=[INFINITY] * 100,
-        objective=("x", 199),
-        objective_linear=[[1.0] * 100],
-        lower=[0.0] * 100,
-    )
-    problem = model_of(content).problem
-    assert isinstance(problem, QuadraticProgram)
-    np.testing.assert_allclose(-problem.G.toarray(), M, rtol=1e-15)
-    np.testing.assert_allclose(problem.c, 1.0 + M[-1] - np.eye(100)[-1], rtol=1e-15)
 
 
 def random_pairs(seed: int = 3, n: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -340,24 +297,6 @@ def test_affine_rows_are_the_lcp_that_cvxpy_states() -> None:
     assert answer.code == 0
     np.testing.assert_allclose(answer.x, z, atol=1e-10)
     np.testing.assert_allclose(answer.duals, M @ z + q, atol=1e-9)
-
-
-def test_smooth_rows_are_the_problem_that_cvxpy_states() -> None:
-    """Smooth complementarity rows have the F and F′ of the same model in cvxpy."""
-    rows = [("-", ("+", ("exp", X[0]), ("*", X[0], X[1])), 3.0), ("-", ("*", X[1], X[0]), 0.5)]
-    model = model_of(paired(content_of(2, rows)))
-    x = cp.Variable(2)
-    theirs = build(
-        [complements(x >= 0, cp.hstack([cp.exp(x[0]) + x[0] * x[1] - 3, x[0] * x[1] - 0.5]) >= 0)]
-    ).problem
-    at = np.array([0.7, 1.3])
-    assert isinstance(model.problem, NonlinearProblem)
-    assert isinstance(theirs, NonlinearProblem)
-    np.testing.assert_allclose(model.problem.value(at), theirs.value(at), rtol=1e-15)
-    np.testing.assert_allclose(
-        model.problem.derivative(at).toarray(), theirs.derivative(at).toarray(), rtol=1e-15
-    )
-    assert model.solve(tolerance=1e-12).result.is_solved
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -564,22 +503,6 @@ def test_statuses_tell_the_truth() -> None:
     assert "equations do not hold" in outside.message
 
 
-@pytest.mark.parametrize("kind", ["affine", "smooth", "program"])
-def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
-    """Rows are evaluated again from the file: a changed number prevents SOLVED."""
-    M, q, _ = random_pairs()
-    rows = [("+", value, ("sin", X[0])) if kind == "smooth" else value for value in q]
-    content = program("products") if kind == "program" else paired(content_of(6, rows, linear=M))
-    model = model_of(content)
-    assert model.solve().is_solved
-    stated = model.content.trees
-    changed = replace(stated, values=np.where(stated.kinds == Token.NUMBER, 9.0, stated.values))
-    model.content = replace(model.content, trees=changed)
-    answer = model.solve()
-    assert answer.status is Status.STALLED
-    assert re.search("is .* at the answer, where .* was computed", answer.message)
-
-
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 @pytest.mark.parametrize("kind", ["pairs", "program"])
 def test_an_answer_is_contradicted_in_any_unit_of_the_rows(kind: str, unit: float) -> None:
@@ -651,23 +574,6 @@ def beside_pairs(kind: str, at: float) -> NLContent:
         row_lower=np.array([-INFINITY, 0.0]),
         row_upper=np.array([INFINITY, 0.0]),
     )
-
-
-def test_a_bound_that_its_complementarity_does_not_state_belongs_to_it(tmp_path: Path) -> None:
-    """0 ≤ x₀ ⟂ x₀ − 2 and x₀ ≤ 1 of its own: the answer is 1, the message names the bound, and the file is an LCP."""
-    answer = model_of(beside_pairs("bound of its own", 1.0)).solve()
-    assert (answer.status, answer.code, answer.x[0], answer.duals[0]) == (
-        Status.SOLVED,
-        0,
-        1.0,
-        -1.0,
-    )
-    assert "variable 0 stops at its own upper bound 1, which counts although" in answer.message
-    assert "of its own" not in model_of(beside_pairs("bound of its own", 3.0)).solve().message
-    write_nl(
-        replace(paired(content_of(1, [-2.0], linear=[[1.0]])), upper=np.ones(1)), tmp_path / "m.nl"
-    )
-    assert LCP.load(tmp_path / "m.nl").upper.tolist() == [1.0]
 
 
 @pytest.mark.parametrize("kind", ["inequality", "bound of another"])
@@ -745,12 +651,3 @@ def best(bound: float = INFINITY) -> NLContent:
     return replace(
         pair, **objective_of(objective), partners=np.array([0, -1]), upper=np.full(2, bound)
     )
-
-
-def lcp_plugin(*arguments: Any) -> Any:
-    """The command in this process."""
-    result = CliRunner().invoke(app, list(map(str, arguments)))
-    assert result.exception is None or isinstance(result.exception, SystemExit), repr(
-        result.exception
-    )
-    return result

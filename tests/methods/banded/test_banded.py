@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, Status, gallery, prepare, solve
 
 Generator = np.random.Generator
-MANY = 10_000
 
 
 def tridiagonal_m(n: int, rng: Generator) -> sp.csr_array:
@@ -75,20 +74,6 @@ def definite(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
 # --- Tridiagonal M-matrices -----------------------------------------------------------------------------------
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("boxes", [False, True])
-def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: bool) -> None:
-    """Many contact intervals, free rows, degenerate rows, boxes: z is the exact one, and one round without boxes."""
-    rng = np.random.default_rng(18)
-    for _ in range(MANY // 2):
-        n = int(rng.integers(14, 60))
-        problem, z = planted(tridiagonal_m(n, rng), rng, boxes=boxes)
-        result = solve(problem, "banded")
-        assert result.status is Status.SOLVED
-        assert np.abs(result.z - z).max() <= 1e-9 * max(1.0, np.abs(z).max())
-        assert boxes or result.iterations <= 1
-
-
 @settings.get_profile("many")
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 13), boxes=st.booleans())
 def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(
@@ -124,21 +109,6 @@ def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
     assert result.iterations == 1
     assert result.work < 6.0
     np.testing.assert_allclose(result.z, z, atol=1e-9)
-
-
-@pytest.mark.full
-def test_boxes_take_few_rounds_from_any_start() -> None:
-    """The rows at the other side only leave it after the first round: seldom more than five rounds."""
-    rng = np.random.default_rng(1)
-    rounds = []
-    for _ in range(200):
-        problem, z = planted(tridiagonal_m(300, rng), rng, boxes=True)
-        for start in (None, rng.normal(scale=50.0, size=300)):
-            result = solve(problem, "banded", z0=start)
-            np.testing.assert_allclose(result.require_solved().z, z, atol=1e-8)
-            rounds.append(result.iterations)
-    assert np.median(rounds) <= 3
-    assert max(rounds) <= 12
 
 
 def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
@@ -218,13 +188,6 @@ def test_a_beam_over_an_obstacle() -> None:
 
 
 # --- All rounds at once ---------------------------------------------------------------------------------------
-
-
-def problems(boxes: bool) -> list[LCP]:
-    rng = np.random.default_rng(9)
-    made = [planted(tridiagonal_m(50, rng), rng, boxes=boxes)[0] for _ in range(20)]
-    matrices = [make(60, 2, 3, rng) for make in (dominant, definite) for _ in range(10)]
-    return made + [planted(M, rng, boxes=boxes)[0] for M in matrices]
 
 
 # --- Marches in time ------------------------------------------------------------------------------------------

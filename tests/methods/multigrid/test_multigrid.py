@@ -22,7 +22,7 @@ from lcp_plugin.methods.multigrid.multigrid_safeguard import Safeguard
 from lcp_plugin.problems.batches.batch import prepare
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
-from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
+from lcp_plugin.systems.hierarchy.truncation import Truncation
 
 SCENES = [
     "obstacle_2d:size=60",
@@ -139,27 +139,6 @@ def test_jumps_between_clusters_that_hang_together_by_weak_edges(seed: int) -> N
     """Active-set iterations converge at contrast 1e8, although corrections raise the energy."""
     result = solve(jumps_by_edge("half", 8, size=100, seed=seed), "multigrid", max_iterations=80)
     assert result.status is Status.SOLVED
-
-
-@pytest.mark.parametrize("kind", ["all", "half", "tenth"])
-@pytest.mark.parametrize("decades", [3, 6, 10])
-def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: int) -> None:
-    """With every tenth unknown fixed, conjugate gradients take at most 20 V-cycles."""
-    problem = jumps_by_edge(kind, decades)
-    truncation, generator = (
-        Truncation(hierarchy_of(problem.matrix, Multigrid.coarsest)),
-        np.random.default_rng(1),
-    )
-    top, is_fixed = truncation.grids[0], generator.random(problem.n) < 0.1
-    top.is_free[:], top.free_changed[:] = ~is_fixed, is_fixed
-    truncation.update()
-    right = np.where(is_fixed, 0.0, generator.normal(size=problem.n) * problem.diagonal)
-    correction, steps = KrylovCorrection(truncation, right, True), 0
-    begun = correction.largest()
-    while correction.largest() > 1e-8 * begun:
-        assert correction.step()
-        steps += 1
-    assert steps <= 20
 
 
 @pytest.mark.full

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import warnings
 
 import numpy as np
 import pytest
@@ -100,22 +99,6 @@ def test_a_stack_of_contacts_with_friction_is_solved() -> None:
     q = np.concatenate([rng.normal(size=(50, 6)), np.ones((50, 2))], 1)
     batch = solve_batch(M, q)
     assert sum(status is Status.SOLVED for status in batch.status) >= 49
-
-
-def test_nothing_is_said_in_passing() -> None:
-    """No warning, on problems of every family."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        solve_batch([drawn for family in FAMILIES for drawn in draw(family, 2, 7)])
-
-
-def test_nobody_can_change_what_was_judged() -> None:
-    """The z of a batch, even or ragged, is read-only."""
-    M, q = definite_stack(3, 4)
-    ragged = solve_batch([LCP(M[0], q[0]), LCP([[1.0]], [-1.0])])
-    for z in (ragged.z[0], solve_batch(M, q).z):
-        with pytest.raises(ValueError, match="read-only"):
-            z[0] = 7.0
 
 
 @pytest.mark.parametrize(

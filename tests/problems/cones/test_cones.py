@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from benchmarks.contact import tower as boxes
 from cone_families import (
     cancelled_diagonals,
+    corners_of_a_tower,
     exact_relative_residual,
     exact_residuals,
     planted_cones,
@@ -537,7 +537,7 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
 def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     """Four contacts a box in space carry what is above; no start at random takes part."""
     count = len(masses)
-    J = boxes(count, np.random.default_rng(0))[0].reshape(12 * count, -1)
+    J = corners_of_a_tower(count, np.random.default_rng(0))[0].reshape(12 * count, -1)
     mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
     pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
     result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5)).require_solved()

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pe
 import scipy.sparse as sp
-from economies import OWNED, WANTED, by_goods, technique
 from nonlinear_models import NASH_5_SOLUTION, NASH_10_SOLUTION
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
@@ -81,17 +80,6 @@ def munson1a() -> Published:
 
 
 @published
-def munson1b() -> Published:
-    """Pyomo's examples/mpec/munson1b.py: the variables negated."""
-    m = pe.ConcreteModel()
-    m.x1, m.x2, m.x3 = pe.Var(), pe.Var(), pe.Var()
-    m.f1 = Complementarity(expr=complements(m.x1 <= 0, -m.x1 - 2 * m.x2 - 3 * m.x3 >= 1))
-    m.f2 = Complementarity(expr=complements(m.x2 <= 0, -m.x2 + m.x3 >= -1))
-    m.f3 = Complementarity(expr=complements(m.x3 <= 0, -m.x1 - m.x2 >= -1))
-    return of_munson(m, -1)
-
-
-@published
 def munson1c() -> Published:
     """Pyomo's examples/mpec/munson1c.py: the expressions negated."""
     m = pe.ConcreteModel()
@@ -100,17 +88,6 @@ def munson1c() -> Published:
     m.f2 = Complementarity(expr=complements(m.x2 >= 0, -m.x2 + m.x3 <= 1))
     m.f3 = Complementarity(expr=complements(m.x3 >= 0, -m.x1 - m.x2 <= 1))
     return of_munson(m, 1)
-
-
-@published
-def munson1d() -> Published:
-    """Pyomo's examples/mpec/munson1d.py: both negated."""
-    m = pe.ConcreteModel()
-    m.x1, m.x2, m.x3 = pe.Var(), pe.Var(), pe.Var()
-    m.f1 = Complementarity(expr=complements(m.x1 <= 0, m.x1 + 2 * m.x2 + 3 * m.x3 <= -1))
-    m.f2 = Complementarity(expr=complements(m.x2 <= 0, m.x2 - m.x3 <= 1))
-    m.f3 = Complementarity(expr=complements(m.x3 <= 0, m.x1 + m.x2 <= 1))
-    return of_munson(m, -1)
 
 
 def of_munson(m: Any, sign: float) -> Published:
@@ -225,38 +202,6 @@ def mathiesens() -> Published:
     )
     m.three = Complementarity(expr=complements(m.p[3] >= 0, 3 - m.y >= 0))
     return Published(m, [m.y, *each(m.p)])
-
-
-@published
-def hansen() -> Published:
-    """H. Scarf, T. Hansen, Computation of Economic Equilibria (1973): 14 goods, 26 activities; GAMS' hansmcp."""
-    A, owned, wanted = technique(), by_goods(OWNED), by_goods(WANTED)
-    share = wanted / wanted.sum(axis=0)
-    floor = np.where(share.max(axis=1) > 0, 1e-5, 0.0)
-    m = pe.ConcreteModel()
-    m.p = pe.Var(range(14), bounds=lambda m, g: (floor[g], None), initialize=1.0)
-    m.y = pe.Var(range(26), within=pe.NonNegativeReals, initialize=1.0)
-    m.i = pe.Var(range(4), initialize=1.0)
-    m.p[0].fix(1.0)
-
-    def left(m: Any, g: int) -> Any:
-        bought = sum(share[g, h] * m.i[h] / m.p[g] for h in range(4) if share[g, h])
-        return sum(A[g, s] * m.y[s] for s in range(26) if A[g, s]) + owned[g].sum() - bought
-
-    m.market = Complementarity(
-        range(14), rule=lambda m, g: complements(m.p[g] >= floor[g], left(m, g) >= 0)
-    )
-    m.profit = Complementarity(
-        range(26),
-        rule=lambda m, s: complements(
-            m.y[s] >= 0, -sum(A[g, s] * m.p[g] for g in range(14) if A[g, s]) >= 0
-        ),
-    )
-    m.income = pe.Constraint(
-        range(4), rule=lambda m, h: m.i[h] == sum(owned[g, h] * m.p[g] for g in range(14))
-    )
-
-    return Published(m, [*each(m.p)[1:], *each(m.y, m.i)])
 
 
 def by_rows(
@@ -521,98 +466,6 @@ def signorini() -> Published:
 
 
 @published
-def lubrication() -> Published:
-    """M. M. Kostreva, Int. J. Numer. Methods Fluids 4 (1984) 377–397: elastic cylinders under oil; Pyomo's mcplib."""
-    n, begin, end, alpha, speed = 30, -3.0, 2.0, 2.832, 6.057
-    dx = (end - begin) / n
-    weight = [0.5 if i in (0, n) else 1.0 for i in range(n + 1)]
-
-    def rows(x: Any, functions: Any) -> list[Any]:
-        k, p = x[0], [0.0, *(x[i] for i in range(1, n + 1)), 0.0]
-
-        def gap(t: float) -> Any:
-            bent = sum(
-                weight[s]
-                * (s - t)
-                * dx
-                * np.log(abs(s - t) * dx)
-                * (p[s + 1] - (p[s - 1] if s else 0.0))
-                for s in range(n + 1)
-            )
-            return (begin + t * dx) ** 2 + k + 1 + bent / np.pi
-
-        def flow(i: int) -> Any:  # from i to i + 1
-            return (
-                gap(i + 0.5) ** 3
-                * (p[i + 1] - p[i])
-                / functions.exp(alpha * (p[i] + p[i + 1]) / 2)
-                / dx**2
-            )
-
-        gaps, flows = [gap(i + 0.5) for i in range(n + 1)], [flow(i) for i in range(n + 1)]
-        reynolds = [
-            speed / dx * (gaps[i] - gaps[i - 1]) - (flows[i] - flows[i - 1])
-            for i in range(1, n + 1)
-        ]
-        return [1 - 2 * dx / np.pi * sum(weight[i] * p[i] for i in range(1, n + 1)), *reynolds]
-
-    start = [1.6, *(max(0.0, 1 - abs((begin + 1 + i * dx) / 2)) for i in range(1, n + 1))]
-    return by_rows(rows, n + 1, np.append(-np.inf, np.zeros(n)), start=start)
-
-
-@published
-def von_thunen() -> Published:
-    """A general equilibrium of J. H. von Thünen's rings (Mackinnon, Samuelson), four crops: GAMS' vonthmcp."""
-    rings, crops = range(12), range(4)
-    distance = [5.0 * (2 * r + 1) for r in rings]
-    area = [2 * 3.1415 * d for d in distance]
-    phi, beta, carry = (1.0, 2.0, 3.0, 4.0), (0.9, 0.7, 0.5, 0.3), (0.015, 0.006, 0.004, 0.01)
-    worker, owner, porter, labour, carts = (
-        (0.2, 0.3, 0.1, 0.3),
-        (0.3, 0.3, 0.2, 0.2),
-        (0.6, 0.2, 0.1, 0.1),
-        30.0,
-        20.0,
-    )
-
-    def rows(x: Any, _: Any) -> list[Any]:
-        cost, made = ([[x[base + 4 * r + c] for c in crops] for r in rings] for base in (0, 48))
-        idle, rent = ([x[base + r] for r in rings] for base in (96, 108))
-        carrier, price = x[120], [x[121 + c] for c in crops]
-        unit = [
-            phi[c] * cost[r][c]
-            - (1 / beta[c]) ** beta[c] * (rent[r] / (1 - beta[c])) ** (1 - beta[c])
-            for r in rings
-            for c in crops
-        ]
-        profit = [
-            cost[r][c] + carry[c] * distance[r] * carrier - price[c] for r in rings for c in crops
-        ]
-        land = [
-            area[r]
-            - idle[r]
-            - sum(made[r][c] * (1 - beta[c]) * cost[r][c] for c in crops) / rent[r]
-            for r in rings
-        ]
-        carried = carts - sum(carry[c] * distance[r] * made[r][c] for r in rings for c in crops)
-        rents = sum(rent[r] * (area[r] - idle[r]) for r in rings)
-        goods = [
-            price[c] * sum(made[r][c] for r in rings)
-            - porter[c] * carts * carrier
-            - worker[c] * labour
-            - owner[c] * rents
-            for c in crops
-        ]
-        return [*unit, *profit, *(rent[r] - 0.0001 for r in rings), *land, carried, *goods]
-
-    lower = np.concatenate(
-        [np.zeros(48), np.zeros(48), np.zeros(12), np.full(12, 0.001), [0.0], np.full(4, 0.1)]
-    )
-    start = np.where(np.arange(125) // 12 == 8, 0.0, 1.0)
-    return by_rows(rows, 125, lower, start=start)
-
-
-@published
 def pies() -> Published:
     """W. W. Hogan, Comput. Oper. Res. 2 (1975) 251–270, as N. H. Josephy stated it (1979); Pyomo's mcplib."""
     goods, capacity = ("C", "L", "H"), {"Capital": 35000.0, "Steel": 12000.0}
@@ -693,68 +546,3 @@ def pies() -> Published:
         ]
     )
     return by_rows(rows, 42, lower, upper, start)
-
-
-ANALGESICS = """
-0 .5 0 0 .4 | .4 0 .032 0 .1328 | 0 .5 0 0 .4 | .325 0 0 .15 .1275 | .325 0 0 0 .0975 | .324 0 0 .1 .1172
-.421 0 .032 .075 .1541 | .5 0 0 .1 .17 | 0 .5 0 0 .4 | .25 .25 .065 0 .301 | 0 .5 0 0 .4 | 0 .5 0 0 .4
-0 .325 0 0 .26 | .227 .194 0 .075 .2383
-"""  # a brand each: its four ingredients and its cost
-SUBJECTS = """
-0 .0835 0 .0331 15.13539 -4.42859 3.86546 | 0 .543 .0075 .0204 4.62777 -2.04758 1 | 0 .4889 .0055 0 2.21225 -1.82057 1
-.479 .0568 0 .0725 0 -3.22572 4.07059 | .3202 0 .0013 0 0 -2.13139 2.95369 | 0 .1395 0 0 10.58941 -2.75795 1.52444
-0 .4805 0 0 5.0178 -1.97219 1 | .0649 .3759 .0022 0 3.51912 -2.79767 3.03524 | 0 .3834 0 0 9.10098 -3.17282 3.06484
-.3431 .0908 0 .0695 0 -2.22797 2.60511 | .0484 .3229 .0351 0 10.53417 -5.16751 7.67621
-.2696 .0741 .0005 .111 0 -4.40669 7.52461 | .4348 .0276 .0013 .0605 0 -3.08085 5.39522
-.2634 0 .0022 0 0 -3.46886 5.77346
-.3163 .0581 0 0 0 -2.66754 3.28809 | .0859 .0488 0 .1355 7.46487 -4.11384 4.94403
-.3197 .032 .0424 .063 .64571 -1.83466 2.07788 | .1872 .7724 0 .0186 4.8654 -3.56241 1
-.4398 .0235 .023 .0765 .53507 -2.31347 3.91686 | 0 .196 0 .0604 5.31825 -2.28169 1.98819
-.0242 .5938 .0016 .0002 6.86056 -4.38702 5.20269 | .0016 .5157 .0399 .0079 5.69439 -1.85474 1
-.2584 .0761 .0024 .0065 0 -2.75502 4.7539 | 0 .5171 0 0 5.98602 -2.61935 2.34962
-.1094 .1291 0 .0934 14.47467 -2.65956 1 | .0153 .2855 0 0 13.5548 -2.95081 1
-.1851 .0874 .0322 .0903 13.01291 -2.50123 1
-.1289 .262 .1226 0 22.7317 -3.65221 1.96784 | .0472 .2513 .0059 0 5.13727 -2.87451 3.41328
-.2752 .0199 .0003 .0224 .07553 -2.78712 5.10606
-"""  # a subject each: the four it prefers, the weight of these, a constant, the weight of the price
-
-
-@published
-def choi() -> Published:
-    """S. C. Choi, W. S. DeSarbo, P. T. Harker, Management Sci. 36 (1990) 175–199: 14 analgesics; Pyomo's mcplib."""
-    brands, subjects = (
-        np.array(
-            [row.split() for row in table.replace("\n", "|").split("|") if row.strip()], dtype=float
-        )
-        for table in (ANALGESICS, SUBJECTS)
-    )
-    cost, slope = brands[:, 4], -3.0 * subjects[:, 6]
-    distance = ((subjects[:, None, :4] - brands[None, :, :4]) ** 2).sum(axis=2)
-    constant = -3.0 * (subjects[:, 4:5] * distance + subjects[:, 5:6])
-    lower, upper = cost.copy(), np.full(14, np.inf)
-    lower[7] = upper[7] = 0.199  # the market leader's price is given
-    m = pe.ConcreteModel()
-    m.I, m.J = pe.RangeSet(0, 29), pe.RangeSet(0, 13)
-    m.p = pe.Var(m.J, initialize=lambda m, j: cost[j] + 0.01)
-    m.pull = pe.Expression(
-        m.I, m.J, rule=lambda m, i, j: pe.exp(slope[i] * m.p[j] + constant[i, j])
-    )
-    m.all = pe.Expression(m.I, rule=lambda m, i: 1 + sum(m.pull[i, j] for j in m.J))
-
-    def marginal(m: Any, j: int) -> Any:
-        share = {i: m.pull[i, j] / m.all[i] for i in m.I}
-        return (
-            -sum(share[i] * (1 + (m.p[j] - cost[j]) * slope[i] * (1 - share[i])) for i in m.I) / 30
-        )
-
-    m.profit = Complementarity(
-        m.J,
-        rule=lambda m, j: complements(
-            pe.inequality(lower[j], m.p[j], upper[j])
-            if np.isfinite(upper[j])
-            else lower[j] <= m.p[j],
-            marginal(m, j) if np.isfinite(upper[j]) else marginal(m, j) >= 0,
-        ),
-    )
-
-    return Published(m, each(m.p))

@@ -64,6 +64,7 @@ def keeps_its_data(sample: Sample) -> None:
 
 
 def repeats_its_bits(sample: Sample) -> None:
+    """“Problems are thread-safe”: eight concurrent solves of one problem have the bits of one."""
     first = outcome(solved(sample))
     assert outcome(solved(sample)) == first
     with ThreadPoolExecutor(4) as pool:

@@ -29,7 +29,6 @@ BOX = LCP(
     [-5.0, 1.0, 2.0],
     upper=[2.0, np.inf, np.inf],
 )
-ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
 PNG = b"\x89PNG\r\n\x1a\n"
 
 # Every test problem at a size that takes no time, and some also at sizes with a degenerate figure.
@@ -253,14 +252,10 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
 def write_inputs() -> None:
     """Write the files of the table below."""
     BOX.save("box.npz")
-    ZERO_DIAGONAL.save("zero.npz")
     np.savez("qp.npz", P_data=np.ones(1), q=np.ones(1), A_data=np.ones(1))
     np.savez("keys.npz", data=np.ones(1), q=np.ones(1))
     Path("notes.txt").write_text("hello")
-    Path("text.npz").write_text("hello")
-    Path("zeros.npz").write_bytes(bytes(100))
     Path("empty").mkdir()
-    Path("taken.npz").mkdir()
     Path("taken.png").mkdir()
     BOX.save("half")
     Path("half/q.mtx").unlink()
@@ -273,22 +268,16 @@ BAD_INPUT = [
     ("solve empty", r"no such file: empty/M\.mtx"),
     ("solve half", r"M\.mtx has no companion half/q\.mtx"),
     ("solve notes.txt", r"cannot read notes\.txt: expected an \.npz, \.mat, .* or M\.mtx"),
-    ("solve text.npz", r"cannot read text\.npz"),
     ("solve keys.npz", r"keys\.npz lacks the keys"),
     ("solve qp.npz", r"qp\.npz lacks the keys .*a sparse P is P_data, P_indices"),
     (
         "solve half_activ",
         r"'half_activ' is neither a file nor a test problem; did you mean 'half_active'\?",
     ),
-    (
-        "solve half_active:m=4",
-        r"test problem 'half_active' has no parameter 'm'.*known: block, degenerate, delta, n",
-    ),
     ("solve obstacle_2d:sise=4", r"'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
     ("solve half_active:n", r"'n' in 'half_active:n' has no '='.*scene:parameter=value"),
     ("solve half_active:n=4,n=9", r"'n=9' in .* repeats a parameter"),
     ("solve half_active:n=four", r"n must be an integer .*got 'four'"),
-    ("solve half_active --size 4", r"test problem 'half_active' has no parameter 'size'"),
     ("solve box.npz --size 4", r"--size 4 is for a test problem"),
     ("check obstacle_2d:size=4 --reference nobody", r"cvxpy has no solver 'nobody'"),
     ("compare obstacle_2d:size=4 -a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
@@ -297,44 +286,17 @@ BAD_INPUT = [
         "compare obstacle_2d:size=4 -a psor --out out.txt",
         r"--out writes a \.csv file, got 'out.txt'",
     ),
-    ("compare obstacle_2d:size=4 -a psor --repeats 0", r"repeats must be an integer ≥ 1, got 0"),
-    (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
-    (
-        SOLVE + "-a piqp",
-        r"piqp is an engine for convex programs.*solve\(problem\.to_qp\(\), 'piqp'\)",
-    ),
     (SOLVE + "-a psor -o relaxation", r"got 'relaxation'; write --option relaxation=1.5"),
-    (
-        SOLVE + "-a psor -o relaxtion=1.5",
-        r"psor has no option 'relaxtion'; did you mean 'relaxation'\?",
-    ),
-    (SOLVE + "-a psor --relaxation 2.5", r"psor: relaxation must be .*below 2, got 2.5"),
-    (SOLVE + "-a npsor -o scaling=diag", r"npsor: scaling='diag'.*did you mean 'diagonal'\?"),
-    (SOLVE + "-a pgs --relaxation 1.5", r"pgs has no option 'relaxation'.*sweep"),
     (SOLVE + "--relaxation 1.5", r"auto.*\['relaxation'\].*name an algorithm"),
     (SOLVE + "-a npsor -o tolerance=1e-3", r"tolerance"),
-    (SOLVE + "-a npsor -o algorithm=pgs", r"algorithm"),
-    (SOLVE + "-a npsor -o z0=3", r"'?z0'?"),
     (SOLVE + "-a npsor -o callback=3", r"'?callback'?"),
     (SOLVE + "--tolerance -1", r"tolerance must be finite and not negative, got -1"),
-    (SOLVE + "--max-iterations -1", r"max_iterations must be an integer ≥ 0, got -1"),
-    (SOLVE + "--max-seconds -3", r"max_seconds must be finite and not negative, got -3"),
     (SOLVE + "--plot out.txt", r"must end in \.png, \.pdf, \.svg, got 'out\.txt'"),
-    (
-        SOLVE + "--plot missing/out.png",
-        r"cannot write missing/out\.png: the folder missing does not exist",
-    ),
     (SOLVE + "--plot taken.png", r"cannot write taken\.png"),
     (SOLVE + "--out z.txt", r"--out writes a \.npz file, got 'z\.txt'"),
     (
         SOLVE + "--out missing/z.npz",
         r"cannot write missing/z\.npz: the folder missing does not exist",
-    ),
-    (SOLVE + "--out taken.npz", r"cannot write taken\.npz"),
-    ("solve zero.npz -a psor", r"psor needs a positive diagonal, but M\[1, 1\] = 0\.0; try"),
-    (
-        "solve box.npz -a mgs",
-        r"mgs needs a finite lower and no upper bound.*row 0 has bounds \[0\.0, 2\.0\]",
     ),
 ]
 
@@ -363,12 +325,7 @@ def test_bad_input_is_one_line_and_exit_code_two(
         ("slove half_active", "'solve'"),
         ("solve", "target"),
         ("solve half_active n=4", "n=4"),
-        (SOLVE + "--tolerance small", "--tolerance"),
-        (SOLVE + "--max-iterations 1.5", "--max-iterations"),
-        (SOLVE + "--max-seconds soon", "--max-seconds"),
         (SOLVE + "--jsn", "--json"),
-        (SOLVE + "--out", "--out"),
-        ("list all", "all"),
         ("tables", "tables"),
     ],
 )

@@ -19,7 +19,6 @@ MANY = 120
 SMALL = st.integers(1, 2)
 DOMINANT = strictly_dominant_matrices(SMALL)
 # The identity and a rotation that is larger: P-matrices that are no H-matrices.
-ROTATING = st.integers(1, 9).map(lambda k: np.array([[1.0, k], [-k, 1.0]]))
 Solver = Callable[..., Any]
 
 
@@ -69,7 +68,6 @@ CHECK = "if residual <= 1e-8:"
 WILD = {"matrices": not_h_matrices(SMALL), "may_give_up": True}
 # name: (solver, right place, planted bug, options of assert_solves, what the report must say)
 BUGS: dict[str, tuple[Solver, str, str, dict[str, Any], str]] = {
-    "sign of q": (psor, "w = M @ z + q", "w = M @ z - q", {}, "wrong sign|gave up"),
     "w never checked": (least_index, "leave = ", "leave = False & ", {}, "w has the wrong sign"),
     "transposed matrix": (
         least_index,
@@ -79,7 +77,6 @@ BUGS: dict[str, tuple[Solver, str, str, dict[str, Any], str]] = {
         "wrong sign|not complementary",
     ),
     "status before check": (psor, "return None", "return z", WILD, "z is not|w has the wrong sign"),
-    "upper bound forgotten": (psor, "upper[i])", "np.inf)", {"bounds": True}, "gave up"),
     "wrong sign at the upper bound": (
         least_index,
         "(w > 1e-9)",
@@ -100,13 +97,6 @@ BUGS: dict[str, tuple[Solver, str, str, dict[str, Any], str]] = {
         "M /= M.diagonal()[:, None]\n    z, d =",
         {},
         "modified its input M",
-    ),
-    "gives up too early": (
-        least_index,
-        "for _ in range(3 ** len(q))",
-        "for _ in range(1)",
-        {},
-        "gave up",
     ),
 }
 
@@ -146,15 +136,6 @@ def test_nan_that_passes_as_solved_is_found() -> None:
         with pytest.raises(AssertionError, match="psor: z is not finite"):
             assert_solves(damped(passing, 40.0), max_examples=ENOUGH, **options)
         assert_solves(damped(psor, 40.0), max_examples=60, **options)
-
-
-@pytest.mark.full
-def test_ignored_relaxation_is_found() -> None:
-    """Where convergence needs ω < 2/(1 + |μ|) ≤ 1, a sweep without ω fails and the damped one does not."""
-    ignoring = planted(psor, "z[i] - omega * (M", "z[i] - (M")
-    with pytest.raises(AssertionError, match="psor: it gave up"), np.errstate(all="ignore"):
-        assert_solves(damped(ignoring), matrices=ROTATING, max_examples=ENOUGH)
-    assert_solves(damped(psor), matrices=ROTATING, max_examples=MANY)
 
 
 @pytest.mark.full

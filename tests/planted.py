@@ -78,3 +78,11 @@ def planted_program(
     c = -(P @ x + G.T @ multipliers + A.T @ rng.standard_normal(equations)) + at_lower
     program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
     return program, x, program.objective(x)
+
+
+def planted_worlds(count: int) -> tuple[Any, ...]:
+    """W, b and friction of one body at two contacts."""
+    rng = np.random.default_rng(3)
+    J = rng.standard_normal((count, 6, 6))
+    b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
+    return J @ J.swapaxes(1, 2) + 0.1 * np.eye(6), b, rng.uniform(0.2, 0.8, (count, 2))

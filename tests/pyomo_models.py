@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pe
 import scipy.sparse as sp
-from nonlinear_models import NASH_5_SOLUTION, NASH_10_SOLUTION
+from nonlinear_models import NASH_5_SOLUTION
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 
@@ -24,7 +24,6 @@ class Published:
     variables: Sequence[Any]
     answers: Sequence[Any] = field(default=())  # of the leading variables; any of them will do
     digits: float = 1e-4
-    first: int = 0  # where the answers begin among the variables
 
 
 MODELS: dict[str, Callable[[], Published]] = {}
@@ -47,25 +46,6 @@ def affine(M: Any, q: Any, x: Any) -> list[Any]:
         + float(q[i])
         for i in range(M.shape[0])
     ]
-
-
-def linear(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **given: Any) -> Published:
-    """A linear complementarity problem, every pair as what its bounds ask for."""
-    n = len(q)
-    lower, upper = np.broadcast_to(lower, n), np.broadcast_to(upper, n)
-    m = pe.ConcreteModel()
-    m.x = pe.Var(range(n))
-    rows = affine(M, q, m.x)
-
-    def pair(m: Any, i: int) -> Any:
-        if np.isfinite(lower[i]) and np.isfinite(upper[i]):
-            return complements(pe.inequality(lower[i], m.x[i], upper[i]), rows[i])
-        if np.isfinite(upper[i]):
-            return complements(m.x[i] <= upper[i], rows[i] <= 0)
-        return complements(m.x[i] >= lower[i], rows[i] >= 0)
-
-    m.pairs = Complementarity(range(n), rule=pair)
-    return Published(m, each(m.x), **given)
 
 
 @published
@@ -94,9 +74,9 @@ def of_munson(m: Any, sign: float) -> Published:
     return Published(m, [m.x1, m.x2, m.x3], answers=[[sign, 0.0, 0.0]], digits=1e-9)
 
 
-def polynomial(name: str) -> Any:
-    """The figures of Josephy's problem and of Kojima and Shindo's, which differ in three."""
-    third, ninth, last = (3, 3, -1) if name == "josephy" else (10, 9, -9)
+@published
+def kojshin() -> Published:
+    """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; Pyomo's model library, mcplib."""
     m = pe.ConcreteModel()
     m.x = pe.Var(pe.RangeSet(4), within=pe.NonNegativeReals, initialize=1.0)
     x = m.x
@@ -104,36 +84,13 @@ def polynomial(name: str) -> Any:
     s = m.square
     rows = {
         1: 3 * s[1] + 2 * x[1] * x[2] + 2 * s[2] + x[3] + 3 * x[4] - 6,
-        2: 2 * s[1] + x[1] + s[2] + third * x[3] + 2 * x[4] - 2,
-        3: 3 * s[1] + x[1] * x[2] + 2 * s[2] + 2 * x[3] + ninth * x[4] + last,
+        2: 2 * s[1] + x[1] + s[2] + 10 * x[3] + 2 * x[4] - 2,
+        3: 3 * s[1] + x[1] * x[2] + 2 * s[2] + 2 * x[3] + 9 * x[4] - 9,
         4: s[1] + 3 * s[2] + 2 * x[3] + 3 * x[4] - 3,
     }
     m.f = Complementarity(pe.RangeSet(4), rule=lambda m, j: complements(m.x[j] >= 0, rows[j] >= 0))
-    return m
-
-
-@published
-def kojshin() -> Published:
-    """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; Pyomo's model library, mcplib."""
-    m = polynomial("kojshin")
     answers = [[np.sqrt(1.5), 0, 0, 0.5], [1, 0, 3, 0]]
     return Published(m, each(m.x), answers, 1e-7)
-
-
-@published
-def josephys() -> Published:
-    """N. H. Josephy, MRC report 1965, Wisconsin 1979; Pyomo's model library, mcplib."""
-    m = polynomial("josephy")
-    return Published(m, each(m.x), [[np.sqrt(1.5), 0, 0, 0.5]], 1e-7)
-
-
-@published
-def billups_thesis() -> Published:
-    """S. C. Billups, PhD thesis, Wisconsin 1995; Pyomo's model library, mcplib."""
-    m = pe.ConcreteModel()
-    m.x = pe.Var(initialize=0.0)
-    m.c = Complementarity(expr=((m.x - 1.0) * (m.x - 1.0) - 1.01 >= 0, m.x >= 0))
-    return Published(m, [m.x], [[1 + np.sqrt(1.01)]], 1e-8)
 
 
 def oligopoly(
@@ -164,18 +121,6 @@ def oligomcp() -> Published:
 
 
 @published
-def nash() -> Published:
-    """P. T. Harker, Math. Programming 41 (1988) 29–59: ten firms; Pyomo's model library, mcplib."""
-    return oligopoly(
-        [5, 3, 8, 5, 1, 3, 7, 4, 6, 3],
-        0.1,
-        [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75],
-        1.2,
-        NASH_10_SOLUTION,
-    )
-
-
-@published
 def cournot_with_a_capacity() -> Published:
     """Murphy, Sherali and Soyster's five firms, the largest held to 30: the others' first-order conditions hold."""
     case = oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1)
@@ -186,22 +131,6 @@ def cournot_with_a_capacity() -> Published:
         expr=complements(pe.inequality(0, m.q[2], m.limit), m.best[2]._args[1].args[1])
     )
     return Published(m, case.variables)
-
-
-@published
-def mathiesens() -> Published:
-    """L. Mathiesen, Math. Programming 37 (1987) 1–18: a market; every (λ, 0, 0, 0), 0 ≤ λ ≤ 3, solves."""
-    m = pe.ConcreteModel()
-    m.y, m.p = pe.Var(initialize=1.0), pe.Var([1, 2, 3], initialize=1.0)
-    m.profit = Complementarity(expr=complements(m.y >= 0, -m.p[1] + m.p[2] + m.p[3] >= 0))
-    m.one = Complementarity(
-        expr=complements(m.p[1] >= 0, m.y - (4.5 * m.p[2] + 2.7 * m.p[3]) / (m.p[1] + 1) >= 0)
-    )
-    m.two = Complementarity(
-        expr=complements(m.p[2] >= 0, 5 - m.y - (0.5 * m.p[2] + 0.3 * m.p[3]) / (m.p[2] + 1) >= 0)
-    )
-    m.three = Complementarity(expr=complements(m.p[3] >= 0, 3 - m.y >= 0))
-    return Published(m, [m.y, *each(m.p)])
 
 
 def by_rows(
@@ -344,41 +273,6 @@ def scarf_1960() -> Published:
 
 
 @published
-def shoven_whalley() -> Published:
-    """J. B. Shoven, J. Whalley, J. Econ. Lit. 22 (1984) 1007–1051: two goods, factors and consumers, before taxes."""
-    scale, capital, substitution = (1.5, 2.0), (0.4, 0.3), (2.0, 0.5)
-    taste, elasticity, owned = ((0.5, 0.5), (0.3, 0.7)), (1.5, 0.75), ((25.0, 0.0), (0.0, 60.0))
-
-    def rows(x: Any, _: Any) -> list[Any]:
-        price, output, rent = (x[0], x[1]), (x[2], x[3]), x[4]  # the wage is 1
-        unit, made_by = [], []
-        for g in range(2):
-            d, s = capital[g], substitution[g]
-            index = (d**s * rent ** (1 - s) + (1 - d) ** s) ** (1 / (1 - s))
-            unit.append(index / scale[g])
-            made_by.append(d**s * (index / rent) ** s / scale[g])
-        bought = [0, 0]
-        for h in range(2):
-            income = rent * owned[h][0] + owned[h][1]
-            spread = sum(taste[h][g] * price[g] ** (1 - elasticity[h]) for g in range(2))
-            for g in range(2):
-                bought[g] = bought[g] + taste[h][g] * income / (price[g] ** elasticity[h] * spread)
-        used = sum(made_by[g] * output[g] for g in range(2))
-        return [
-            output[0] - bought[0],
-            output[1] - bought[1],
-            unit[0] - price[0],
-            unit[1] - price[1],
-            25 - used,
-        ]
-
-    answer = [1.399, 1.093, 24.942, 54.378, 1.373]
-    return by_rows(
-        rows, 5, [1e-3, 1e-3, 0, 0, 1e-3], start=[1, 1, 20, 50, 1], answers=[answer], digits=1e-3
-    )
-
-
-@published
 def braess() -> Published:
     """D. Braess, Unternehmensforschung 12 (1968) 258–268: with the fourth road everybody needs 92 instead of 83."""
     m = pe.ConcreteModel()
@@ -463,86 +357,3 @@ def signorini() -> Published:
     m.inside = pe.Constraint(range(n - 1), rule=lambda m, i: rows[i] == 0)
     m.wall = Complementarity(expr=complements(m.u[n - 1] <= 0.3, -rows[n - 1] >= 0))
     return Published(m, each(m.u), answers=[0.8 * x - x**2 / 2], digits=1e-9)
-
-
-@published
-def pies() -> Published:
-    """W. W. Hogan, Comput. Oper. Res. 2 (1975) 251–270, as N. H. Josephy stated it (1979); Pyomo's mcplib."""
-    goods, capacity = ("C", "L", "H"), {"Capital": 35000.0, "Steel": 12000.0}
-    coal, oil = [(300, 300, 400), (200, 300, 600)], [(1100, 1200), (1300, 1100)]
-    output, refining = [{"L": 0.6, "H": 0.4}, {"L": 0.5, "H": 0.5}], (6.5, 5.0)
-    base, usual = {"C": 1000.0, "L": 1200.0, "H": 1000.0}, {"C": 12.0, "L": 16.0, "H": 12.0}
-    cross = {"C": (-0.75, 0.1, 0.2), "L": (0.1, -0.5, 0.2), "H": (0.2, 0.1, -0.5)}
-    coal_use = {"Capital": [(1, 5, 10), (1, 5, 6)], "Steel": [(1, 2, 3), (1, 4, 5)]}
-    oil_use = {"Capital": [(0, 10), (0, 15)], "Steel": [(0, 4), (0, 2)]}
-    coal_cost, oil_cost = [(5, 6, 8), (4, 5, 7)], [(1, 1.5), (1.25, 1.5)]
-    coal_way, crude_way, product_way = (
-        [(1, 2.5), (0.75, 2.75)],
-        [(2, 3), (4, 2)],
-        [(1, 1.2), (1, 1.5)],
-    )
-    two, three = range(2), range(3)
-
-    def rows(x: Any, _: Any) -> list[Any]:
-        at = iter(range(42))
-        c = [[x[next(at)] for _ in three] for _ in two]
-        o, ct, ot, lt, ht = ([[x[next(at)] for _ in two] for _ in two] for _ in range(5))
-        p = {g: [x[next(at)] for _ in two] for g in goods}
-        mu, cv, ov, lv, hv = ([x[next(at)] for _ in two] for _ in range(5))
-        shadow = dict(zip(capacity, mu, strict=True))
-        arrivals = {"C": ct, "L": lt, "H": ht}
-        used = {
-            s: sum(c[r][t] * coal_use[s][r][t] for r in two for t in three)
-            + sum(o[r][t] * oil_use[s][r][t] for r in two for t in two)
-            for s in capacity
-        }
-
-        def demand(g: str, u: int) -> Any:
-            total = base[g]
-            for other, power in zip(goods, cross[g], strict=True):
-                total = total * (p[other][u] / usual[other]) ** power
-            return total
-
-        return [
-            *(
-                coal_cost[r][t] - cv[r] + sum(coal_use[s][r][t] * shadow[s] for s in capacity)
-                for r in two
-                for t in three
-            ),
-            *(
-                oil_cost[r][t] - ov[r] + sum(oil_use[s][r][t] * shadow[s] for s in capacity)
-                for r in two
-                for t in two
-            ),
-            *(coal_way[r][u] + cv[r] - p["C"][u] for r in two for u in two),
-            *(
-                crude_way[r][f]
-                + refining[f]
-                + ov[r]
-                - output[f]["L"] * lv[f]
-                - output[f]["H"] * hv[f]
-                for r in two
-                for f in two
-            ),
-            *(product_way[f][u] + lv[f] - p["L"][u] for f in two for u in two),
-            *(product_way[f][u] + hv[f] - p["H"][u] for f in two for u in two),
-            *(sum(arrivals[g][r][u] for r in two) - demand(g, u) for g in goods for u in two),
-            *(capacity[s] - used[s] for s in capacity),
-            *(sum(c[r]) - sum(ct[r]) for r in two),
-            *(sum(o[r]) - sum(ot[r]) for r in two),
-            *(sum(ot[r][f] for r in two) * output[f]["L"] - sum(lt[f]) for f in two),
-            *(sum(ot[r][f] for r in two) * output[f]["H"] - sum(ht[f]) for f in two),
-        ]
-
-    lower = np.concatenate([np.zeros(26), np.full(6, 0.1), np.zeros(2), np.full(8, -np.inf)])
-    upper = np.concatenate([np.ravel(coal), np.ravel(oil), np.full(32, np.inf)])
-    start = np.concatenate(
-        [
-            np.ravel(coal),
-            [1100, 1000, 1300, 1000, 0, 828, 1016, 84, 2075, 0, 0, 2358, 22, 1223, 1179, 0],
-            [0, 830, 998, 180],
-            [11.7, 13.7, 15.8, 16, 11.9, 12.4],
-            np.ones(10),
-        ]
-    )
-    return by_rows(rows, 42, lower, upper, start)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planted import planted
+from planted import planted, planted_worlds
 
 jax = pytest.importorskip("jax")
 
@@ -139,17 +139,9 @@ def test_single_precision_is_refused() -> None:
         lcp_layer(jnp.eye(2), jnp.ones(2))
 
 
-def worlds(count: int) -> Any:
-    """W, b and friction of one body at two contacts."""
-    rng = np.random.default_rng(3)
-    J = rng.standard_normal((count, 6, 6))
-    b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
-    return J @ J.swapaxes(1, 2) + 0.1 * np.eye(6), b, rng.uniform(0.2, 0.8, (count, 2))
-
-
 def test_contact_has_the_gradients_of_its_derivative() -> None:
     """Compiled, mapped and at once."""
-    W, b, friction = worlds(6)
+    W, b, friction = planted_worlds(6)
     gradient = derivative(solve_batch(FrictionalContact.worlds(W, b, friction))).vjp(np.ones(6))
 
     def loss(W: Any, b: Any, friction: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from planted import planted
+from planted import planted, planted_worlds
 
 torch = pytest.importorskip("torch")
 
@@ -195,17 +195,9 @@ def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
         lcp_layer(*call(lambda array: torch.tensor(array, dtype=torch.float64)))
 
 
-def worlds(count: int) -> Any:
-    """W, b and friction of one body at two contacts."""
-    rng = np.random.default_rng(3)
-    J = rng.standard_normal((count, 6, 6))
-    b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
-    return J @ J.swapaxes(1, 2) + 0.1 * np.eye(6), b, rng.uniform(0.2, 0.8, (count, 2))
-
-
 def test_contact_has_the_gradients_of_differences() -> None:
     """Gradients by W (symmetric), b and friction, also a scalar, agree with differences."""
-    W, b, friction = leaves(*worlds(6))
+    W, b, friction = leaves(*planted_worlds(6))
 
     def layer(A: Any, b: Any, friction: Any) -> Any:
         return contact_layer(A + A.mT, b, friction, tolerance=1e-12)

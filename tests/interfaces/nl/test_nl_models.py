@@ -401,7 +401,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
         content_of(1, [x], is_integer=[True], names=["count"]),
         "count is an integer variable",
     )
-    for name, number in (("abs", 15), ("max", 12), ("floor", 13), ("if", 35), ("atan2", 48)):
+    for name, number in (("abs", 15), ("if", 35)):
         yield (
             name,
             content_of(1, [(number, x, x)], row_names=["balance"]),

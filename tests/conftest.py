@@ -67,6 +67,12 @@ def draws(pytestconfig: pytest.Config) -> Callable[[int], range]:
     return lambda count: range(count if is_full else count // 8)
 
 
+def pytest_runtest_teardown() -> None:
+    """Close the figures of a test: the number of open figures must not depend on the tests before."""
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Let the command compile what is not compiled yet while workers collect a whole suite."""

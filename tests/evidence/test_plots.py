@@ -33,15 +33,12 @@ PAIR = QuadraticProgram(np.eye(2), [-2.0, -1.0], lower=0.0)
 
 @pytest.fixture(autouse=True)
 def without_a_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No window opens, and no figure is left."""
+    """No window opens."""
     import matplotlib as mpl
 
     before = mpl.get_backend()
     mpl.use("Agg")
-    from matplotlib import pyplot
-
     yield
-    pyplot.close("all")
     mpl.use(before)
 
 

@@ -346,19 +346,12 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
     ("arguments", "options", "error", "words"),
     [
         ((5, ["psor"]), {}, InvalidOption, "problems must be problems"),
-
-
         ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, "QuadraticProgram"),
         ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
         ((chain, 5, [4]), {}, InvalidOption, r'methods must be names .* got 5; write \["psor"\]'),
         ((chain, [Richardson], [4]), {}, InvalidOption, "a method is a name, an Algorithm object"),
         ((chain, ["psor"], [0]), {}, InvalidOption, "sizes must be integers ≥ 1"),
-
-
         ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
-
-
-
         ((chain, ["psor"], [4]), {"references": ["OSQPP"]}, InvalidOption, "cvxpy has no solver 'OSQPP'"),
     ],
 )  # fmt: skip

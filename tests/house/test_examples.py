@@ -128,7 +128,6 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         warnings.simplefilter("error")
         with pytest.raises(SystemExit) as ended:
             runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
-    plt.close("all")
     assert not ended.value.code
 
 

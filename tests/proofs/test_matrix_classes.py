@@ -514,3 +514,10 @@ def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:
     assert analyze(np.array([[2.0, 1.0], [0.0, 2.0]])).evidence["is_symmetric"] == (
         "asymmetry 1 relative to entries, 0.5 to rows"
     )
+
+
+@pytest.mark.parametrize("entry", [0.0, -1.0])
+def test_the_recursion_over_minors_sees_the_diagonal(entry: float) -> None:
+    """A diagonal entry that is not positive decides."""
+    M = np.array([[entry, -1.0], [1.0, 1.0]])  # det > 0 for 0
+    assert not is_p_matrix_by_recursion(sp.csr_array(M))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from fractions import Fraction
 from itertools import combinations
 from typing import Any
+
+from exact import solve_fractions
 
 Strategy = tuple[Fraction, ...]
 
@@ -41,10 +42,8 @@ def _vertices(
     ]
     found = {}
     for tight in combinations(range(len(rows)), n):
-        system = [[*rows[i], Fraction(0)] for i in tight] + [
-            [Fraction(1)] * n + [Fraction(0), Fraction(1)]
-        ]
-        point = _solution(system)
+        system = [*(rows[i] for i in tight), [Fraction(1)] * n + [Fraction(0)]]
+        point = solve_fractions(system, [Fraction(0)] * n + [Fraction(1)])
         if point is None or min(point[:n]) < 0:
             continue
         gains = [
@@ -58,18 +57,3 @@ def _vertices(
                 frozenset(j for j, gain in enumerate(gains) if gain == point[n]),
             )
     return [(s, *labels) for s, labels in found.items()]
-
-
-def _solution(system: list[list[Fraction]]) -> Sequence[Fraction] | None:
-    """Return the only solution of n equations [row, right-hand side], or None."""
-    rows, n = [row[:] for row in system], len(system)
-    for k in range(n):
-        pivot = next((i for i in range(k, n) if rows[i][k]), None)
-        if pivot is None:
-            return None
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [value / rows[k][k] for value in rows[k]]
-        for i in range(n):
-            if i != k and rows[i][k]:
-                rows[i] = [a - rows[i][k] * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return [row[n] for row in rows]

@@ -322,20 +322,7 @@ SAMPLES = [
         h=[-1.0],
         lower=0.0,
     ),
-    program(
-        "QP, unbounded", (Status.UNBOUNDED,), None, np.diag([1.0, 0.0]), [1.0, -1.0], lower=0.0
-    ),
     program("LP", GOOD, [2.0, 0.0], None, [-2.0, -1.0], G=[[1.0, 1.0]], h=[2.0], lower=0.0),
-    program(
-        "LP, infeasible",
-        (Status.INFEASIBLE,),
-        None,
-        None,
-        [1.0, 1.0],
-        A=[[1.0, 1.0]],
-        b=[-1.0],
-        lower=0.0,
-    ),
     program("LP, unbounded", (Status.UNBOUNDED,), None, None, [-1.0, 0.0], lower=0.0),
     least_squares(
         "least squares", [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0], [1.5, 0.0]

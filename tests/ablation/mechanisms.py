@@ -414,7 +414,7 @@ MECHANISMS = (
         "SCIP",
         "another's global search where ours is long",
         {"interfaces.scip:minimize_or_none": says(None)},
-        "problems/equilibria/test_best_equilibrium_network.py::test_a_bilinear_leader_is_solved_by_scip",
+        "problems/equilibria/test_best_equilibrium_by_scip.py::test_a_bilinear_leader_is_solved_by_scip",
     ),
     Mechanism(
         "incumbents",

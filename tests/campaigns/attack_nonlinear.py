@@ -19,8 +19,6 @@ from lcp_plugin.core.settings import Settings
 from lcp_plugin.problems.nonlinear.certificate import NonlinearCertificate, Reference
 from lcp_plugin.problems.nonlinear.data import Linearization
 
-from .outliers import integers
-
 JUDGE, ILL_CONDITIONED, STEPS = 1e-8, 1e-7, 240
 
 ERROR, POLISH = 0.01, 1e-3
@@ -31,6 +29,7 @@ LEAST, MOST, HALVINGS = -13.0, -0.01, 9
 class Target(NamedTuple):
     """A problem with its answer: what the judge says of another one, and how wrong that is."""
 
+    problem: NonlinearProblem
     right: np.ndarray  # of all numbers that the climber moves
     passes: Callable[[np.ndarray, float], bool]  # at a tolerance
     error: Callable[[np.ndarray], float]
@@ -114,7 +113,10 @@ def along_a_row(rng: np.random.Generator, rows: np.ndarray, point: np.ndarray) -
 def planted(rng: np.random.Generator) -> Target:
     """Return a problem with its answer, x ≥ 0."""
     n = int(rng.integers(1, 5))
-    A, kind = integers(rng, n, n), str(rng.choice(["dominant", "definite", "skew", "triangular"]))
+    A, kind = (
+        rng.integers(-3, 4, (n, n)).astype(float),
+        str(rng.choice(["dominant", "definite", "skew", "triangular"])),
+    )
     M = {
         "dominant": A + np.diag(abs(A).sum(axis=1) + 1 - A.diagonal()),
         "definite": A @ A.T + np.eye(n),
@@ -132,9 +134,11 @@ def planted(rng: np.random.Generator) -> Target:
     right = np.where(state == 0, rng.integers(1, 5, n), 0) * far
     w = np.where(state == 1, rng.integers(1, 5, n), 0.0)
 
+    @np.errstate(all="ignore")
     def curve(t: np.ndarray) -> np.ndarray:
         return np.choose(shapes, [0.0 * t, t**3, np.exp(t), -1.0 / (t + 1.0)])
 
+    @np.errstate(all="ignore")
     def slope(t: np.ndarray) -> np.ndarray:
         return np.choose(shapes, [0.0 * t, 3 * t**2, np.exp(t), (t + 1.0) ** -2.0])
 
@@ -180,7 +184,7 @@ def planted(rng: np.random.Generator) -> Target:
             f"units={units.tolist()} at {x.tolist()}, right {answer.tolist()}"
         )
 
-    return Target(answer, passes, error, moves, is_hopeless, text)
+    return Target(problem, answer, passes, error, moves, is_hopeless, text)
 
 
 def attacks(rng: np.random.Generator, count: int, steps: int = STEPS) -> Iterator[tuple[str, str]]:

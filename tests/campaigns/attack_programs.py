@@ -11,7 +11,6 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from exact import solve_fractions
 
 from lcp_plugin import QuadraticProgram, certify
@@ -19,11 +18,12 @@ from lcp_plugin.problems.least_squares.certificate import Optimality
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures
 
-from .outliers import ExactProgram
+from .outliers import ExactProgram, odd_program
 
 ODD = (1e-17, float(np.cos(np.pi / 2)), 1e-9, 1e-5, 1e10, 1e15, 1e19)
 MOST = 1e-2  # of the objective's terms: an error that is one
 STEPS = 25
+MOST_CASES = 2000
 ZERO = Fraction(0)
 LEAST_SQUARES = ("entry", "row", "weights", "ridge", "l1", "bound", "b", "column")
 
@@ -41,76 +41,27 @@ def product(rows: Any, x: Any) -> list[Fraction]:
 # --- Programs ------------------------------------------------------------------------------------------------------
 
 
-def program(rng: np.random.Generator) -> QuadraticProgram:
-    """Return a bounded convex program with odd numbers in some places."""
-    n, m = int(rng.integers(1, 4)), int(rng.integers(0, 4))
-    F = rng.integers(-2, 3, (n, int(rng.integers(0, n + 1)))).astype(float)
-    G = rng.integers(-3, 4, (m, n)).astype(float)
-    c, lower, upper = rng.integers(-4, 5, n).astype(float), np.full(n, -10.0), np.full(n, 10.0)
-    h = G @ rng.integers(-2, 3, n) + rng.integers(0, 3, m)
-    P = F @ F.T
-    for place in rng.choice(
-        ("G", "h", "c", "lower", "upper", "P", "none"), int(rng.integers(1, 3))
-    ):
-        odd, j = float(rng.choice(ODD) * rng.choice([-1.0, 1.0])), int(rng.integers(n))
-        if place == "G" and m:
-            G[int(rng.integers(m)), j] = odd
-        elif place == "h" and m:
-            h[int(rng.integers(m))] = abs(odd)
-        elif place == "c":
-            c[j] = odd
-        elif place == "lower":
-            lower[j] = -abs(odd)
-        elif place == "upper":
-            upper[j] = abs(odd)
-        elif place == "P" and not P[j].any():
-            P[j, j] = abs(odd)
-    return QuadraticProgram(P, c, G, h, lower=lower, upper=upper)
-
-
-def value(P: Any, c: Any, x: Any) -> tuple[Fraction, Fraction]:
-    """Return ½ xᵀP x + cᵀx, and Σ|c_j x_j| + |xᵀP x|."""
-    linear = [a * b for a, b in zip(c, x, strict=True)]
-    curved = sum((a * b for a, b in zip(product(P, x), x, strict=True)), ZERO)
-    return curved / 2 + sum(linear, ZERO), abs(curved) + sum(map(abs, linear), ZERO)
-
-
-def hessian(given: QuadraticProgram) -> Any:
-    """Return P in fractions."""
-    return fractions(given.P.toarray() if sp.issparse(given.P) else given.P)
-
-
-def off(given: QuadraticProgram, x: Any, best: tuple[Fraction, Fraction]) -> float:
-    """Return |f(x) − f*| beside the terms of the optimum, or of x where these vanish."""
-    P = hessian(given)
-    here, size = value(P, fractions(given.c), fractions(x))
-    return float(abs(here - best[0]) / (best[1] or size or Fraction(1)))
-
-
 def attack_certify(rng: np.random.Generator, count: int) -> list[str]:
     """Return the points that fall: proved, and off by more than 1 %."""
     fallen = []
     for _ in range(count):
-        given = program(rng)
-        P, c = hessian(given), fractions(given.c)
-        data = (given.P, given.c, given.G, given.h, given.A, given.b, given.lower, given.upper)
-        optimum = ExactProgram(
-            *(one.toarray() if sp.issparse(one) else one for one in data)
-        ).optimum()
+        data, _ = odd_program(rng, linear=False, is_small=True)
+        given, exact = QuadraticProgram(*data), ExactProgram(*data)
+        optimum = exact.optimum() if exact.count() <= MOST_CASES else None
         if optimum is None:
             continue
-        best, x = value(P, c, optimum), np.array([float(v) for v in optimum])
+        best, most, x = exact.value(optimum), exact.size(optimum), np.array([*map(float, optimum)])
         least, worst = np.inf, None
         for step in range(STEPS):
             at = x if step == 0 else climbed(rng, x, step)
-            if off(given, at, best) <= MOST:
+            here, size = exact.value(fractions(at)), exact.size(fractions(at))
+            if abs(here - best) <= MOST * (most or size or 1):
                 continue
             said = certify(given, at)
-            terms = float(value(P, c, fractions(at))[1])
             measure = (
                 np.inf
                 if said.gap is None
-                else max(said.gap / max(terms, 1e-300), said.violation or 0.0)
+                else max(said.gap / max(float(size), 1e-300), said.violation or 0.0)
             )
             if said.verdict == "proved":
                 worst = f"{at.tolist()} of {given!r}: {said}"

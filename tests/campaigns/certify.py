@@ -7,6 +7,7 @@ first, so that the optimal value is a fraction; every bound is compared with it 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -14,13 +15,14 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin import QuadraticProgram
-from lcp_plugin.problems.programs.certification import Certification
+from lcp_plugin.problems.programs.certification import Certification, ProgramProofs
 from lcp_plugin.problems.programs.solution import QPSolution
+
+from .outliers import ExactProgram, exact
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
 TOLERANCE = 1e-6
-ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
 @dataclass(frozen=True)
@@ -78,64 +80,43 @@ def case(kind: str, rng: np.random.Generator, largest: int) -> Case:
 
 def objective(program: QuadraticProgram, x: Any) -> Fraction:
     """Return ½ xᵀP x + cᵀx without rounding."""
-    at = [Fraction(value) for value in x.tolist()]
-    total = sum((Fraction(c) * a for c, a in zip(program.c.tolist(), at, strict=True)), Fraction(0))
-    for row, a in zip(np.asarray(program.P).tolist(), at, strict=True):
-        total += (
-            a
-            * sum(
-                (Fraction(entry) * b for entry, b in zip(row, at, strict=True) if entry),
-                Fraction(0),
-            )
-            / 2
-        )
-    return total
+    return ExactProgram.of(program).value(exact(x))
 
 
-def violation(program: QuadraticProgram, x: Any) -> Fraction:
-    """Return the largest violation of a constraint without rounding."""
-    rows, at = program.constraints, [Fraction(value) for value in x.tolist()]
-    worst = Fraction(0)
-    matrix = rows.matrix.toarray().tolist()
-    for row, limit, is_equality in zip(matrix, rows.limit.tolist(), rows.is_equality, strict=True):
-        if np.isfinite(limit):
-            excess = sum(
-                (Fraction(e) * a for e, a in zip(row, at, strict=True) if e), Fraction(0)
-            ) - Fraction(limit)
-            worst = max(worst, abs(excess) if is_equality else excess)
-    return worst
-
-
-def size(program: QuadraticProgram, x: Any) -> Fraction:
-    """Return Σ|c_j x_j| + |xᵀP x| without rounding."""
-    linear = [
-        Fraction(c) * Fraction(a) for c, a in zip(program.c.tolist(), x.tolist(), strict=True)
-    ]
-    return sum(map(abs, linear), Fraction(0)) + 2 * abs(
-        objective(program, x) - sum(linear, Fraction(0))
-    )
-
-
-def is_met(program: QuadraticProgram, x: Any) -> bool:
-    """Return whether x violates each row by no more than its terms excuse, without rounding."""
-    rows, at = program.constraints, [Fraction(value) for value in x.tolist()]
+def excesses(program: QuadraticProgram, x: Any) -> Iterator[tuple[Fraction, Fraction]]:
+    """Yield the violation of each constraint and the size of its largest term, without rounding."""
+    rows, at = program.constraints, exact(x)
     for row, limit, is_equality in zip(
-        rows.matrix.toarray().tolist(), rows.limit, rows.is_equality, strict=True
+        rows.matrix.toarray().tolist(), rows.limit.tolist(), rows.is_equality, strict=True
     ):
         if np.isfinite(limit):
             terms = [Fraction(e) * a for e, a in zip(row, at, strict=True)]
-            excess = sum(terms, Fraction(0)) - Fraction(limit)
-            excess = abs(excess) if is_equality else excess
-            if excess > Fraction(TOLERANCE) * max(abs(Fraction(limit)), *map(abs, terms)):
-                return False
-    return True
+            excess = sum(terms, -Fraction(limit))
+            largest = max(abs(Fraction(limit)), *map(abs, terms))
+            yield abs(excess) if is_equality else excess, largest
+
+
+def violation(program: QuadraticProgram, x: Any) -> Fraction:
+    """Return the largest violation of a constraint."""
+    return max((excess for excess, _ in excesses(program, x)), default=Fraction(0))
+
+
+def is_near_optimal(given: Case, x: Any) -> bool:
+    """Return whether x is feasible and optimal to the tolerance, relative to the terms."""
+    program, tolerance = ExactProgram.of(given.program), Fraction(TOLERANCE)
+    at, rows = exact(x), excesses(given.program, x)
+    is_met = all(excess <= tolerance * size for excess, size in rows)
+    return is_met and abs(program.value(at) - given.value) <= tolerance * program.size(at)
 
 
 def faults(given: Case, x: Any, said: Certification) -> list[str]:
     """Return what is false in what was said about x; exact."""
     program, found = given.program, []
-    value, missed, tolerance = objective(program, x), violation(program, x), Fraction(TOLERANCE)
-    is_optimal = is_met(program, x) and abs(value - given.value) <= tolerance * size(program, x)
+    value, missed, is_optimal = (
+        objective(program, x),
+        violation(program, x),
+        is_near_optimal(given, x),
+    )
     if said.lower is not None and Fraction(said.lower) > given.value:
         found.append("lower")
     if said.upper is not None and Fraction(said.upper) < given.value:
@@ -184,27 +165,12 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
     if active.size:
         k = int(rng.choice(active))
         kept = np.delete(np.arange(program.h.size), k)
-        from lcp_plugin.problems.programs.certification import ProgramProofs
-
-        other = QuadraticProgram(
-            program.P,
-            program.c,
-            program.G[kept],
-            program.h[kept],
-            program.A,
-            program.b,
-            program.lower,
-            program.upper,
-        )
+        G, h = program.G[kept], program.h[kept]
+        rest = (program.A, program.b, program.lower, program.upper)
+        other = QuadraticProgram(program.P, program.c, G, h, *rest)
         if (
             other.facts.proof_of_no_minimum is None
             and (own := ProgramProofs(other).own_solution) is not None
         ):
             wrong["a constraint dropped"] = (own.x, None)
     return wrong
-
-
-def is_still_right(given: Case, x: Any) -> bool:
-    """Return whether x is within the promise although it was moved."""
-    gap = abs(objective(given.program, x) - given.value)
-    return gap <= Fraction(TOLERANCE) * size(given.program, x) and is_met(given.program, x)

@@ -19,7 +19,6 @@ from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 RADII = (0.5, 0.9, 0.99, 0.999)
 DEFINITE = "SPD"
 CLASSES = (*RADII, DEFINITE)
-QUALITIES = ("far", "1e-3", "1e-8", "last bit")
 
 
 def random_matrix(generator: np.random.Generator, radius: float) -> np.ndarray:

@@ -4,13 +4,11 @@ Five-point differences of −Δu + b·∇u + c u on 12² to 40² nodes, cell Pé
 b constant, a shear or a vortex, coefficients of one size or jumping by up to 10³. The answer is planted: z and w ≥ 0
 complementary, q = w − M z. Units, powers of two: own; one unknown × 2^±12 (or 2^±20); a few; all by 2^±20, rows too;
 rows alone. Eight methods, one drawn for each problem. SOLVED is false where the residual in the planted units exceeds
-1e-5 of that at 0 and the error exceeds 1e-3. Told besides: what is not solved, by method, and the largest term residual
-of a right answer over its tolerance.
+1e-5 of that at 0 and the error exceeds 1e-3. A right answer must pass.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -68,8 +66,8 @@ def exponents(rng: np.random.Generator, units: str, n: int) -> tuple[Any, Any]:
     return r, c
 
 
-def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, float]) -> list[str]:
-    """What is false of one problem; counts are added to."""
+def judged(rng: np.random.Generator) -> list[str]:
+    """Return what is false of one problem."""
     method, units = str(rng.choice(METHODS)), str(rng.choice(UNITS))
     m = (
         int(rng.integers(12, 41))
@@ -88,15 +86,12 @@ def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, f
     )
     planted = Certificate.of(problem, np.ldexp(z, -c))
     found = []
-    extremes["guard"] = max(extremes["guard"], planted.term_residual / 1e-8)
     if not planted.meets(Settings(tolerance=1e-8)) and not planted.is_at_rounding_level:
         found.append(f"right refused: {units}")
     try:
         result = solve(problem, method, max_iterations=2000, max_seconds=20.0)
     except LCPError:
-        counts[f"{method} refuses"] += 1
         return found
-    counts[f"{method} {result.status.name}"] += 1
     x, d = np.ldexp(result.z, c), np.abs(M.diagonal())
     residual = np.abs(np.minimum(x, (M @ x + q) / d)).max() / np.abs(np.minimum(q / d, 0.0)).max()
     error = np.abs(x - z).max() / z.max()
@@ -104,6 +99,4 @@ def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, f
         found.append(
             f"FALSE: {method}, {units}, n = {n}: residual {residual:.0e}, error {error:.0e}"
         )
-    elif result.is_solved:
-        extremes["error"] = max(extremes["error"], error)
     return found

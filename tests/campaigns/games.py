@@ -28,6 +28,14 @@ def game(rng: np.random.Generator, odd: float | None = None) -> tuple[np.ndarray
     return A, B
 
 
+def shifted(
+    A: np.ndarray, B: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the payoffs in another unit, with differences of 1e-9, or with an offset."""
+    unit, size = float(rng.choice([1.0, 1e-9, 1e10, 1e19])), float(rng.choice([0.0, 1e-9]))
+    return unit * (A + rng.choice([0.0, size], A.shape)), B + float(rng.choice([0.0, 1e10]))
+
+
 def wrong_equilibria(A: np.ndarray, B: np.ndarray) -> str:
     """Return which extreme equilibria are missing or additional, or nothing."""
     problem, expected = LCP.from_game(A, B), extreme_equilibria(A, B)

@@ -25,10 +25,14 @@ from exact import solve_fractions
 from lcp_plugin import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, solve_least_squares
 
+from .outliers import COSINE, NONE, integers, some
+from .outliers import ODD as OUTLIERS
+
 INF = np.inf
 EPSILON = float(np.finfo(float).eps)
 TOLERANCE = 1e-8
-UNSOLVED = 0.02  # of the problems, at the most
+
+
 KINDS = (
     "integers",
     "rows",
@@ -58,6 +62,9 @@ def bounded_least_squares(
     return solve_least_squares(problem, **options)
 
 
+ODD = "odd numbers"
+
+
 @dataclass(frozen=True)
 class Case:
     """One problem."""
@@ -73,6 +80,8 @@ class Case:
 
 def draw(kind: str, rng: np.random.Generator) -> Case:
     """Return a random problem: integers in −3 … 3, up to 8 × 7, in units."""
+    if kind == ODD:
+        return odd(rng)
     m, n = int(rng.integers(1, 9)), int(rng.integers(1, 8))
     A, b = rng.integers(-3, 4, (m, n)).astype(float), rng.integers(-5, 6, m).astype(float)
     if kind.startswith("rank") and n > 1:
@@ -107,6 +116,43 @@ def draw(kind: str, rng: np.random.Generator) -> Case:
         weights,
         ridge,
     )
+
+
+def odd(rng: np.random.Generator) -> Case:
+    """Return a problem of integers with one or two numbers of other sizes, up to 6 × 4."""
+    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 7))
+    A, b = integers(rng, m, n), integers(rng, m)
+    lower, upper, ridge = np.zeros(n), np.full(n, INF), 0.0
+    for _ in range(int(rng.integers(1, 3))):
+        i, j = int(rng.integers(0, m)), int(rng.integers(0, n))
+        place = rng.choice(
+            ["b", "entry", "row", "column", "noise", "upper", "free", "origin", "ridge", "unit"]
+        )
+        if place == "b":
+            b[i] = rng.choice(OUTLIERS)
+        elif place == "entry":
+            A[i, j] = rng.choice((*OUTLIERS, 1e-9))
+        elif place == "row":
+            scale = rng.choice((1e-9, 1e6))
+            A[i], b[i] = A[i] * scale, b[i] * scale
+        elif place == "column":
+            A[:, j] *= rng.choice((1e-9, 1e6))
+        elif place == "noise":
+            A = np.where(A == 0, COSINE, A)
+        elif place == "upper":
+            here, far = some(rng, (*NONE, 1.0), n, 0.6)
+            upper = np.where(here & (far < 1e20), far, upper)
+        elif place == "free":
+            here, far = some(rng, NONE, n, 0.6)
+            lower = np.where(here, np.where(far < 1e20, -far, -INF), lower)
+        elif place == "origin":
+            b = b + A @ np.full(n, 1e6)
+        elif place == "ridge":
+            ridge = 1e-9
+        else:
+            scale = 10.0 ** rng.choice([-120, -100, 100, 120])
+            A, b, ridge = A * scale, b * scale, 0.0
+    return Case(ODD, A, b, lower, upper, None, ridge)
 
 
 class Exact:

@@ -12,8 +12,6 @@ numbers), solvable at both ends by construction. Counted are
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from lcp_plugin import LCP, solve, trace
@@ -48,23 +46,17 @@ def random_family(rng: np.random.Generator, largest: int) -> tuple[LCP, np.ndarr
     return LCP(M, ends[0], lower=lower, upper=upper), ends[1] - ends[0]
 
 
-def examined(
-    rng: np.random.Generator, largest: int, values: int
-) -> tuple[str, int, int, int, float]:
-    """Return the status of one path, its pieces, the wrong ones, those apart, and time ÷ (solve × breakpoints)."""
+def examined(rng: np.random.Generator, largest: int, values: int) -> tuple[str, int, int]:
+    """Return the status of one path, and how many points are wrong and how many pieces apart."""
     problem, dq = random_family(rng, largest)
     path = trace(problem, {"q": dq}, 0.0, 1.0)
-    spent, symmetric, wrong, apart = [], problem.M + problem.M.T, 0, 0
+    symmetric, wrong, apart = problem.M + problem.M.T, 0, 0
     for theta in rng.uniform(0.0, path.reached, values) if path.pieces else ():
-        begun = time.perf_counter()
-        answer = solve(problem.with_q(problem.q + theta * dq))
-        spent.append(time.perf_counter() - begun)
-        point = path.at(theta)
+        answer, point = solve(problem.with_q(problem.q + theta * dq)), path.at(theta)
         off = np.abs(symmetric @ (point.z - answer.z)).max() if answer.is_solved else 0.0
         wrong += not point.is_solved or off > 1e-6 * (1.0 + np.abs(symmetric @ point.z).max())
     for one, other in zip(path.pieces, path.pieces[1:], strict=False):
         if other.begin == one.end and other.begin not in (*path.jumps, *path.segments):
             here, there = symmetric @ one.z_at(one.end), symmetric @ other.z_at(one.end)
             apart += np.abs(here - there).max() > 1e-6 * (1.0 + np.abs(here).max())
-    share = path.seconds / (np.median(spent) * max(len(path), 1)) if spent else np.nan
-    return path.status.name, len(path), int(wrong), int(apart), float(share)
+    return path.status.name, int(wrong), int(apart)

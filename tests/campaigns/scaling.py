@@ -2,10 +2,7 @@
 
 Cases of each class are scaled by powers of two from 2⁻²⁰ to 2²⁰. The scaling "smooth" differs little from one
 unknown to the next. Points that are right to 10⁻¹⁰ must pass at 1e-8. auto must return the same status in two
-scalings, and a SOLVED z must be as accurate as the known solution. The script also reports three numbers that are
-not failures. The first counts solutions with an error of 10⁻³ in one unknown that pass 1e-6, because scalings are
-only estimated. The second is the largest ratio of two residuals of the same z in two scalings. The third is the
-largest term residual of a right solution over the tolerance 1e-8.
+scalings, and a SOLVED z must be as accurate as the known solution.
 """
 
 from __future__ import annotations
@@ -116,36 +113,21 @@ def is_answer(M: Entries, q: Entries, z: Entries) -> bool:
     return bool(np.abs(np.minimum(z, M @ z + q)).max() <= 1e-12 * np.abs(q).max())
 
 
-def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list[str]:
-    """Return the failures and remarks of a case."""
+def judged(kind: Any, seed: int, units: str) -> list[str]:
+    """Return the failures of a case."""
     M, q, z = answered(kind, seed)
     rng, (rows, of_z) = np.random.default_rng([seed, 1]), random_scaling(seed, z.size, units)
     problem, found = measured(M, q, rows, of_z), []
-    wrong = z + 1e-3 * np.eye(z.size)[int(rng.integers(z.size))]
-    shown = Certificate.of(problem, wrong * of_z)
-    if shown.meets(Settings(tolerance=1e-6)):
-        found.append("an answer as well" if is_answer(M, q, wrong) else "wrong passed")
-    right = Certificate.of(problem, z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size)) * of_z)
-    extremes["guard"] = max(extremes["guard"], right.term_residual / 1e-8)
-    if not right.meets(Settings(tolerance=1e-8)):
+    near = z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size))
+    if not Certificate.of(problem, near * of_z).meets(Settings(tolerance=1e-8)):
         found.append("right refused")
-    others = random_scaling(seed + 10**6, z.size, units)
-    again = measured(M, q, *others)
-    ends = sorted(
-        [shown.relative_residual, Certificate.of(again, wrong * others[1]).relative_residual]
-    )
-    extremes["ratio"] = max(extremes["ratio"], ends[1] / ends[0] if ends[0] > 0.0 else 1.0)
-    result, other = solve(problem), solve(again)
-    found.append(f"auto {result.status.name}")
-    if other.status is not result.status:
-        found.append("other units, another status")
+    result = solve(problem)
     if (
-        result.is_solved
-        and not np.abs(result.z / of_z - z).max() <= 1e-3
-        and not is_answer(M, q, result.z / of_z)
+        solve(measured(M, q, *random_scaling(seed + 10**6, z.size, units))).status
+        is not result.status
     ):
+        found.append("other units, another status")
+    is_far = result.is_solved and not np.abs(result.z / of_z - z).max() <= 1e-3
+    if is_far and not is_answer(M, q, result.z / of_z):
         found.append("SOLVED, but far")
     return found
-
-
-FAILURES = ("right refused", "other units, another status", "SOLVED, but far")

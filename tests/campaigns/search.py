@@ -15,6 +15,8 @@ from lcp_plugin import LCP
 from lcp_plugin.methods.search import NoSolution, Solution, Solutions, search
 from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
 
+from . import small_lcps
+
 # An inequality is (coefficients, constant, strict): coefficients·z + constant ≥ 0, or > 0.
 Inequality = tuple[tuple[Fraction, ...], Fraction, bool]
 
@@ -139,47 +141,13 @@ class Enumeration:
 
 
 def random_problem(rng, largest=4):
-    """M, q, lower, upper: small integers or doubles; degenerate, singular, skew, with zero rows, boxes, free rows."""
-    n = int(rng.choice([0, 1, 1, *range(2, largest + 1), *range(2, largest + 1)]))
-    spread = int(rng.integers(1, 5))
-    M = rng.integers(-spread, spread + 1, (n, n)).astype(float)
-    q = rng.integers(-spread, spread + 1, n).astype(float)
-    kind = int(rng.integers(0, 8))
-    if kind == 0:
-        M, q = rng.standard_normal((n, n)), rng.standard_normal(n)
-    elif kind == 1:
-        M = M @ M.T
-    elif kind == 2:
-        M = M - M.T
-    elif kind == 3:
-        M[rng.random((n, n)) < 0.6] = 0.0
-    elif kind == 4 and n:
-        M[rng.integers(n)] = 0.0
-        M[:, rng.integers(n)] = 0.0
-    elif kind == 5 and n > 1:
-        M[-1], q[-1] = M[0], q[0]
-    elif kind == 6:
-        M, q = M * 10.0 ** rng.integers(-12, 12, (n, 1)) / 3, q * 0.1
-    q[rng.random(n) < 0.2] = 0.0
-    lower, upper = np.zeros(n), np.full(n, np.inf)
-    if rng.random() < 0.6:
-        for i in range(n):
-            a, b = sorted(rng.integers(-2, 3, 2).astype(float))
-            lower[i], upper[i] = [
-                (0, np.inf),
-                (a, b),
-                (-np.inf, b),
-                (-np.inf, np.inf),
-                (a, np.inf),
-                (a, a),
-            ][rng.choice(6, p=[0.3, 0.25, 0.15, 0.1, 0.15, 0.05])]
-    return M, q, lower, upper
+    """Small integers or doubles; degenerate, singular, skew, with zero rows, boxes, free rows."""
+    return small_lcps.random_problem(str(rng.choice([*small_lcps.KINDS])), rng, largest)
 
 
-def violations(M, q, lower, upper):
-    """Compare everything claimed about one problem with the enumeration; return complaints and the verdict."""
-    problem = LCP(M, q, lower=lower, upper=upper)
-    truth = Enumeration(M, q, lower, upper)
+def violations(problem: LCP) -> list[str]:
+    """Compare everything claimed about one problem with the enumeration; return complaints."""
+    truth = Enumeration(problem.csr.toarray(), problem.q, problem.lower, problem.upper)
     patterns = truth.solvable_patterns()
     bad: list[str] = []
     first, every = search(problem), search(problem, first_only=False)
@@ -207,8 +175,7 @@ def violations(M, q, lower, upper):
     proof, is_feasible = find_infeasibility(problem), truth.is_linearly_feasible()
     if proof is not None and (is_feasible or not proof.verify()):
         bad.append("false INFEASIBLE")
-    verdict = "solvable" if patterns else "unsolvable" if is_feasible else "infeasible"
-    return bad, verdict, "not infeasible" if proof is None else "infeasible"
+    return bad
 
 
 def wrong_with(truth: Enumeration, s: Solution, is_listed: bool) -> list[str]:

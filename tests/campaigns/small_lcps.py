@@ -190,7 +190,7 @@ def extreme_problem(kind: str, rng: Generator) -> LCP:
     return LCP(M, q, lower=lower, upper=upper)
 
 
-def random_problem(kind: str, rng: Generator) -> LCP:
+def random_problem(kind: str, rng: Generator, largest: int = LARGEST) -> LCP:
     """Integers but for the last kind; q random, degenerate or planted; half of the problems with bounds."""
     n = int(rng.choice([0, 1, 1, *[n for n in range(2, LARGEST + 1) for _ in range(4)]]))
     M = KINDS[kind](n, rng)
@@ -226,12 +226,17 @@ def random_offset(kind: str, M: Matrix, lower: Matrix, upper: Matrix, rng: Gener
     return q + rng.standard_normal(n) if kind == "doubles" else q
 
 
-def planted_offset(M: Matrix, lower: Matrix, upper: Matrix, rng: Generator) -> Matrix:
-    """Return q of a problem with a solution of small integers, without rounding and as degenerate as it comes."""
-    n = len(M)
+def planted_point(lower: Matrix, upper: Matrix, rng: Generator) -> tuple[Matrix, Matrix]:
+    """Return z of small integers and a complementary w, as degenerate as it comes."""
+    n = len(lower)
     z = np.clip(rng.integers(-3, 4, n).astype(float), lower, upper)
     w = rng.integers(0, 4, n) * ((z == lower) * 1.0 - ((z == upper) & (lower < upper)))
-    w = np.where(lower == upper, rng.integers(-3, 4, n), w)
+    return z, np.where(lower == upper, rng.integers(-3, 4, n), w)
+
+
+def planted_offset(M: Matrix, lower: Matrix, upper: Matrix, rng: Generator) -> Matrix:
+    """Return q of a problem with a solution of small integers, without rounding."""
+    z, w = planted_point(lower, upper, rng)
     return w - M @ z
 
 

@@ -54,7 +54,7 @@ def diode_problem(
     resistors: Sequence[tuple[int, int, float]],
     diodes: Sequence[tuple[int, int]],
     injected: Sequence[float],
-    *flags: str,
+    *,
     drop: float = 0.0,
     source: str = BROGLIATO,
 ) -> Entry:
@@ -64,9 +64,7 @@ def diode_problem(
     q = np.concatenate([-np.asarray(injected, dtype=float), np.full(len(diodes), drop)])
     lower = np.concatenate([np.full(nodes, -np.inf), np.zeros(len(diodes))])
     theorem = MONOTONE if len(q) > 10 else ""
-    return solvable(
-        name, f"{source}; own numbers", M, q, "mixed", "PSD", *flags, lower=lower, theorem=theorem
-    )
+    return solvable(name, f"{source}; own numbers", M, q, lower=lower, theorem=theorem)
 
 
 BRIDGE = [(1, 3), (2, 3), (4, 1), (4, 2)]
@@ -80,11 +78,7 @@ def _diodes() -> Iterator[Entry]:
     for current in (3.0, -3.0, 0.0):
         resistors = [(1, 2, 0.125), (3, 4, 1.0), (4, 0, 1.0)]
         yield diode_problem(
-            f"bridge_{current:+g}",
-            resistors,
-            BRIDGE,
-            [current, -current, 0.0, 0.0],
-            *(["degenerate"] if not current else []),
+            f"bridge_{current:+g}", resistors, BRIDGE, [current, -current, 0.0, 0.0]
         )
     yield diode_problem(
         "bridge_with_drop",
@@ -98,7 +92,6 @@ def _diodes() -> Iterator[Entry]:
         [(1, 2, 2.0**-20), (3, 4, 2.0**10), (4, 0, 1.0)],
         BRIDGE,
         [3.0, -3.0, 0.0, 0.0],
-        "scaled",
     )
     yield diode_problem(
         "clipper", [(1, 0, 1.0), (1, 2, 4.0), (2, 0, 0.25)], [(2, 0), (0, 2)], [5.0, 0.0], drop=0.75
@@ -110,15 +103,10 @@ def _diodes() -> Iterator[Entry]:
         [3.0, 5.0, 4.0, 0.0],
     )
     yield diode_problem(
-        "parallel_diodes",
-        [(1, 0, 1.0), (2, 0, 1.0)],
-        [(1, 2), (1, 2), (1, 2)],
-        [4.0, 0.0],
-        "singular",
-        "degenerate",
+        "parallel_diodes", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (1, 2), (1, 2)], [4.0, 0.0]
     )
     yield diode_problem(
-        "antiparallel_loop", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (2, 1)], [4.0, 0.0], "singular"
+        "antiparallel_loop", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (2, 1)], [4.0, 0.0]
     )
 
 
@@ -126,25 +114,13 @@ def relay(
     name: str,
     M: Matrix,
     q: Sequence[float],
-    *flags: str,
+    *,
     solution: Sequence[object] | None = None,
     source: str = ACARY,
 ) -> Entry:
     """Return the relay problem z ∈ [−1, 1], z = ∓1 where w = M z + q is positive or negative."""
     theorem = "continuous piecewise linear map on a compact box: Brouwer"
-    return solvable(
-        name,
-        source,
-        M,
-        q,
-        "box",
-        "relay",
-        *flags,
-        lower=-1.0,
-        upper=1.0,
-        solution=solution,
-        theorem=theorem,
-    )
+    return solvable(name, source, M, q, lower=-1.0, upper=1.0, solution=solution, theorem=theorem)
 
 
 def _relays() -> Iterator[Entry]:
@@ -153,21 +129,10 @@ def _relays() -> Iterator[Entry]:
     yield relay(
         "relay_twisting", np.array([[1.0, 0.5], [0.0, 2.0]]), [-0.25, 1.0], solution=["1/2", "-1/2"]
     )
-    yield relay("relay_edge", np.eye(2), [1.0, -1.0], "degenerate", solution=[-1, 1])
+    yield relay("relay_edge", np.eye(2), [1.0, -1.0], solution=[-1, 1])
+    yield relay("relay_without_influence", np.zeros((3, 3)), [2.0, -1.0, 0.0], solution=[-1, 1, 0])
     yield relay(
-        "relay_without_influence",
-        np.zeros((3, 3)),
-        [2.0, -1.0, 0.0],
-        "singular",
-        "degenerate",
-        solution=[-1, 1, 0],
-    )
-    yield relay(
-        "relay_filippov",
-        np.array([[0.0, -1.0], [1.0, 0.0]]),
-        [0.5, 0.25],
-        "singular",
-        solution=["-1/4", "1/2"],
+        "relay_filippov", np.array([[0.0, -1.0], [1.0, 0.0]]), [0.5, 0.25], solution=["-1/4", "1/2"]
     )
     yield relay(
         "relay_skew_4",
@@ -175,16 +140,13 @@ def _relays() -> Iterator[Entry]:
         [-0.5, 2, 1, 6],
         solution=None,
     )
-    yield relay("relay_negative", np.array([[-1.0]]), [0.25], "indefinite", solution=[-1])
+    yield relay("relay_negative", np.array([[-1.0]]), [0.25], solution=[-1])
     yield relay(
         "relay_indefinite_4",
         np.array([[1, 2, 0, -1], [2, 1, 1, 0], [0, 3, -2, 1], [1, 0, 1, 1.0]]),
         [0.5, -1, 2, 0],
-        "indefinite",
     )
-    yield relay(
-        "relay_large_gain", 2.0**20 * np.array([[2.0, 1.0], [1.0, 2.0]]), [2.0**18, -3.0], "scaled"
-    )
+    yield relay("relay_large_gain", 2.0**20 * np.array([[2.0, 1.0], [1.0, 2.0]]), [2.0**18, -3.0])
     for n in (20, 100):
         generator = np.random.default_rng(n)
         B = generator.integers(-2, 3, (n, n)).astype(float)
@@ -192,16 +154,7 @@ def _relays() -> Iterator[Entry]:
         w = np.where(z == -1.0, 2.0, np.where(z == 1.0, -2.0, 0.0)) * (generator.random(n) < 0.8)
         lower, upper = -np.ones(n), np.ones(n)
         yield planted(
-            f"relay_network_{n}",
-            f"{OWN}, after {ACARY}",
-            B @ B.T,
-            z,
-            w,
-            "box",
-            "relay",
-            "PSD",
-            lower=lower,
-            upper=upper,
+            f"relay_network_{n}", f"{OWN}, after {ACARY}", B @ B.T, z, w, lower=lower, upper=upper
         )
         yield planted(
             f"relay_network_{n}_singular",
@@ -209,10 +162,6 @@ def _relays() -> Iterator[Entry]:
             B[:, : n // 2] @ B[:, : n // 2].T,
             z,
             w,
-            "box",
-            "relay",
-            "PSD",
-            "singular",
             lower=lower,
             upper=upper,
         )

@@ -42,24 +42,8 @@ def _blocks() -> Iterator[Entry]:
     ):
         J = np.column_stack([np.ones(len(arms)), arms])
         M = J @ np.diag([1.0, 0.5]) @ J.T
-        yield solvable(
-            f"block_on_{name}_supports",
-            MOREAU,
-            M,
-            -J[:, 0] * 9.75,
-            "PSD",
-            "contact",
-            *(["singular"] if len(arms) > 2 else []),
-        )
-        yield solvable(
-            f"block_on_{name}_supports_rotating",
-            MOREAU,
-            M,
-            J @ [-1.0, 2.0],
-            "PSD",
-            "contact",
-            *(["singular"] if len(arms) > 2 else []),
-        )
+        yield solvable(f"block_on_{name}_supports", MOREAU, M, -J[:, 0] * 9.75)
+        yield solvable(f"block_on_{name}_supports_rotating", MOREAU, M, J @ [-1.0, 2.0])
     J = np.array([[1, x, y] for x in (-1, 1) for y in (-1, 1)], dtype=float)
     M = J @ np.diag([1.0, 2.0, 2.0]) @ J.T
     yield solvable(
@@ -67,39 +51,15 @@ def _blocks() -> Iterator[Entry]:
         f"{LOTSTEDT}: the indeterminate table",
         M,
         [-1] * 4,
-        "PSD",
-        "contact",
-        "singular",
         solution=["1/4"] * 4,
     )
-    yield solvable(
-        "table_loaded_at_a_corner",
-        LOTSTEDT,
-        M,
-        J @ [-1.0, -1.0, -0.75],
-        "PSD",
-        "contact",
-        "singular",
-    )
-    yield solvable(
-        "two_equal_contacts",
-        OWN,
-        np.ones((2, 2)),
-        [-1, -1],
-        "PSD",
-        "contact",
-        "singular",
-        solution=[1, 0],
-    )
+    yield solvable("table_loaded_at_a_corner", LOTSTEDT, M, J @ [-1.0, -1.0, -0.75])
+    yield solvable("two_equal_contacts", OWN, np.ones((2, 2)), [-1, -1], solution=[1, 0])
     yield solvable(
         "wedged_ball",
         f"{OWN}: two walls against each other",
         [[1, -1], [-1, 1]],
         [0, 0],
-        "PSD",
-        "contact",
-        "singular",
-        "degenerate",
         solution=[0, 0],
     )
 
@@ -129,9 +89,6 @@ def _stacks() -> Iterator[Entry]:
             MOREAU,
             J @ np.diag(mass) @ J.T,
             J @ velocity,
-            "PSD",
-            "contact",
-            *(["singular"] if points > 2 else []),
             solution=weight,
         )
 
@@ -148,29 +105,18 @@ def _random(dofs: int, contacts: int) -> Iterator[Entry]:
     z = touching * generator.integers(1, 6, contacts).astype(float)
     w = ~touching * generator.integers(0, 6, contacts).astype(float)
     name = f"random_contact_{dofs}_dofs_{contacts}"
-    flags = ("contact", "singular", "degenerate")
     # w must be a velocity: w − q ∈ range J holds for q = w − M z.
-    yield planted(name, MOREAU, M, z, w, "PSD", *flags)
+    yield planted(name, MOREAU, M, z, w)
 
     irregular = J * (1.0 + 0.25 * generator.random(J.shape))
     delassus = irregular @ W @ irregular.T
     rounded = GRID * np.round(delassus / GRID)
     rounded = np.tril(rounded) + np.tril(rounded, -1).T
-    yield planted(
-        f"{name}_rounded", f"{MOREAU}; stored with seven digits", rounded, z, w, "rounded", *flags
-    )
+    yield planted(f"{name}_rounded", f"{MOREAU}; stored with seven digits", rounded, z, w)
     sides = GRID * np.where(
         np.tri(contacts, dtype=bool), np.floor(delassus / GRID), np.ceil(delassus / GRID)
     )
-    yield planted(
-        f"{name}_rounded_unsymmetric",
-        f"{MOREAU}; stored with seven digits",
-        sides,
-        z,
-        w,
-        "rounded",
-        *flags,
-    )
+    yield planted(f"{name}_rounded_unsymmetric", f"{MOREAU}; stored with seven digits", sides, z, w)
     # q of the unrounded problem, rounded: strictly feasible and monotone, hence solvable, also after small changes.
     velocity = generator.standard_normal(dofs)
     velocity[0] = -3.0
@@ -180,8 +126,5 @@ def _random(dofs: int, contacts: int) -> Iterator[Entry]:
         f"{MOREAU}; stored with seven digits",
         rounded,
         q,
-        "rounded",
-        "rounded_free",
-        *flags,
         theorem="strictly feasible monotone problems stay solvable under small changes (Robinson 1979)",
     )

@@ -43,12 +43,7 @@ def _spatial_prices() -> Iterator[Entry]:
             + generator.integers(1, 12, (m, k))
         )
         yield solvable(
-            f"spatial_price_{m}x{k}",
-            f"{TAKAYAMA_JUDGE}; own numbers",
-            M,
-            intercept.ravel(),
-            "PSD",
-            "singular",
+            f"spatial_price_{m}x{k}", f"{TAKAYAMA_JUDGE}; own numbers", M, intercept.ravel()
         )
     for m, k, seed in ((5, 5, 3), (10, 12, 4)):
         generator = np.random.default_rng(seed)
@@ -61,15 +56,7 @@ def _spatial_prices() -> Iterator[Entry]:
         ships = generator.random(m * k) < 0.3
         z = ships * generator.integers(1, 9, m * k)
         w = ~ships * generator.integers(0, 9, m * k)
-        yield planted(
-            f"spatial_price_{m}x{k}_asymmetric",
-            f"{TAKAYAMA_JUDGE}; planted",
-            M,
-            z,
-            w,
-            "singular",
-            "degenerate",
-        )
+        yield planted(f"spatial_price_{m}x{k}_asymmetric", f"{TAKAYAMA_JUDGE}; planted", M, z, w)
     generator = np.random.default_rng(5)
     m, k = 3, 3
     # Rows: supply balance ⟂ supply price, demand balance ⟂ demand price, price difference ⟂ shipment.
@@ -78,9 +65,7 @@ def _spatial_prices() -> Iterator[Entry]:
     M = np.block([[slopes, A], [-A.T, np.zeros((m * k, m * k))]])
     z = np.concatenate([[3, 5, 4], [9, 8, 9], [2, 0, 0, 0, 3, 0, 0, 1, 6]])
     w = np.concatenate([np.zeros(6), [0, 1, 2, 3, 0, 1, 2, 0, 0]])
-    yield planted(
-        "spatial_price_in_prices", f"{TAKAYAMA_JUDGE}; planted", M, z, w, "PSD", "singular"
-    )
+    yield planted("spatial_price_in_prices", f"{TAKAYAMA_JUDGE}; planted", M, z, w)
 
 
 def _shipments(supply: Matrix, demand: Matrix) -> Matrix:
@@ -98,11 +83,7 @@ def _capital() -> Iterator[Entry]:
         primal, dual = inputs - outputs, inputs - gamma * outputs
         M = np.block([[np.diag([2.0, 1.0, 4.0]), dual.T], [-primal, np.zeros((2, 2))]])
         yield solvable(
-            f"capital_stock_{gamma}",
-            f"{DANTZIG_MANNE}; own numbers",
-            M,
-            [-10, -8, -6, 7, 5],
-            "market",
+            f"capital_stock_{gamma}", f"{DANTZIG_MANNE}; own numbers", M, [-10, -8, -6, 7, 5]
         )
     generator = np.random.default_rng(7)
     goods, activities = 6, 12
@@ -116,18 +97,14 @@ def _capital() -> Iterator[Entry]:
     )
     n = goods + activities
     z = generator.integers(1, 6, n) * (generator.random(n) < 0.4)
-    yield planted(
-        "capital_stock_linear_18", f"{DANTZIG_MANNE}; planted", M, z, 2.0 * (z == 0), "singular"
-    )
+    yield planted("capital_stock_linear_18", f"{DANTZIG_MANNE}; planted", M, z, 2.0 * (z == 0))
 
 
 def _oligopoly() -> Iterator[Entry]:
     """Price a − b Σ x; firm i: marginal cost c_i + d_i x_i. M = b (I + 1 1ᵀ) + diag d."""
     for n in (2, 5, 30):
         M = np.eye(n) + np.ones((n, n))
-        yield solvable(
-            f"cournot_{n}_equal_firms", COURNOT, M, [-(n + 1.0)] * n, "P", solution=[1] * n
-        )
+        yield solvable(f"cournot_{n}_equal_firms", COURNOT, M, [-(n + 1.0)] * n, solution=[1] * n)
         z = np.arange(n) % 3
         yield planted(
             f"cournot_{n}_some_stay_out",
@@ -135,24 +112,14 @@ def _oligopoly() -> Iterator[Entry]:
             M + np.diag(np.arange(n) % 2),
             z,
             (z == 0) * 1.0,
-            "P",
         )
     z, w = np.array([0, 4, 2, 4.0]), np.array([3, -2, 0, 0.0])
     yield planted(
-        "cournot_capacity",
-        f"{COURNOT}; planted",
-        np.eye(4) + np.ones((4, 4)),
-        z,
-        w,
-        "P",
-        "box",
-        "degenerate",
-        upper=4.0,
+        "cournot_capacity", f"{COURNOT}; planted", np.eye(4) + np.ones((4, 4)), z, w, upper=4.0
     )
     yield solvable(
         "cournot_entry_barrier",
         f"{OWN}: falling marginal cost",
         np.ones((3, 3)) - 0.5 * np.eye(3),
         [-4, -4, -6],
-        "indefinite",
     )

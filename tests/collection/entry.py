@@ -36,7 +36,6 @@ class Entry:
     solution: tuple[Fraction, ...] | None = field(default=None, repr=False)
     theorem: str = ""
     farkas: tuple[Fraction, ...] | None = field(default=None, repr=False)
-    flags: frozenset[str] = frozenset()
 
     @property
     def is_small(self) -> bool:
@@ -49,7 +48,7 @@ def solvable(
     source: str,
     M: Any,
     q: Any,
-    *flags: str,
+    *,
     solution: Any = None,
     theorem: str = "",
     lower: Any = 0.0,
@@ -58,24 +57,15 @@ def solvable(
     """Return a solvable entry; the solution may be given as numbers or as text such as "1/90"."""
     exact = None if solution is None else tuple(Fraction(x) for x in solution)
     problem = LCP(M, q, lower=lower, upper=upper)
-    return Entry(name, source, problem, SOLVABLE, exact, theorem, frozenset(flags))
+    return Entry(name, source, problem, SOLVABLE, exact, theorem)
 
 
 def planted(
-    name: str,
-    source: str,
-    M: Any,
-    z: Any,
-    w: Any,
-    *flags: str,
-    lower: Any = 0.0,
-    upper: Any = np.inf,
+    name: str, source: str, M: Any, z: Any, w: Any, *, lower: Any = 0.0, upper: Any = np.inf
 ) -> Entry:
     """Return the entry with q = w − M z, for data with few enough bits that this is exact."""
     z, w = np.asarray(z, dtype=float), np.asarray(w, dtype=float)
-    return solvable(
-        name, source, M, w - M @ z, *flags, solution=z.tolist(), lower=lower, upper=upper
-    )
+    return solvable(name, source, M, w - M @ z, solution=z.tolist(), lower=lower, upper=upper)
 
 
 def infeasible(
@@ -83,7 +73,7 @@ def infeasible(
     source: str,
     M: Any,
     q: Any,
-    *flags: str,
+    *,
     farkas: Any = None,
     lower: Any = 0.0,
     upper: Any = np.inf,
@@ -91,13 +81,11 @@ def infeasible(
     """Return an entry whose linear constraints contradict each other."""
     weights = None if farkas is None else tuple(Fraction(int(y)) for y in farkas)
     problem = LCP(M, q, lower=lower, upper=upper)
-    return Entry(name, source, problem, INFEASIBLE, farkas=weights, flags=frozenset(flags))
+    return Entry(name, source, problem, INFEASIBLE, farkas=weights)
 
 
 def without_solution(
-    name: str, source: str, M: Any, q: Any, *flags: str, lower: Any = 0.0, upper: Any = np.inf
+    name: str, source: str, M: Any, q: Any, *, lower: Any = 0.0, upper: Any = np.inf
 ) -> Entry:
     """Return an entry that is linearly feasible and has no solution."""
-    return Entry(
-        name, source, LCP(M, q, lower=lower, upper=upper), NO_SOLUTION, flags=frozenset(flags)
-    )
+    return Entry(name, source, LCP(M, q, lower=lower, upper=upper), NO_SOLUTION)

@@ -28,71 +28,29 @@ def entries() -> Iterator[Entry]:
     """Yield Murty, Fathi and Csizmadia to n = 200, then other triangular and ill-conditioned ones."""
     for n in SIZES:
         twos = murty_matrix(n)
+        yield solvable(f"murty_upper_{n}", MURTY, twos.T, -np.ones(n), solution=unit(n, n - 1))
+        yield solvable(f"murty_lower_{n}", MURTY, twos, -np.ones(n), solution=unit(n, 0))
+        yield solvable(f"fathi_{n}", FATHI, twos @ twos.T, -np.ones(n), solution=unit(n, 0))
         yield solvable(
-            f"murty_upper_{n}",
-            MURTY,
-            twos.T,
-            -np.ones(n),
-            "P",
-            "exponential",
-            solution=unit(n, n - 1),
-        )
-        yield solvable(
-            f"murty_lower_{n}", MURTY, twos, -np.ones(n), "P", "exponential", solution=unit(n, 0)
-        )
-        yield solvable(
-            f"fathi_{n}",
-            FATHI,
-            twos @ twos.T,
-            -np.ones(n),
-            "P",
-            "symmetric",
-            "exponential",
-            solution=unit(n, 0),
-        )
-        yield solvable(
-            f"fathi_reversed_{n}",
-            FATHI,
-            twos.T @ twos,
-            -np.ones(n),
-            "P",
-            "symmetric",
-            "exponential",
-            solution=unit(n, n - 1),
+            f"fathi_reversed_{n}", FATHI, twos.T @ twos, -np.ones(n), solution=unit(n, n - 1)
         )
     for n in (3, 20, 50):
         doubling = [2**k for k in range(n)]
         yield solvable(
-            f"csizmadia_{n}",
-            CSIZMADIA,
-            csizmadia_matrix(n),
-            -np.ones(n),
-            "P",
-            "exponential",
-            solution=doubling,
+            f"csizmadia_{n}", CSIZMADIA, csizmadia_matrix(n), -np.ones(n), solution=doubling
         )
         yield solvable(
             f"csizmadia_reversed_{n}",
             CSIZMADIA,
             csizmadia_matrix(n).T,
             -np.ones(n),
-            "P",
-            "exponential",
             solution=doubling[::-1],
         )
     for n in (100, 200):
         z = np.zeros(n)
         z[[0, n // 2, n - 1]] = 1.0, 2.0, 3.0
         for name, M in (("", csizmadia_matrix(n)), ("_reversed", csizmadia_matrix(n).T)):
-            yield planted(
-                f"csizmadia{name}_{n}",
-                f"{CSIZMADIA}; planted",
-                M,
-                z,
-                (z == 0) * 1.0,
-                "P",
-                "exponential",
-            )
+            yield planted(f"csizmadia{name}_{n}", f"{CSIZMADIA}; planted", M, z, (z == 0) * 1.0)
     for n in (10, 60):
         q = -np.cumsum(2.0 ** -np.arange(n)) if n < 40 else -np.ones(n)
         exact = {10: None}.get(n, [1] + [0] * (n - 1))
@@ -101,16 +59,12 @@ def entries() -> Iterator[Entry]:
             f"{MURTY_BOOK}, chapter 6",
             murty_matrix(n),
             q,
-            "P",
-            "exponential",
             solution=exact,
         )
     for n in (5, 8, 12):
         H = scaled_hilbert(n)
         z = np.arange(n) % 3
-        yield planted(
-            f"hilbert_{n}", HILBERT, H, z, (z == 0) * 2.0**20, "ill-conditioned", "symmetric"
-        )
+        yield planted(f"hilbert_{n}", HILBERT, H, z, (z == 0) * 2.0**20)
 
 
 def murty_matrix(n: int) -> Matrix:

@@ -35,15 +35,13 @@ def entries() -> Iterator[Entry]:
         yield game(f"cyclic_polytope_{d}x{d}", f"after {SAVANI}", A, B)
 
 
-def game(name: str, source: str, A: Any, B: Any, *flags: str, solution: Any = None) -> Entry:
+def game(name: str, source: str, A: Any, B: Any, *, solution: Any = None) -> Entry:
     """Return the complementarity problem of a game with payoffs A, B; costs are (largest payoff + 1) − payoff."""
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     m, k = A.shape
     M = np.zeros((m + k, m + k))
     M[:m, m:], M[m:, :m] = A.max() + 1.0 - A, (B.max() + 1.0 - B).T
-    return solvable(
-        name, source, M, -np.ones(m + k), "bimatrix", *flags, solution=solution, theorem=NASH
-    )
+    return solvable(name, source, M, -np.ones(m + k), solution=solution, theorem=NASH)
 
 
 def _named() -> Iterator[Entry]:

@@ -1,4 +1,4 @@
-"""By class of matrix: Z, M, H+, singular, nonnegative, copositive; large sparse ones from differential equations."""
+"""By class of matrix: Z, M, H+, singular, nonnegative, copositive; two phases in a porous medium."""
 
 from __future__ import annotations
 
@@ -12,14 +12,8 @@ from .entry import COTTLE_PANG_STONE, OWN, Entry, infeasible, planted, solvable
 CHANDRASEKARAN = (
     "Chandrasekaran, A special case of the complementary pivot problem, Opsearch 7 (1970)"
 )
-CRYER = (
-    "Cryer, The method of Christopherson for solving free boundary problems for infinite journal bearings, "
-    "Math. Computation 25 (1971)"
-)
-KUSHNER = (
-    "Kushner, Dupuis, Numerical Methods for Stochastic Control Problems in Continuous Time, Springer 2001, "
-    "doi:10.1007/978-1-4613-0007-6"
-)
+
+
 MOTZKIN = "Motzkin, Straus, Maxima for graphs and a new proof of a theorem of Turán, Canadian J. Math. 17 (1965)"
 LAUSER = (
     "Lauser, Hager, Helmig, Wohlmuth, A new approach for phase transitions in miscible multi-phase flow in porous "
@@ -28,73 +22,46 @@ LAUSER = (
 
 
 def entries() -> Iterator[Entry]:
-    """Yield small classes, then differential equations."""
+    """Yield small classes, then two phases."""
     yield from _z_matrices()
     yield from _nonnegative()
     yield from _copositive()
-    yield from _stopping()
     yield from _phases()
-    yield from _bearing()
 
 
 def _z_matrices() -> Iterator[Entry]:
     yield solvable(
-        "z_least_element", CHANDRASEKARAN, [[1, -1, 0], [-1, 2, -1], [0, -1, 3]], [-1, 2, -3], "Z"
+        "z_least_element", CHANDRASEKARAN, [[1, -1, 0], [-1, 2, -1], [0, -1, 3]], [-1, 2, -3]
     )
-    yield solvable(
-        "z_singular_m",
-        CHANDRASEKARAN,
-        [[1, -1], [-1, 1]],
-        [1, -1],
-        "Z",
-        "singular",
-        solution=[0, 1],
-    )
-    yield infeasible(
-        "z_singular_m_infeasible", CHANDRASEKARAN, [[1, -1], [-1, 1]], [1, -2], "Z", "singular"
-    )
-    yield solvable("z_negative_diagonal", CHANDRASEKARAN, [[-1, -1], [-2, 1]], [5, -1], "Z")
-    yield infeasible("z_infeasible", CHANDRASEKARAN, [[1, -2], [-2, 1]], [-1, -1], "Z")
+    yield solvable("z_singular_m", CHANDRASEKARAN, [[1, -1], [-1, 1]], [1, -1], solution=[0, 1])
+    yield infeasible("z_singular_m_infeasible", CHANDRASEKARAN, [[1, -1], [-1, 1]], [1, -2])
+    yield solvable("z_negative_diagonal", CHANDRASEKARAN, [[-1, -1], [-2, 1]], [5, -1])
+    yield infeasible("z_infeasible", CHANDRASEKARAN, [[1, -2], [-2, 1]], [-1, -1])
     for n in (10, 100):
         generator = np.random.default_rng(n)
         M = -generator.integers(0, 3, (n, n)).astype(float)
         np.fill_diagonal(M, 0.0)
         np.fill_diagonal(M, -M.sum(axis=1))  # rows sum to zero: singular M-matrix
         z = generator.integers(0, 4, n).astype(float)
-        yield planted(
-            f"singular_m_{n}",
-            OWN,
-            M,
-            z,
-            (z == 0) * generator.integers(0, 3, n),
-            "Z",
-            "singular",
-            "degenerate",
-        )
+        yield planted(f"singular_m_{n}", OWN, M, z, (z == 0) * generator.integers(0, 3, n))
 
 
 def _nonnegative() -> Iterator[Entry]:
     yield solvable(
-        "nonnegative_zero_diagonal",
-        OWN,
-        [[0, 2, 1], [1, 0, 1], [1, 3, 0]],
-        [-1, -1, -1],
-        "nonnegative",
+        "nonnegative_zero_diagonal", OWN, [[0, 2, 1], [1, 0, 1], [1, 3, 0]], [-1, -1, -1]
     )
     yield solvable(
         "nonnegative_one_good_row",
         OWN,
         [[0, 0, 1], [0, 0, 1], [0, 0, 2]],
         [-2, -1, -4],
-        "nonnegative",
-        "singular",
         solution=[0, 0, 2],
     )
     for n in (8, 40):
         generator = np.random.default_rng(n)
         M = generator.integers(0, 5, (n, n)).astype(float)
         z = generator.integers(0, 3, n)
-        yield planted(f"nonnegative_{n}", OWN, M, z, (z == 0) * 2.0, "nonnegative")
+        yield planted(f"nonnegative_{n}", OWN, M, z, (z == 0) * 2.0)
 
 
 def _copositive() -> Iterator[Entry]:
@@ -112,21 +79,10 @@ def _copositive() -> Iterator[Entry]:
         f"Horn's copositive matrix (Hall, Newman 1963); {COTTLE_PANG_STONE}",
         horn,
         [0, 1, 0, 1, 1],
-        "copositive",
         solution=[0] * 5,
     )
-    yield solvable(
-        "horn_matrix_negative_right_side", OWN, horn + np.eye(5), [-1, -2, 1, -1, -3], "copositive"
-    )
-    yield solvable(
-        "motzkin_straus_petersen",
-        MOTZKIN,
-        _petersen() + np.eye(10),
-        [-1] * 10,
-        "copositive",
-        "indefinite",
-        "degenerate",
-    )
+    yield solvable("horn_matrix_negative_right_side", OWN, horn + np.eye(5), [-1, -2, 1, -1, -3])
+    yield solvable("motzkin_straus_petersen", MOTZKIN, _petersen() + np.eye(10), [-1] * 10)
 
 
 def _petersen() -> np.ndarray:
@@ -135,29 +91,6 @@ def _petersen() -> np.ndarray:
         for a, b in ((k, (k + 1) % 5), (k, k + 5), (k + 5, (k + 2) % 5 + 5)):
             A[a, b] = A[b, a] = 1.0
     return A
-
-
-def _stopping() -> Iterator[Entry]:
-    """Upwinded drift, integers, planted; the free region is a band, with a few degenerate nodes."""
-    for size, drift in ((10, 1), (30, 50), (50, 1000)):
-        line = sp.diags_array(
-            [-1.0 - drift, 2.0 + drift, -1.0], offsets=[-1, 0, 1], shape=(size, size)
-        )
-        eye = sp.eye_array(size)
-        M = (sp.kron(line, eye) + sp.kron(eye, line) + sp.eye_array(size * size)).tocsr()
-        x, y = np.divmod(np.arange(size * size), size)
-        free = (x + y) % (size // 2) < size // 4
-        z = np.where(free, 1.0 + (x * y) % 5, 0.0)
-        w = np.where(free, 0.0, (x + 2 * y) % 4)
-        yield planted(
-            f"optimal_stopping_{size * size}_drift_{drift}",
-            f"{KUSHNER}; planted",
-            M,
-            z,
-            w,
-            "H+",
-            "degenerate",
-        )
 
 
 def _phases() -> Iterator[Entry]:
@@ -177,29 +110,5 @@ def _phases() -> Iterator[Entry]:
         lower = np.concatenate([np.full(n, -np.inf), np.zeros(n)])
         upper = np.concatenate([np.full(n, np.inf), np.ones(n)])
         yield planted(
-            f"two_phases_{2 * n}",
-            f"after {LAUSER}; planted",
-            M,
-            z,
-            w,
-            "mixed",
-            "box",
-            lower=lower,
-            upper=upper,
-        )
-
-
-def _bearing() -> Iterator[Entry]:
-    """Journal bearing: film thickness cubed in a symmetric tridiagonal matrix, cavitation where z = 0."""
-    for n in (50, 500):
-        angle = 2.0 * np.pi * (np.arange(n + 1) + 0.5) / (n + 1)
-        thickness = np.round(2.0**10 * (1.0 + 0.75 * np.cos(angle)) ** 3) / 2.0**10
-        M = sp.diags_array(
-            [-thickness[1:-1], thickness[:-1] + thickness[1:], -thickness[1:-1]], offsets=[-1, 0, 1]
-        ).tocsr()
-        film = np.arange(n) < 0.55 * n
-        z = film * np.round(64.0 * np.sin(np.pi * (np.arange(n) + 1) / (0.6 * n))) / 64.0
-        z = np.maximum(z, 0.0)
-        yield planted(
-            f"journal_bearing_{n}", f"{CRYER}; planted", M, z, (z == 0) / 128.0, "M", "symmetric"
+            f"two_phases_{2 * n}", f"after {LAUSER}; planted", M, z, w, lower=lower, upper=upper
         )

@@ -41,16 +41,10 @@ def _linear() -> Iterator[Entry]:
         "beale_cycling",
         f"{BEALE}; rows and columns scaled to integers",
         *conditions(None, [-3, 600, -2, 24], A, [0, 0, -1]),
-        "PSD",
-        "degenerate",
     )
     A = [[-3, -2, 1, -6], [-3, 11, 2, -4], [0, 0, -1, 0]]
     yield solvable(
-        "linear_program_degenerate",
-        OWN,
-        *conditions(None, [-2, 1, -3, 2], np.array(A), [0, 0, -1]),
-        "PSD",
-        "degenerate",
+        "linear_program_degenerate", OWN, *conditions(None, [-2, 1, -3, 2], np.array(A), [0, 0, -1])
     )
     for n in (3, 5, 10):
         A = -np.array(
@@ -59,23 +53,13 @@ def _linear() -> Iterator[Entry]:
         c = [-(10.0 ** (n - 1 - j)) for j in range(n)]
         b = [-(100.0**i) for i in range(n)]
         answer = [0] * (n - 1) + [100 ** (n - 1)] + [0] * (n - 1) + [1]
-        yield solvable(
-            f"klee_minty_{n}",
-            KLEE_MINTY,
-            *conditions(None, c, A, b),
-            "PSD",
-            "exponential",
-            solution=answer,
-        )
+        yield solvable(f"klee_minty_{n}", KLEE_MINTY, *conditions(None, c, A, b), solution=answer)
     supply, demand = [10, 20], [5, 15, 10]
     A = np.vstack([np.kron(np.eye(2), -np.ones(3)), np.kron(np.ones(2), np.eye(3))])
     yield solvable(
         "transport_2x3",
         f"{DANTZIG}, chapter 14; own numbers",
         *conditions(None, [2, 4, 5, 3, 1, 7], A, [-x for x in supply] + demand),
-        "PSD",
-        "degenerate",
-        "singular",
         theorem=MONOTONE,
     )
     A = np.vstack([np.kron(np.eye(4), np.ones(4)), np.kron(np.ones(4), np.eye(4))])
@@ -84,72 +68,48 @@ def _linear() -> Iterator[Entry]:
         "assignment_4x4",
         f"{KUHN}; own numbers",
         *conditions(None, np.ravel(cost), A, np.ones(8)),
-        "PSD",
-        "degenerate",
-        "singular",
         theorem=MONOTONE,
     )
 
 
 def _quadratic() -> Iterator[Entry]:
     P, A = [[4, 1], [1, 2]], [[1, 1], [-1, 0], [0, -1]]
-    yield solvable(
-        "quadratic_program_small", OWN, *conditions(P, [1, 1], A, [1, -0.75, -0.75]), "PSD"
-    )
+    yield solvable("quadratic_program_small", OWN, *conditions(P, [1, 1], A, [1, -0.75, -0.75]))
     yield solvable(
         "quadratic_program_flat_direction",
         OWN,
         *conditions([[1, -1], [-1, 1]], [-1, 1], [[-1, -1]], [-4]),
-        "PSD",
-        "singular",
     )
     P = np.diag([2.0, 0.0, 0.0])
     yield solvable(
         "quadratic_and_linear",
         COTTLE_PANG_STONE,
         *conditions(P, [-2, -1, -3], [[-1, -1, -2], [0, 1, -1]], [-4, 0]),
-        "PSD",
-        "singular",
     )
     P = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
     yield solvable(
-        "portfolio_3", OWN, *conditions(P, [0, 0, 0], [[3, 5, 8], [-1, -1, -1]], [6, -1.5]), "PSD"
+        "portfolio_3", OWN, *conditions(P, [0, 0, 0], [[3, 5, 8], [-1, -1, -1]], [6, -1.5])
     )
     yield solvable(
         "nonconvex_stationary_point",
         OWN,
         *conditions([[-2, 0], [0, 1]], [1, -1], [[-1, 0], [0, -1]], [-2, -2]),
-        "indefinite",
     )
 
 
 def _without_optimum() -> Iterator[Entry]:
     yield infeasible(
-        "linear_program_infeasible",
-        OWN,
-        *conditions(None, [1, 1], [[1, 1], [-1, -1]], [3, -2]),
-        "program",
+        "linear_program_infeasible", OWN, *conditions(None, [1, 1], [[1, 1], [-1, -1]], [3, -2])
+    )
+    yield infeasible("linear_program_unbounded", OWN, *conditions(None, [-1, 0], [[1, -1]], [0]))
+    yield infeasible(
+        "linear_program_neither", OWN, *conditions(None, [-1, -1], [[1, -1], [-1, 1]], [1, 1])
     )
     yield infeasible(
-        "linear_program_unbounded", OWN, *conditions(None, [-1, 0], [[1, -1]], [0]), "program"
+        "quadratic_program_infeasible", OWN, *conditions(np.eye(2), [0, 0], [[-1, -1]], [1])
     )
     yield infeasible(
-        "linear_program_neither",
-        OWN,
-        *conditions(None, [-1, -1], [[1, -1], [-1, 1]], [1, 1]),
-        "program",
-    )
-    yield infeasible(
-        "quadratic_program_infeasible",
-        OWN,
-        *conditions(np.eye(2), [0, 0], [[-1, -1]], [1]),
-        "program",
-    )
-    yield infeasible(
-        "quadratic_program_unbounded",
-        OWN,
-        *conditions([[1, 0], [0, 0]], [0, -1], [[1, 1]], [1]),
-        "program",
+        "quadratic_program_unbounded", OWN, *conditions([[1, 0], [0, 0]], [0, -1], [[1, 1]], [1])
     )
     A = -np.kron(np.ones(3), np.eye(2))
     yield infeasible(
@@ -158,5 +118,4 @@ def _without_optimum() -> Iterator[Entry]:
         *conditions(
             None, np.ones(6), np.vstack([A, np.kron(np.eye(3), np.ones(2))]), [-2, -2, 2, 2, 1]
         ),
-        "program",
     )

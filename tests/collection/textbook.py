@@ -35,7 +35,7 @@ def entries() -> Iterator[Entry]:
 
 def _books() -> Iterator[Entry]:
     M = [[1, -1, -1, -1], [-1, 1, -1, -1], [1, 1, 2, 0], [1, 1, 0, 2]]
-    yield solvable("murty_example_2_8", f"{MURTY_BOOK}, example 2.8", M, [3, 5, -9, -5], "PSD")
+    yield solvable("murty_example_2_8", f"{MURTY_BOOK}, example 2.8", M, [3, 5, -9, -5])
     M = [[-1, 0, -3], [1, -2, -5], [-2, -1, -2]]
     yield infeasible(
         "murty_example_2_9", f"{MURTY_BOOK}, example 2.9 (ray termination)", M, [-3, -2, -1]
@@ -44,24 +44,17 @@ def _books() -> Iterator[Entry]:
     yield solvable("handbook_n3", HANDBOOK, M, [-3, 6, -1], solution=[0, 1, 3])
     M = [[0, 0, 10, 20], [0, 0, 30, 15], [10, 20, 0, 0], [30, 15, 0, 0]]
     yield solvable(
-        "handbook_bimatrix",
-        HANDBOOK,
-        M,
-        [-1] * 4,
-        "bimatrix",
-        solution=["1/90", "2/45", "1/90", "2/45"],
+        "handbook_bimatrix", HANDBOOK, M, [-1] * 4, solution=["1/90", "2/45", "1/90", "2/45"]
     )
     M = [[11, 0, 10, -1], [0, 11, 10, -1], [10, 10, 11, -1], [1, 1, 1, 0]]
     yield solvable(
-        "handbook_quadratic_program", HANDBOOK, M, [50, 50, 23, -6], "PSD", solution=[0, 0, 6, 89]
+        "handbook_quadratic_program", HANDBOOK, M, [50, 50, 23, -6], solution=[0, 0, 6, 89]
     )
     M = [[11, 0, 10, -1], [0, 11, 10, -1], [10, 10, 11, -1], [1, 1, 1, -3]]
     yield without_solution(
         "handbook_quadratic_program_spoilt", f"{OWN}: one entry changed", M, [50, 50, 23, -6]
     )
-    yield solvable(
-        "all_ones_2", HANDBOOK, np.ones((2, 2)), [-1, -1], "singular", "degenerate", solution=[1, 0]
-    )
+    yield solvable("all_ones_2", HANDBOOK, np.ones((2, 2)), [-1, -1], solution=[1, 0])
     yield solvable(
         "two_by_two",
         f"{MURTY_BOOK}, chapter 1 (the example of two by two cones)",
@@ -74,40 +67,20 @@ def _books() -> Iterator[Entry]:
         f"{OWN}: three solutions",
         [[1, 2], [2, 1]],
         [-1, -1],
-        "indefinite",
         solution=["1/3", "1/3"],
     )
+    yield solvable("continuum_of_solutions", OWN, [[0, 1], [0, 1]], [-1, -1], solution=[0, 1])
+    yield solvable("degenerate_at_zero", OWN, [[1, -1], [-1, 1]], [0, 0], solution=[0, 0])
+    yield solvable("copositive_plus", OWN, [[1, 2, -1], [-2, 0, 1], [1, -1, 0]], [-1, 1, 1])
     yield solvable(
-        "continuum_of_solutions", OWN, [[0, 1], [0, 1]], [-1, -1], "singular", solution=[0, 1]
+        "strictly_copositive", OWN, [[1, -0.5, 4], [-0.5, 1, 4], [4, 4, 1]], [-1, -2, -3]
     )
-    yield solvable(
-        "degenerate_at_zero",
-        OWN,
-        [[1, -1], [-1, 1]],
-        [0, 0],
-        "singular",
-        "degenerate",
-        solution=[0, 0],
-    )
-    yield solvable(
-        "copositive_plus", OWN, [[1, 2, -1], [-2, 0, 1], [1, -1, 0]], [-1, 1, 1], "copositive"
-    )
-    yield solvable(
-        "strictly_copositive",
-        OWN,
-        [[1, -0.5, 4], [-0.5, 1, 4], [4, 4, 1]],
-        [-1, -2, -3],
-        "copositive",
-    )
-    yield solvable(
-        "lemke_secondary_ray", OWN, [[0, 1], [1, 0]], [-1, -1], "indefinite", solution=[1, 1]
-    )
+    yield solvable("lemke_secondary_ray", OWN, [[0, 1], [1, 0]], [-1, -1], solution=[1, 1])
     yield solvable(
         "lemke_ray_of_ones",
         f"{OWN}: Lemke with the vector of ones ends in a ray",
         [[1, 0, 0], [1, -1, 3], [-2, 3, -1]],
         [0, -1, -1],
-        "indefinite",
         solution=[0, "1/2", "1/2"],
     )
 
@@ -115,22 +88,17 @@ def _books() -> Iterator[Entry]:
 def _cycling() -> Iterator[Entry]:
     """A circulant P-matrix on which least-index, Lemke-type and Newton-min rules may cycle; z* = 1/3 everywhere."""
     M = np.array([[1, 2, 0], [0, 1, 2], [2, 0, 1]])
-    yield solvable("kostreva_cycle", KOSTREVA, M, [-1] * 3, "P", "cycling", solution=["1/3"] * 3)
-    yield solvable(
-        "kostreva_cycle_transposed", KOSTREVA, M.T, [-1] * 3, "P", "cycling", solution=["1/3"] * 3
-    )
+    yield solvable("kostreva_cycle", KOSTREVA, M, [-1] * 3, solution=["1/3"] * 3)
+    yield solvable("kostreva_cycle_transposed", KOSTREVA, M.T, [-1] * 3, solution=["1/3"] * 3)
     yield infeasible(
         "cycle_infeasible",
         f"{OWN}, in the manner of Kostreva's second example",
         [[1, -1, 3], [2, -1, 3], [-1, -2, 0]],
         [-1, -1, -1],
-        "cycling",
     )
     for n in (5, 9, 51, 201):
         circulant = np.eye(n) + 2.0 * np.roll(np.eye(n), 1, axis=1)
-        yield solvable(
-            f"morris_{n}", MORRIS, circulant, [-1] * n, "P", "cycling", solution=["1/3"] * n
-        )
+        yield solvable(f"morris_{n}", MORRIS, circulant, [-1] * n, solution=["1/3"] * n)
 
 
 def _newton_min() -> Iterator[Entry]:
@@ -138,15 +106,7 @@ def _newton_min() -> Iterator[Entry]:
     for n, alpha in ((3, 1.5), (3, 8.0), (5, 1.25), (7, 3.0)):
         M = np.eye(n) + alpha * np.roll(np.eye(n), 1, axis=0)
         share = f"{4}/{int(4 * (1 + alpha))}"
-        yield solvable(
-            f"newton_min_{n}_{alpha}",
-            BEN_GHARBIA,
-            M,
-            [-1] * n,
-            "P",
-            "cycling",
-            solution=[share] * n,
-        )
+        yield solvable(f"newton_min_{n}_{alpha}", BEN_GHARBIA, M, [-1] * n, solution=[share] * n)
     for n, alpha, beta, share in ((4, 0.5, 0.75, "4/9"), (6, -0.75, 1.0, "4/5")):
         M = np.eye(n) + alpha * np.roll(np.eye(n), 1, axis=0) + beta * np.roll(np.eye(n), 2, axis=0)
         yield solvable(
@@ -154,8 +114,6 @@ def _newton_min() -> Iterator[Entry]:
             f"{BEN_GHARBIA}; own numbers",
             M,
             [-1] * n,
-            "P",
-            "cycling",
             solution=[share] * n,
         )
     yield _joined(12, 4)
@@ -170,28 +128,23 @@ def _joined(n: int, cycles: int) -> Entry:
         M[block, block] = np.eye(3) + 2.0 * np.roll(np.eye(3), 1, axis=0)
         M[3 * k, : 3 * k] = -1.0
     z = np.repeat(np.arange(cycles) % 2 == 0, 3) * 1.0
-    return planted(
-        f"newton_min_joined_{n}", f"{BEN_GHARBIA}, extended", M, z, 1.0 - z, "P", "cycling"
-    )
+    return planted(f"newton_min_joined_{n}", f"{BEN_GHARBIA}, extended", M, z, 1.0 - z)
 
 
 def _tridiagonal() -> Iterator[Entry]:
     for n in (8, 64, 200):
         M = 4.0 * np.eye(n) - 2.0 * np.eye(n, k=1) + np.eye(n, k=-1)
         yield planted(
-            f"ahn_{n}", f"{AHN}; planted", M, np.arange(n) % 3, (np.arange(n) % 3 == 0) * 2.0, "H+"
+            f"ahn_{n}", f"{AHN}; planted", M, np.arange(n) % 3, (np.arange(n) % 3 == 0) * 2.0
         )
     for n in (8, 128):
         M = 4.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
         z = (np.arange(n) % 4).astype(float)
-        yield planted(
-            f"geiger_kanzow_{n}", f"{GEIGER_KANZOW}; planted", M, z, (z == 0.0) * 1.0, "M"
-        )
+        yield planted(f"geiger_kanzow_{n}", f"{GEIGER_KANZOW}; planted", M, z, (z == 0.0) * 1.0)
     yield solvable(
         "geiger_kanzow_ones",
         GEIGER_KANZOW,
         4 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1),
         [-1] * 3,
-        "M",
         solution=["5/14", "3/7", "5/14"],
     )

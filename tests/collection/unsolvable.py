@@ -23,7 +23,7 @@ def entries() -> Iterator[Entry]:
 def _infeasible() -> Iterator[Entry]:
     yield infeasible("zero_row", OWN, [[1, 0], [0, 0]], [-1, -2])
     yield infeasible("nonpositive_row", OWN, [[-1, -2], [3, 1]], [-1, 5])
-    yield infeasible("two_rows_contradict", OWN, [[1, -1], [-1, 1]], [-1, -1], "singular")
+    yield infeasible("two_rows_contradict", OWN, [[1, -1], [-1, 1]], [-1, -1])
     yield infeasible("skew", OWN, [[0, -1, 0], [1, 0, -1], [0, 1, 0]], [0, -1, -1])
     yield infeasible(
         "combination_of_all_rows", OWN, [[1, -3, 1], [-2, 1, 1], [1, 2, -3]], [-1, -1, -1]
@@ -34,30 +34,12 @@ def _infeasible() -> Iterator[Entry]:
         [[3, -1, 0], [-3, -2, 0], [0, 3, -1]],
         [-1, -1, 0],
     )
-    yield infeasible("margin_of_a_millionth", OWN, [[1, -1], [-1, 1]], [1, -1.000001], "singular")
+    yield infeasible("margin_of_a_millionth", OWN, [[1, -1], [-1, 1]], [1, -1.000001])
+    yield infeasible("box_out_of_reach", OWN, [[1, 0], [2, -1]], [0, -3], upper=[1.0, np.inf])
+    yield infeasible("free_rows_contradict", OWN, [[1, 1], [1, 1]], [-1, -2], lower=-np.inf)
+    yield infeasible("free_against_bounded", OWN, [[1, 2], [1, 2]], [1, -3], lower=[-np.inf, 0.0])
     yield infeasible(
-        "box_out_of_reach", OWN, [[1, 0], [2, -1]], [0, -3], "box", upper=[1.0, np.inf]
-    )
-    yield infeasible(
-        "free_rows_contradict", OWN, [[1, 1], [1, 1]], [-1, -2], "mixed", "singular", lower=-np.inf
-    )
-    yield infeasible(
-        "free_against_bounded",
-        OWN,
-        [[1, 2], [1, 2]],
-        [1, -3],
-        "mixed",
-        "singular",
-        lower=[-np.inf, 0.0],
-    )
-    yield infeasible(
-        "fixed_row_decides",
-        OWN,
-        [[1, -2], [1, 0]],
-        [0, -3],
-        "fixed",
-        lower=[1, 0],
-        upper=[1, np.inf],
+        "fixed_row_decides", OWN, [[1, -2], [1, 0]], [0, -3], lower=[1, 0], upper=[1, np.inf]
     )
     yield infeasible("upper_only", OWN, [[-1, -1], [0, 0]], [1, 2], lower=-np.inf, upper=[0.0, 3.0])
     for n in (20, 100):
@@ -68,15 +50,10 @@ def _infeasible() -> Iterator[Entry]:
         M[-1] -= y @ M  # the rows weighted with y cancel …
         q = generator.integers(-5, 6, n).astype(float)
         q[-1] -= y @ q + 1.0  # … but their right sides do not
-        yield infeasible(f"cancelling_rows_{n}", OWN, M, q, "singular", farkas=y)
+        yield infeasible(f"cancelling_rows_{n}", OWN, M, q, farkas=y)
         order = generator.permutation(n)
         yield infeasible(
-            f"cancelling_rows_{n}_shuffled",
-            OWN,
-            M[np.ix_(order, order)],
-            q[order],
-            "singular",
-            farkas=y[order],
+            f"cancelling_rows_{n}_shuffled", OWN, M[np.ix_(order, order)], q[order], farkas=y[order]
         )
 
 
@@ -84,14 +61,13 @@ def _feasible() -> Iterator[Entry]:
     yield without_solution("needs_a_forbidden_variable", OWN, [[-1, 1], [0, 0]], [-1, 1])
     yield without_solution("needs_both", OWN, [[0, 1], [0, 0]], [-1, 2])
     yield without_solution(
-        "box_without_solution", OWN, [[0, 1], [0, 0]], [-1, 2], "box", upper=[np.inf, 4.0]
+        "box_without_solution", OWN, [[0, 1], [0, 0]], [-1, 2], upper=[np.inf, 4.0]
     )
     yield without_solution(
         "mixed_without_solution",
         OWN,
         [[0, 1, 0], [0, 0, 0], [0, 1, 1]],
         [-1, 2, 0],
-        "mixed",
         lower=[0, 0, -np.inf],
     )
     for n in (2, 3, 4, 5, 6, 7, 8):
@@ -130,7 +106,6 @@ def _subset_sums() -> Iterator[Entry]:
             f"subset_sum_{len(weights)}_to_{target}",
             CHUNG,
             *subset_sum(weights, target),
-            "indefinite",
             solution=z,
         )
     for weights, target in (
@@ -140,9 +115,6 @@ def _subset_sums() -> Iterator[Entry]:
         ([6, 10, 14, 15, 22, 30], 49),
     ):
         yield without_solution(
-            f"subset_sum_{len(weights)}_not_{target}",
-            CHUNG,
-            *subset_sum(weights, target),
-            "indefinite",
+            f"subset_sum_{len(weights)}_not_{target}", CHUNG, *subset_sum(weights, target)
         )
-    yield infeasible("subset_sum_out_of_reach", CHUNG, *subset_sum([3, 5, 7], 16), "indefinite")
+    yield infeasible("subset_sum_out_of_reach", CHUNG, *subset_sum([3, 5, 7], 16))

@@ -11,7 +11,6 @@ from collection import all_entries
 from collection.entry import Entry
 from collection.judgement import false_claim, judge
 from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, decide, is_farkas
-from exact import exact_rows, principal_minors
 
 from lcp_plugin import LCP, solve
 
@@ -64,25 +63,6 @@ def test_every_large_entry_has_a_reason() -> None:
         else:
             assert entry.farkas is not None, entry.name
             assert is_farkas(entry.problem, entry.farkas), entry.name
-
-
-def test_flags_are_true() -> None:
-    """Flags on the class of a matrix hold: P by exact minors, PSD by eigenvalues, Z and symmetric by looking."""
-    for entry in ENTRIES:
-        M = entry.problem.csr.toarray()
-        n = len(M)
-        if "P" in entry.flags and n <= 7:
-            assert all(minor > 0 for minor in principal_minors(exact_rows(M))), entry.name
-        if "PSD" in entry.flags and n <= 200:
-            assert np.linalg.eigvalsh(M + M.T).min() >= -1e-12 * np.abs(M).max() * n, entry.name
-        if "Z" in entry.flags or "M" in entry.flags:
-            assert (M - np.diag(np.diag(M))).max() <= 0.0, entry.name
-        if "symmetric" in entry.flags:
-            assert np.array_equal(M, M.T), entry.name
-        if "nonnegative" in entry.flags:
-            assert M.min() >= 0.0, entry.name
-        if "rounded" in entry.flags and n <= 100:
-            assert np.linalg.eigvalsh(M + M.T).min() < 0.0, entry.name
 
 
 def test_search_decides_by_hand_made_cases() -> None:

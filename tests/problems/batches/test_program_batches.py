@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from planted import planted_program
 
 from lcp_plugin import (
     LCP,
@@ -21,58 +20,33 @@ from lcp_plugin import (
     UnsupportedModel,
     solve,
     solve_batch,
-    strategies,
 )
 from lcp_plugin.problems.batches.batch_run import BatchAnswers
 from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
-from lcp_plugin.strategies.programs import QPAnswer
 
 INF = np.inf
-KINDS = ("definite", "semidefinite", "linear", "integer", "dependent", "graded")
+KINDS = ("definite", "semidefinite", "linear", "dependent", "graded")
+NAMES = ("P", "c", "G", "h", "A", "b", "lower", "upper")
 
 
 def planted(kind: str, count: int, seed: int = 0) -> tuple[QuadraticProgramBatch, np.ndarray]:
-    """Stacked programs of a kind, and their least values: x and multipliers are drawn first, then c, h, b and bounds.
-
-    Among their rows are active, inactive and degenerate ones, without a limit, equations; variables are free, boxed,
-    bounded on one side, and fixed.
-    """
+    """Return stacked programs of a kind, and their least values, which were drawn first."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
-    n = int(rng.integers(1, 11))
-    m, p = int(rng.integers(0, 2 * n + 3)), int(rng.integers(0, n // 2 + 1))
-    factor = rng.normal(size=(count, n, {"semidefinite": n // 2, "linear": 0}.get(kind, n + 2)))
-    G, A, x = (
-        rng.normal(size=(count, m, n)),
-        rng.normal(size=(count, p, n)),
-        rng.normal(size=(count, n)),
-    )
-    if kind == "integer":
-        factor, G, A, x = (np.round(array) for array in (factor, G, A, x))
-    if kind == "dependent" and m > 2:
-        G[:, 1], G[:, 2] = G[:, 0], -G[:, 0]
+    n = int(rng.integers(2, 11))
+    rows, equations = int(rng.integers(0, 2 * n + 3)), int(rng.integers(0, n // 2 + 1))
+    rank = {"semidefinite": n // 2, "linear": 0}.get(kind, n + 2)
+    drawn = [
+        planted_program(n, rows, equations, rank, int(rng.integers(2**31))) for _ in range(count)
+    ]
+    data = {name: np.stack([getattr(program, name) for program, *_ in drawn]) for name in NAMES}
     if kind == "graded":
-        G, A = (rows * 10.0 ** rng.uniform(-5, 5, (count, len(rows[0]), 1)) for rows in (G, A))
-    P = factor @ factor.transpose(0, 2, 1)
-    P = (P + P.transpose(0, 2, 1)) / 2
-    if kind == "integer":
-        P += np.eye(n)
-    gap = (
-        rng.random((count, m))
-        * (rng.random((count, m)) < 0.6)
-        * (1.0 + np.abs(G).max(axis=2, initial=0.0))
-    )
-    y = rng.random((count, m)) * (gap == 0.0) * (rng.random((count, m)) < 0.7)
-    below, above = (rng.random((count, n)) * (rng.random((count, n)) < 0.6) for _ in range(2))
-    lower = np.where(rng.random((count, n)) < 0.5, -INF, x - below)
-    upper = np.where(rng.random((count, n)) < 0.5, INF, x + above)
-    reduced = rng.random((count, n)) * ((lower == x).astype(float) - (upper == x))
-    h = np.where(
-        (rng.random((count, m)) < 0.1) & (y == 0.0), INF, np.einsum("kij,kj->ki", G, x) + gap
-    )
-    v, Px = rng.normal(size=(count, p)), np.einsum("kij,kj->ki", P, x)
-    c = reduced - Px - np.einsum("kij,ki->kj", G, y) - np.einsum("kij,ki->kj", A, v)
-    least = ((0.5 * Px + c) * x).sum(axis=1)
-    return QuadraticProgramBatch(P, c, G, h, A, np.einsum("kij,kj->ki", A, x), lower, upper), least
+        for matrix, right in (("G", "h"), ("A", "b")):
+            sizes = 10.0 ** rng.uniform(-5, 5, data[right].shape)
+            data[matrix], data[right] = sizes[:, :, None] * data[matrix], sizes * data[right]
+    if kind == "dependent":  # each row again, and one without a limit
+        data["G"] = np.concatenate([data["G"], data["G"], data["P"][:, :1]], axis=1)
+        data["h"] = np.hstack([data["h"], data["h"], np.full((count, 1), INF)])
+    return QuadraticProgramBatch(**data), np.array([value for *_, value in drawn])
 
 
 def dense(count: int, n: int = 6, m: int = 12, seed: int = 0) -> tuple[Any, ...]:
@@ -121,19 +95,6 @@ def test_a_status_and_a_residual_are_those_of_the_program(kind: str) -> None:
         assert solution.objective == pytest.approx(answers.objective[k], rel=1e-12, abs=1e-12)
         for name in ("x", "inequality", "equality", "lower", "upper"):
             np.testing.assert_array_equal(getattr(solution, name), getattr(answers, name)[k])
-
-
-@given(drawn=strategies.convex_qps())
-def test_exact_answers_are_found(drawn: tuple[QuadraticProgram, QPAnswer]) -> None:
-    """Programs of every shape with answers in fractions: their least value, by the loop and one by one."""
-    program, answer = drawn
-    vectors = (program.h, program.A, program.b, program.lower, program.upper)
-    answers = solve_batch(QuadraticProgramBatch(program.P, program.c[None], program.G, *vectors))
-    one = solve(program)
-    assert answers.status[0] is one.status is Status.SOLVED
-    size = 1.0 + abs(float(answer.objective))
-    assert abs(Fraction(float(answers.objective[0])) - answer.objective) <= 1e-5 * size
-    assert abs(one.objective - answers.objective[0]) <= 1e-5 * size
 
 
 # --- One bad item, and the others --------------------------------------------------------------------------------

@@ -14,8 +14,7 @@ from lcp_plugin import LCP, FrictionalContact, solve
 from lcp_plugin.core.errors import InvalidProblem, ModelWarning
 from lcp_plugin.problems.contact import Contacts
 
-STEP, GRAVITY = 0.01, 9.81
-NAMES = ("friction", "velocities", "gaps", "mass")
+STEP = 0.01
 
 
 def given(seed: int, count: int = 3, bodies: int = 3) -> dict[str, Any]:

@@ -64,30 +64,6 @@ def test_a_block_slides_where_the_slope_is_steeper_than_its_friction() -> None:
             assert sticks == (share < 1.0)
 
 
-def test_a_tower_of_ten_carries_its_weight() -> None:
-    """Ten blocks on each other rest, and each interface carries what lies above it."""
-    k = 10
-    normals, tangents = np.zeros((2 * k, 3 * k)), np.zeros((2 * k, 3 * k))
-    for row in range(2 * k):
-        block, arm = row // 2, (-0.5, 0.5)[row % 2]
-        normals[row, 3 * block : 3 * block + 3], tangents[row, 3 * block : 3 * block + 3] = (
-            (0, 1, arm),
-            (1, 0, 0.1),
-        )
-        if block:
-            normals[row, 3 * block - 3 : 3 * block], tangents[row, 3 * block - 3 : 3 * block] = (
-                (0, -1, -arm),
-                (-1, 0, 0.1),
-            )
-    mass = np.diag(np.tile([1.0, 1.0, 0.1], k))
-    fall = np.tile([0.0, -STEP * GRAVITY, 0.0], k)
-    problem = LCP.from_contacts((mass, normals, tangents), 0.5, fall)
-    motion = problem.origin.recover(solve(problem).require_solved())
-    weight = STEP * GRAVITY * np.arange(k, 0, -1)
-    np.testing.assert_allclose(motion.normal.reshape(k, 2).sum(axis=1), weight, rtol=1e-7)
-    assert motion.sticks.all()
-
-
 EYE, FALL = np.eye(3), [[-1.0, 0.0, 0.0]]
 BODY = (np.eye(3), [[0, 0, 1]], [[[1, 0, 0], [0, 1, 0]]])
 MISTAKES: dict[str, tuple[str, Any]] = {

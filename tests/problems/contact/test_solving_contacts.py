@@ -11,7 +11,7 @@ from contact_families import FAMILIES, falling, planted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, solve, solve_batch
+from lcp_plugin import LCP, solve
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.contact import Contacts, contact_data
 
@@ -55,25 +55,6 @@ def test_a_start_with_the_answers_contacts_costs_no_more_work() -> None:
     assert cold.is_solved
     assert warm.work <= cold.work
     np.testing.assert_allclose(data.recover(warm).slip, data.recover(cold).slip, atol=1e-7)
-
-
-@pytest.mark.parametrize("is_warm", [False, True])
-def test_a_batch_gives_what_each_problem_gives(is_warm: bool) -> None:
-    """A batch of contacts gives each problem z up to rounding, and the iterations, of solve, watched or not."""
-    items = [falling(4, 2, 10.0, np.random.default_rng(seed)).arrays for seed in range(12)]
-    M, q = (np.array(part) for part in zip(*items, strict=True))
-    z0 = solve_batch(M, 1.01 * q).z if is_warm else None
-    batch = solve_batch(M, q, z0=z0)
-    assert batch.all_solved
-    for k in range(len(q)):
-        start = None if z0 is None else z0[k]
-        alone, watched = (
-            solve(LCP(M[k], q[k]), z0=start),
-            solve(LCP(M[k], q[k]), z0=start, record=True),
-        )
-        assert alone.z.tobytes() == watched.z.tobytes()
-        np.testing.assert_allclose(batch.z[k], alone.z, rtol=1e-12, atol=1e-12 * alone.z.max())
-        assert alone.iterations == batch.iterations[k] == watched.iterations
 
 
 def test_contacts_in_other_words_are_solved(tmp_path: Path) -> None:

@@ -80,7 +80,6 @@ def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
 @pytest.mark.full
 def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], range]) -> None:
     """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
-    pytest.importorskip("highspy", reason="solves the pieces")
     from campaigns.best_equilibria import complaints, random_problem, truth, undetected
 
     for case in draws(40):
@@ -124,6 +123,35 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
     assert (float(x.value), float(y.value), found.x) == (7.0, -3.0, None)
     assert found.lower_bound == pytest.approx(2.0, abs=1e-6)
     assert found.lower_bound <= 2.0
+
+
+@pytest.mark.full
+def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
+    """No bound lies above the optimum, nothing is called optimal that is not, and verify() agrees."""
+    rng, k = np.random.default_rng(3), 5
+    program = QuadraticProgram(
+        None, rng.integers(-4, 5, k + 2), lower=[-1, -1] + [0] * k, upper=[1, 1] + [3] * k
+    )
+    M, q = rng.integers(-3, 4, (k, k + 2)), rng.integers(-3, 4, k)
+    problem = EquilibriumProgram.of_rows(program, range(2, k + 2), M, q)
+    calls: list[Any] = []
+
+    def interrupted(at: int) -> Any:
+        def callback(search: Any) -> None:
+            calls.append(search)
+            if len(calls) == at:
+                raise KeyboardInterrupt
+
+        calls.clear()
+        return minimize_over_solutions(problem, prove=True, callback=callback)
+
+    whole = interrupted(0)
+    assert (whole.status, whole.verify(), whole.nodes > 1) == (Status.SOLVED, True, True)
+    for at in range(1, len(calls) + 1):
+        result = interrupted(at)
+        assert (result.status, result.verify()) == (Status.INTERRUPTED, True)
+        assert result.lower_bound <= whole.value <= result.value
+    assert len(calls) > 0
 
 
 def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:

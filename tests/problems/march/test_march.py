@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any
 
 import marches
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact import LOWER, UPPER, exact_rows, solve_fractions
-from exact_derivatives import distance, exact, piece_at, product
 
 from lcp_plugin import (
     LCP,
@@ -25,7 +22,6 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.problems.march import March
-from lcp_plugin.problems.march.march_derivative import MarchDerivative
 from lcp_plugin.problems.sensitivity import Derivative
 
 # --- What is kept ---------------------------------------------------------------------------------------------
@@ -179,60 +175,6 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
         ]
         expected = (g * dz).sum() if g.ndim == 2 else g @ dz[-1]
         assert sum(terms) == pytest.approx(expected, rel=0, abs=1e-11 * sum(map(abs, terms)))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
-    """The exact change of each step, in rationals, agrees with jvp to rounding error."""
-    rng = np.random.default_rng(seed)
-    n, k = 4, 3
-    M = sp.csr_array(np.tril(np.triu(rng.integers(-3, 4, (n, n)), -1), 1) + 8 * np.eye(n))
-    propagator = sp.csr_array(rng.integers(-4, 5, (n, n)) / 2.0)
-    problem = LCP(M, np.zeros(n), lower=-0.25, upper=[0.5, INF, 0.75, 0.5])
-    done = march(problem, rng.integers(-9, 10, (k, n)) / 2.0, propagator, z0=[1.0, -1.0, 0.5, 0.25])
-    found, change = derivative(done), change_of(done, seed)
-    dM, dpropagator = np.asarray(change["dM"].todense()), change["dpropagator"]
-    of_propagator, dz = exact_rows(done.propagator.toarray()), [found.jvp(**change)]
-    z, moved = exact(done.z0), exact(change["dz0"])
-    for step, answer in enumerate(dz[0]):
-        q = [
-            a + b for a, b in zip(exact(done.forcing[step]), product(of_propagator, z), strict=True)
-        ]
-        dq = [
-            sum(parts)
-            for parts in zip(
-                exact(change["dforcing"][step]),
-                product(exact_rows(dpropagator), z),
-                product(of_propagator, moved),
-                strict=True,
-            )
-        ]
-        piece = piece_at(problem, done.z[step], found[step].free)
-        M_of = piece.M
-        ends = {-1: problem.lower, 1: problem.upper}
-        states = [(-1 if s == LOWER else 1 if s == UPPER else 0) for s in piece.states]
-        free = [i for i in range(n) if not states[i]]
-
-        def completed(
-            x: list[Any], right: list[Any], M_of: Any = M_of, free: list[int] = free
-        ) -> list[Any]:
-            rest = [-right[i] - sum(M_of[i][j] * x[j] for j in range(n)) for i in free]
-            for i, value in zip(
-                free, solve_fractions([[M_of[i][j] for j in free] for i in free], rest), strict=True
-            ):
-                x[i] = value
-            return x
-
-        z = completed(
-            [Fraction(float(ends[s][i])) if s else Fraction(0) for i, s in enumerate(states)], q
-        )
-        right = [a + b for a, b in zip(product(exact_rows(dM), z), dq, strict=True)]
-        moves = {-1: change["dlower"], 1: change["dupper"]}
-        moved = completed(
-            [Fraction(float(moves[s][i])) if s else Fraction(0) for i, s in enumerate(states)],
-            right,
-        )
-        assert distance(answer, moved) <= 1e-13
 
 
 def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
@@ -410,51 +352,6 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
 
 
-# --- Schemes in time ------------------------------------------------------------------------------------------
-
-
-Legs = list[tuple[MarchDerivative, float]]
-
-
-def european(steps: int, n: int = 399, *, damped: bool = True) -> tuple[np.ndarray, Legs]:
-    """Log-prices, the marches of a European put of strike 1 in a year, r = 5 %, σ = 30 %, and the share of A in C."""
-    x = np.linspace(-1.5, 1.5, n + 2)[1:-1]
-    A, half, payoff = black_scholes(x, 0.3), 0.5 / steps, np.maximum(1.0 - np.exp(x), 0.0)
-    problem = LCP(sp.eye_array(n) + half * A, np.zeros(n), lower=-INF)
-    first = march(problem, np.zeros((4 if damped else 0, n)), z0=payoff)
-    rest = march(
-        problem,
-        np.zeros((steps - 2 if damped else steps, n)),
-        half * A - sp.eye_array(n),
-        z0=first.z[-1] if damped else payoff,
-    )
-    return x, [(derivative(first), 0.0), (derivative(rest), half)] if damped else [
-        (derivative(rest), half)
-    ]
-
-
-def black_scholes(x: np.ndarray, volatility: float) -> sp.sparray:
-    n, h = x.size, x[1] - x[0]
-    slope = sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2.0 * h)
-    curvature = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / h**2
-    return 0.5 * volatility**2 * (slope - curvature) + 0.05 * (sp.eye_array(n) - slope)
-
-
-def test_damped_crank_nicolson_is_of_order_two() -> None:
-    """Halving the steps behind a payoff with a kink divides the error by four, with four damped steps and only then."""
-    exact, middle = european(1280)[1][-1][0].march.z[-1], slice(100, 300)
-    for damped in (True, False):
-        errors = [
-            abs(european(steps, damped=damped)[1][-1][0].march.z[-1] - exact)[middle].max()
-            for steps in (10, 20, 40)
-        ]
-        orders = np.log2(errors[:-1]) - np.log2(errors[1:])
-        assert (np.abs(orders - 2.0) < 0.05).all() == damped
-
-
-STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
-
-
 # --- The next step starts with the algorithm that finished the previous step ---
 
 SMALL = {
@@ -538,26 +435,6 @@ def test_a_march_is_its_steps_one_by_one() -> None:
             z = step.z
             problem = problem.with_q(scene.advance(z))
         assert steps[-1].is_solved
-
-
-def test_a_march_has_a_propagator_and_forces_that_change() -> None:
-    """Crank–Nicolson: (2I + A) z = (2I − A) z_before + f_k, between bounds; each step solves its own problem."""
-    rng = np.random.default_rng(4)
-    n, k = 60, 30
-    A = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
-    explicit = sp.csr_array(2.0 * sp.eye_array(n) - A)
-    problem = LCP(2.0 * sp.eye_array(n) + A, np.zeros(n), lower=-1.0, upper=1.0)
-    force = rng.normal(scale=3.0, size=(k, n)).cumsum(axis=0)
-    z = rng.normal(scale=5.0, size=n)  # outside the bounds
-    for before in (explicit, explicit.toarray()):
-        steps = march(problem, -force, -before, z0=z)
-        state = z
-        for step, f in zip(steps, force, strict=True):
-            np.testing.assert_allclose(
-                step.certificate.problem.q, -f - explicit @ state, atol=1e-12
-            )
-            state = step.require_solved().z
-        assert all(0.0 < np.mean(np.abs(state) == 1.0) < 1.0 for state in steps.z[3:])
 
 
 def test_a_march_takes_what_a_solve_takes() -> None:

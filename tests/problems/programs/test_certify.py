@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -19,7 +18,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import (
-    LCP,
     InvalidOption,
     InvalidProblem,
     LCPError,
@@ -31,12 +29,10 @@ from lcp_plugin import (
     complements,
     solve,
 )
-from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs
-from lcp_plugin.problems.programs.dual_bounds import implied_box
-from lcp_plugin.problems.programs.feasible_points import FeasiblePoints, distance_of_equations
+from lcp_plugin.problems.programs.certification import SMALL
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
-from lcp_plugin.proofs.bounds.curvature import constrained_curvature, curvature
+from lcp_plugin.proofs.bounds.curvature import constrained_curvature
 from lcp_plugin.strategies import convex_qps
 
 INF = np.inf
@@ -66,7 +62,7 @@ def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
             assert not certify_campaign.faults(case, x, said), (name, said)
             may_be_proved = (
                 name not in certify_campaign.MULTIPLIERS
-                and certify_campaign.is_still_right(case, x)
+                and certify_campaign.is_near_optimal(case, x)
             )
             assert said.verdict != "proved" or may_be_proved, (name, said)
             off += [said.verdict] if name == "off by 1e-2" else []
@@ -144,32 +140,6 @@ def test_one_odd_coefficient_proves_no_point(
     assert said.verdict == "proved"
     assert said.lower == pytest.approx(optimum, rel=1e-12)
     assert said.upper == pytest.approx(optimum, rel=1e-12)
-
-
-@pytest.mark.parametrize("number", [1e19, 1e15, 1e-9, 1e-17])
-@pytest.mark.parametrize("place", ["limit", "bound", "cost", "coefficient", "curvature"])
-def test_one_odd_number_changes_no_verdict(place: str, number: float) -> None:
-    """A limit, bound, cost, coefficient or curvature of any size that does not act: right is proved, wrong is not."""
-    P, G, h = (
-        np.diag([2.0, 2.0, 0.0]),
-        np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]),
-        np.array([2.0, 1e3]),
-    )
-    c, upper = np.array([-2.0, -4.0, 1.0]), np.array([5.0, 5.0, 3.0])
-    if place == "limit":
-        h[1] = max(number, 1.0)
-    elif place == "bound":
-        upper[0] = 5.0 + number
-    elif place == "cost":
-        c[2] = number  # of an unknown at 0
-    elif place == "coefficient":
-        G[1] = [0.0, 0.0, -number]
-    else:
-        P[2, 2] = number
-    program = QuadraticProgram(P, c, G=G, h=h, lower=[-5.0, -5.0, 0.0], upper=upper)
-    assert certify(program, [0.5, 1.5, 0.0]).verdict == "proved"
-    for wrong in ([0.4, 1.4, 0.0], [1.0, 1.0, 0.0], [0.51, 1.5, 0.0], [0.5, 1.5, -1e-3]):
-        assert certify(program, wrong).verdict == "disproved"
 
 
 @pytest.mark.full
@@ -362,48 +332,6 @@ def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
 # ---------------------------------------------------------------------------------------
 
 
-@given(st.integers(1, 5), st.integers(0, 5), st.integers(0, 2**31), st.booleans())
-def test_weights_leave_a_semidefinite_matrix(
-    n: int, rank: int, seed: int, has_rounding: bool
-) -> None:
-    """P − diag(weights) has no negative eigenvalue, exactly, whether P is definite, singular or rounded."""
-    rng = np.random.default_rng(seed)
-    F = rng.normal(size=(n, rank)) if has_rounding else rng.integers(-3, 4, (n, rank)).astype(float)
-    found = curvature(F @ F.T)
-    assert np.isfinite(found.weights).all()
-    rest = exact.exact_rows(F @ F.T)
-    for i, weight in enumerate(found.weights.tolist()):
-        rest[i][i] -= Fraction(weight)
-    assert all(minor >= 0 for minor in exact.principal_minors(rest))
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("kind", certify_campaign.KINDS)
-def test_any_point_and_any_multipliers_give_a_lower_bound(
-    kind: str, draws: Callable[[int], range]
-) -> None:
-    """Multipliers of any sign, close to the right ones or not, give a lower bound."""
-    finite = 0
-    for seed in draws(25):
-        rng = np.random.default_rng([seed, 21])
-        case = certify_campaign.case(kind, rng, 3)
-        bounds = ProgramProofs(case.program).bounds
-        right = np.concatenate(case.multipliers[:2])
-        for size in (0.0, 1e-12, 1e-2, 1.0):
-            for is_flipped in (False, True):
-                x = case.x + size * rng.normal(size=case.x.size)
-                y = (right + size * rng.normal(size=right.size)) * (-1.0 if is_flipped else 1.0)
-                at = bounds.admit(x, y)
-                found = [bounds.value(at), bounds._exact_value(at), bounds.best(x, y)]
-                finite += np.isfinite(found[2])
-                assert all(value == -INF or Fraction(value) <= case.value for value in found), (
-                    seed,
-                    size,
-                    found,
-                )
-    assert finite >= 2 * len(draws(25))
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["definite", "definite, equations"])
 @pytest.mark.parametrize("moved", [0.0, 1e-11, 1e-7])
@@ -418,54 +346,6 @@ def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
         assert not certify_campaign.faults(case, x, said), said
         small += said.distance is not None and said.distance <= 1e-4 + 1e4 * moved
     assert small >= 7
-
-
-@settings.get_profile("few")
-@given(convex_qps())
-def test_implied_bounds_hold_for_feasible_points(drawn: Any) -> None:
-    """The exact minimum lies in the box that the constraints imply."""
-    program, answer = drawn
-    lower, upper = implied_box(program)
-    assert all(a <= x <= b for a, x, b in zip(lower, answer.x, upper, strict=True))
-
-
-def test_a_solution_of_the_equations_lies_within_the_distance() -> None:
-    """For equalities with a known solution the radius is at rounding level."""
-    rng = np.random.default_rng(8)
-    for n, p in ((1, 1), (6, 2), (30, 10), (12, 12)):
-        A, x = rng.integers(-8, 9, (p, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
-        program = QuadraticProgram(np.eye(n), np.zeros(n), A=A, b=A @ x)
-        moved = x + 1e-9 * rng.normal(size=n) * (p == n)  # else x need not be the nearest solution
-        radius = distance_of_equations(program, moved, np.abs(A @ moved - A @ x) + 1e-15)
-        assert radius is not None
-        assert (np.abs(moved - x) <= radius).all()
-        assert radius.max() < 1e-5
-    twice = QuadraticProgram(np.eye(2), np.zeros(2), A=[[1, 1], [1, 1]], b=[1, 1])
-    assert distance_of_equations(twice, np.zeros(2), np.ones(2)) is None
-
-
-def test_what_is_called_feasible_is() -> None:
-    """A feasible point exists within the radius of points that violate rows."""
-    for seed in range(25):
-        rng = np.random.default_rng(seed)
-        n, m = int(rng.integers(2, 5)), int(rng.integers(1, 5))
-        G, inside = rng.integers(-8, 9, (m, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
-        G = np.vstack([G, -G[:1] if seed % 2 else G[:0]])
-        h = G @ inside + np.concatenate(
-            [np.zeros(1), rng.integers(0, 2, m - 1) / 4.0, np.zeros(seed % 2)]
-        )
-        A = rng.integers(-8, 9, (seed % 3, n)) / 8.0
-        program = QuadraticProgram(np.eye(n), np.zeros(n), G, h, A, A @ inside, lower=inside - 1.0)
-        for size in (1e-12, 1e-7, 1e-3):
-            found = FeasiblePoints(program).find_near(inside + size * rng.normal(size=n))
-            if found is not None:
-                slack = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
-                assert (
-                    certify_campaign.violation(program, found.near) <= Fraction(float(slack)) * 2
-                ), (
-                    seed,
-                    size,
-                )
 
 
 # --- cvxpy -------------------------------------------------------------------------------------------------------
@@ -570,7 +450,7 @@ def unsolved(constraints: Any = (), **attributes: Any) -> cp.Problem:
     return cp.Problem(cp.Minimize(cp.sum_squares(x)), [make(x) for make in constraints])
 
 
-PAIRS, CURVED = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 - 1.0)
+CURVED = NonlinearProblem(lambda x: x**3 - 1.0)
 
 REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(unsolved()), InvalidProblem, r"status is None; call problem\.solve\(\)"),

@@ -29,7 +29,6 @@ from lcp_plugin.core.errors import (
     UnsupportedModel,
 )
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
-from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 
@@ -99,25 +98,6 @@ def planted(
     wrap = sp.csr_array if sparse else np.asarray
     program = QuadraticProgram(wrap(P), c, wrap(G), h, wrap(A), A @ x, lower, upper)
     return Planted(program, x, inequality, equality, at_lower, at_upper)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_planted_answers_are_optimal(seed: int) -> None:
-    """The residuals of a known solution are at rounding level, each detects one type of error."""
-    answer = planted(seed, singletons=2)
-    right = answer.solution()
-    assert right.error < 1e-12
-    assert right.is_optimal(1e-12)
-    shifted = QPSolution(answer.program, answer.x + 0.1, *vars_of(right))
-    assert shifted.primal_residual > 1e-3
-    assert shifted.duality_gap > 1e-3
-    inequality, equality, lower, upper = vars_of(right)
-    wrong_sign = QPSolution(answer.program, answer.x, -inequality, equality, lower, upper)
-    assert wrong_sign.duality_gap > 1e-2
-    assert wrong_sign.primal_residual < 1e-12
-    on_inactive = QPSolution(answer.program, answer.x, inequality + 0.1, equality, lower, upper)
-    assert on_inactive.duality_gap > 1e-3
-    assert not on_inactive.is_optimal()
 
 
 def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
@@ -500,34 +480,28 @@ def program_with_all(seed: int, *, contradicts: bool = False) -> QuadraticProgra
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_answer_to_what_is_left_is_one_to_the_program(seed: int) -> None:
-    """Points and multipliers of the reduced program are mapped to points of the program."""
+def test_a_program_with_rows_that_become_bounds_is_solved_with_its_multipliers(seed: int) -> None:
+    """Points and multipliers belong to the original program, with every row and fixed variable."""
     program = program_with_all(seed)
-    folded = FoldedRows.of(program)
-    found = solve(folded.reduced)
-    assert found.is_solved
-    multipliers = folded.multipliers(found.solution.multipliers)
-    gradient = program.P @ found.x + program.c + program.constraints.matrix.T @ multipliers
+    found = solve(program)
+    assert found.solution.is_optimal(1e-8)
+    gradient = (
+        program.P @ found.x + program.c + program.constraints.matrix.T @ found.solution.multipliers
+    )
     np.testing.assert_allclose(gradient, 0.0, atol=1e-8)
-    assert type(found.solution).of_rows(program, found.x, multipliers).is_optimal(1e-8)
-    np.testing.assert_allclose(found.x, solve(program).x, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_contradiction_of_what_is_left_is_one_of_the_program(seed: int) -> None:
-    """A proof for the reduced program is mapped to a proof for the rows of the original program."""
+def test_a_contradiction_beside_rows_that_become_bounds_is_proved(seed: int) -> None:
+    """The proof uses the rows of the original program."""
     program = program_with_all(seed, contradicts=True)
-    reduction = FoldedRows.of(program)
-    proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
-    assert proof is not None
+    proof = solve(program).proof
     assert proof.program is program
     assert proof.verify()
-    rows = np.flatnonzero(np.array(proof.multipliers, dtype=np.float64)[: program.constraints.rows])
-    assert set(rows.tolist()) <= {0, 1, 2}
 
 
-def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
-    """Along with fixed variables, a direction and its point come back."""
+def test_a_direction_of_descent_beside_fixed_variables_is_proved() -> None:
+    """A row of one variable becomes a bound, and the last variable is fixed: UNBOUNDED with a proof."""
     P = np.diag([0.0, 0.0, 1.0, 0.0])
     program = QuadraticProgram(
         P,
@@ -539,10 +513,7 @@ def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
         lower=[-np.inf, -np.inf, -np.inf, 0.1],
         upper=[np.inf, 4.0, np.inf, 0.1],
     )
-    reduction = FoldedRows.of(program)
-    assert not reduction.reduced.h.size
-    proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
-    assert proof is not None
+    proof = solve(program).proof
     assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)
 
 

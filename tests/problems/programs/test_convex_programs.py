@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from fractions import Fraction
 from typing import Any
 
@@ -30,7 +29,6 @@ from lcp_plugin.problems.programs.no_minimum import (
     QPInfeasibility,
     QPUnboundedness,
     proof_of_no_minimum,
-    prove_infeasible,
     prove_unbounded,
 )
 from lcp_plugin.problems.programs.solution import QPSolution
@@ -43,16 +41,44 @@ INTERIOR = InteriorPoint()
 # --- Solvable programs -------------------------------------------------------------------------------------------
 
 
+# A point that solves their LCP is optimal for the program: rows are repeated, or fix all unknowns.
+AGREE = (
+    "plain",
+    "redundant",
+    "fixed by equations",
+    "degenerate",
+    "degenerate, integer",
+    "low rank",
+)
+
+
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
-    """Two programs of each family reach the known value and the conditions."""
+    """As a program and as an LCP, two of each family reach the known value and the conditions."""
     for seed in (77, 78):
         case, value = convex_programs.case(kind, seed, 0, 25)
-        result = solve_program(case)
-        answer = result.solution
-        assert convex_programs.said(case, answer, result.status.name, value, "") == (True, False), (
-            result
-        )
+        wrong, left = convex_programs.judged(kind, case, value)
+        assert wrong == []
+        assert not [text for text in left if text.startswith("QP") or kind in AGREE]
+
+
+@pytest.mark.parametrize(
+    ("h", "b", "status"),
+    [
+        ([], [0.0, 0.0], Status.SOLVED),
+        ([2.0], [0.0], Status.SOLVED),
+        ([], [1.0], Status.INFEASIBLE),
+        ([-1.0], [0.0], Status.INFEASIBLE),
+        ([9.0, 0.0, -7.0, 2.0], [7.0], Status.INFEASIBLE),
+    ],
+)
+def test_a_program_without_unknowns_is_what_its_rows_say(
+    h: list[float], b: list[float], status: Status
+) -> None:
+    """All variables of a file may be fixed: 0 = 0 and 0 <= 2 hold, 0 = 1 and 0 <= -1 are proved not to."""
+    rows = [np.zeros((len(right), 0)) for right in (h, b)]
+    program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), rows[0], h, rows[1], b)
+    assert solve_program(program).status is status
 
 
 def test_ranges_say_what_they_say() -> None:
@@ -60,7 +86,7 @@ def test_ranges_say_what_they_say() -> None:
     A = np.array(
         [[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 1.0]]
     )
-    low, high = [-1.0, 0.5, -1e20, -INF, 1.0], [1.0, 0.5, 2.0, 1e30, INF]
+    low, high = [-1.0, 0.5, -9.999999999999998e19, -INF, 1.0], [1.0, 0.5, 2.0, 1e30, INF]
     P, c = np.diag([1.0, 0.0, 2.0]), np.array([-3.0, -1.0, 1.0])
     program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
     assert (program.h.size, program.b.size) == (4, 1)
@@ -168,37 +194,12 @@ def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
-    """A proof with a margin of 1e-12, valid only for the stored data, is not returned."""
-    program = QuadraticProgram(
-        np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf]
-    )
-    assert program.facts.proof_of_no_minimum is not None
-    result = solve(program)
-    assert result.is_solved
-    assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)
-
-
 def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
     problem = lcp_from_qp(convex_programs.case("redundant, rounded", 131, 0, 120)[0])
     result = solve(problem, INTERIOR)
     assert problem.origin.recover(result).is_optimal(1e-9)
     assert result.iterations <= 20
-
-
-def test_an_infinite_limit_may_be_rounded() -> None:
-    """A rounded 1e20, as in files, also means that no bound exists."""
-    program = QuadraticProgram.from_ranges(
-        np.eye(2),
-        [1.0, -1.0],
-        [[1.0, 1.0]],
-        [-9.999999999999998e19],
-        [9.999999999999998e19],
-        -9.999999999999995e19,
-    )
-    assert (program.h.size, program.b.size) == (0, 0)
-    assert (program.lower == -INF).all()
 
 
 def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
@@ -212,40 +213,8 @@ def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
     assert lcp_from_qp(program).origin.recover([80.0]).error > 0.05
 
 
-# --- Residuals row by row ----------------------------------------------------------------------------------------
-
-
-def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
-    """At 1e8 along a slope of 1e-10 the objective is off by 2e-2 at terms of 2e8: not optimal."""
-    program = QuadraticProgram(
-        np.zeros((2, 2)), [1.0, 1e-10 - 1.0], A=[[1.0, -1.0]], b=[0.0], lower=-1e8, upper=1e8
-    )
-    none, x = np.zeros(2), np.full(2, 1e8)
-    wrong = QPSolution(program, x, [], [-1.0], none, none)
-    assert wrong.duality_gap > 1e-3
-    right = QPSolution(program, -x, [], [-1.0], np.array([0.0, program.c[1] + 1.0]), none)
-    assert right.objective == pytest.approx(-1e-2)
-    assert right.is_optimal()
-
-
 # --- Proofs of infeasibility and unboundedness
 # ----------------------------------------------------------------------
-
-
-def highs_verdict(case: QuadraticProgram) -> str:
-    """Return HiGHS's status of the constraints, and of the directions with a linear objective."""
-    from scipy.optimize import linprog
-
-    has_rows = case.b.size > 0
-    A, b = (case.A, case.b) if has_rows else (None, None)
-    bounds = np.column_stack([case.lower, case.upper])
-    if linprog(np.zeros(case.n), case.G, case.h, A, b, bounds=bounds).status == 2:
-        return "infeasible"
-    # The condition P d = 0 with cᵀd < 0 is unboundedness of a linear objective with P x fixed at 0.
-    flat = sp.vstack([sp.csr_array(case.A), sp.csr_array(case.P)])
-    cone = np.where(np.isinf(bounds), bounds, 0.0)
-    answer = linprog(case.c, case.G, 0.0 * case.h, flat, np.zeros(flat.shape[0]), bounds=cone)
-    return "unbounded" if answer.status == 3 else "solvable"
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -257,7 +226,6 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     assert proof is not None
     assert proof.verdict == kind
     assert proof.verify()
-    assert highs_verdict(case) == kind
     if isinstance(proof, QPInfeasibility):
         m = case.h.size
         flipped = (*(-y for y in proof.multipliers[:m]), *proof.multipliers[m:])
@@ -274,23 +242,6 @@ def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
     case, _ = convex_programs.case(kind, seed, 6, 10)
     assert case.facts.accepted_proof(1e-6) is None
     assert convex_programs.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
-    """The multipliers are found for rows and unknowns in units from 1e-5 to 1e5."""
-    rng = np.random.default_rng([7, seed])
-    n, m = 20, 30
-    G, y = rng.normal(size=(m, n)), rng.random(m)
-    G[0] = -(G[1:].T @ y[1:]) / y[0]
-    h = rng.normal(size=m)
-    h[0] -= (h @ y + 1.0) / y[0]
-    rows, columns = 10.0 ** rng.integers(-5, 6, m), 10.0 ** rng.integers(-4, 5, n)
-    proof = prove_infeasible(
-        QuadraticProgram(np.eye(n), np.ones(n), rows[:, None] * G * columns, rows * h)
-    )
-    assert proof is not None
-    assert proof.verify()
 
 
 @pytest.mark.parametrize(
@@ -317,53 +268,6 @@ def test_a_run_that_a_proof_ends_says_so(
         assert all(np.isnan(part).all() for part in result.duals.values())
         assert "nan" not in str(result.solution)
         assert "no multipliers" in str(result.solution)
-
-
-def contradicting(n: int) -> QuadraticProgram:
-    """A dense program with one row more than unknowns, all of which are needed to contradict."""
-    rng = np.random.default_rng(n)
-    factor, G = rng.standard_normal((n, n + 5)), rng.standard_normal((n + 5, n))
-    h = rng.standard_normal(n + 5) - 1.0
-    rows, limits = np.vstack([G, -G.sum(axis=0)]), np.append(h, -h.sum() - 1.0)
-    return QuadraticProgram(factor @ factor.T / n, np.ones(n), rows, limits)
-
-
-def falling(n: int) -> QuadraticProgram:
-    """A dense program with P of half the rank that falls indefinitely along one direction."""
-    rng = np.random.default_rng(n)
-    factor, G, d = (
-        rng.standard_normal((n, n // 2)),
-        rng.standard_normal((n // 2, n)),
-        rng.standard_normal(n),
-    )
-    Q = np.linalg.qr(factor)[0]
-    d -= Q @ (Q.T @ d)
-    d /= np.linalg.norm(d)
-    G -= np.outer(np.maximum(G @ d, 0.0), d)
-    return QuadraticProgram(factor @ factor.T / n, -2.0 * d, G, np.ones(n // 2))
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("made", "status", "n"),
-    [
-        (contradicting, Status.INFEASIBLE, 150),
-        (contradicting, Status.INFEASIBLE, 450),
-        (falling, Status.UNBOUNDED, 150),
-        (falling, Status.UNBOUNDED, 450),
-    ],
-)
-def test_large_dense_programs_are_proved_infeasible_before_methods_creep(
-    made: Any, status: Status, n: int
-) -> None:
-    """A proof within a radius is accepted in seconds, without a search for an exact proof."""
-    result = solve(made(n), max_seconds=60.0)
-    assert result.status is status
-    assert result.proof is not None
-    assert result.proof.verify()
-    assert result.proof.excludes(1e-6)
-    assert result.proof.radius >= 1e8
-    assert result.seconds < 30.0
 
 
 def test_a_rounded_bound_proves_nothing() -> None:
@@ -411,29 +315,6 @@ def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value
     assert abs(result.objective - value) <= 1e-6
     assert "negative eigenvalue" in result.advice
     assert certify(result).verdict != "disproved"
-
-
-@pytest.mark.parametrize("force", [1e6, 1e8, 1e12])
-def test_a_force_elsewhere_excuses_no_saddle(force: float) -> None:
-    """The cost and entry of one separable part do not affect the convexity test of another part."""
-    P = np.array([[force, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 2.0, 1.0]])
-    for first in (P[0, 0], 1.0, 0.0):
-        P[0, 0] = first
-        with contextlib.suppress(UnsupportedModel):
-            assert not solve(
-                QuadraticProgram(P, [force, 0, 0], lower=-np.ones(3), upper=np.ones(3))
-            ).is_solved
-
-
-def test_an_optimum_of_0_is_an_optimum() -> None:
-    """The rounding error of P x hides nothing if P x cancels and c is 0."""
-    result = solve(QuadraticProgram([[4, 2], [2, 1]], [0, 0], A=[[1, 1]], b=[-1]))
-    assert result.is_solved
-    np.testing.assert_allclose(result.x, [1, -2])
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        B = rng.standard_normal((3, 6))
-        assert solve(QuadraticProgram(B.T @ B, np.zeros(6), A=np.ones((1, 6)), b=[1])).is_solved
 
 
 @pytest.mark.few(1)
@@ -565,20 +446,6 @@ def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
     assert f"misses constraints by {found.proof.violation:.1e}" in found.explain()
 
 
-def test_infeasible_and_unbounded_carry_their_proof() -> None:
-    """The status comes with a proof that can be checked again, in extra_stats; values are None."""
-    x = cp.Variable(3)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.sum(x) >= 1, cp.sum(x) <= 0.5])
-    problem.solve(solver=QPSolver, algorithm=INTERIOR)
-    assert problem.status == "infeasible"
-    assert x.value is None
-    assert problem.solver_stats.extra_stats.proof.verify()
-    problem = cp.Problem(cp.Minimize(cp.square(x[0]) - x[1]), [x[1] - x[2] <= 0])
-    assert problem.solve(solver=QPSolver, algorithm=INTERIOR) == -INF
-    assert problem.status == "unbounded"
-    assert problem.solver_stats.extra_stats.proof.verify()
-
-
 def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
     """A named method that needs a positive diagonal rejects a linear program."""
     x = cp.Variable(3)
@@ -601,18 +468,6 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
     proof = program.solver_stats.extra_stats.proof
     assert proof.verify()
     assert proof.margin == pytest.approx(1e-6, rel=5e-2)
-
-
-@pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
-def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
-    """x₁ − x₂ = 1 and = 2 hold to 5e-7 of their terms at x = 1e6, but are infeasible."""
-    program = QuadraticProgram(
-        np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0]
-    )
-    proof = program.facts.accepted_proof()
-    assert proof is not None
-    near = QPSolution(program, [size + 1.5, size], [], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
-    assert not near.is_optimal()
 
 
 @pytest.mark.parametrize("seed", range(40))

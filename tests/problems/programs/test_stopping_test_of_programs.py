@@ -16,8 +16,7 @@ from numpy.random import Generator
 
 from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, Status, solve, solve_batch
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
-from lcp_plugin.problems.programs.criterion import Errors, Point, errors_of_each
-from lcp_plugin.problems.programs.stacked_programs import blocks
+from lcp_plugin.problems.programs.criterion import Errors, Point
 
 register_with_qpsolvers()
 
@@ -279,9 +278,7 @@ def wrong_by(data: tuple[Any, ...], x: Any) -> float:
     P, c, G, h = data
     n, point = len(c), exact(x)
     program = ExactProgram(P, c, G, h, np.zeros((0, n)), [], [-np.inf] * n, [np.inf] * n)
-    linear = sum(cost * value for cost, value in zip(program.c, point, strict=True))
-    size = sum(abs(cost * value) for cost, value in zip(program.c, point, strict=True))
-    size += abs(2 * (program.value(point) - linear))
+    size = program.size(point)
     least = program.optimum()
     assert least is not None
     off = abs(program.value(point) - program.value(least))
@@ -472,21 +469,3 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[[int], r
                     passed += bool((gap <= 1e-6).all())
                 assert (exact.row_errors() <= plain.row_errors() * (1.0 + 1e-9)).all()
     assert passed > 0
-
-
-def test_one_function_tests_one_program_and_many() -> None:
-    """The measures of programs in a block-diagonal program equal the measures of each program."""
-    rng = np.random.default_rng(3)
-    P, C = rng.normal(size=(7, 4, 4)), rng.normal(size=(7, 5, 4)) * (rng.random((7, 5, 4)) < 0.7)
-    P = P @ P.transpose(0, 2, 1)
-    c, d, x, y = (rng.normal(size=(7, k)) for k in (4, 5, 4, 5))
-    bounds = np.full((7, 4), -9.0), np.full((7, 4), np.inf)
-    together = blocks(P, c, C, d, 3, *bounds)
-    of_rows = np.concatenate([y[:, :3].ravel(), y[:, 3:].ravel()])
-    found = errors_of_each(together, x, of_rows, 1e-6)
-    for k in range(7):
-        one = QuadraticProgram(P[k], c[k], C[k, :3], d[k, :3], C[k, 3:], d[k, 3:], lower=-9.0)
-        with np.errstate(all="ignore"):
-            point = Point(one, x[k], y[k], is_exact=False)
-        assert found.primal[k] == pytest.approx(point.row_errors().max(), rel=1e-12)
-        assert found.gap[k] == pytest.approx(point.gaps(has_units=True).max(), rel=1e-9)

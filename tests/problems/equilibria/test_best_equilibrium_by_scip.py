@@ -1,11 +1,11 @@
-"""A leader on a network: by SCIP, without it, from values, with little time, and what is said of each."""
+"""Programs over equilibria by SCIP and without it: published optima, bilinear leaders, no time, advice."""
 
 from __future__ import annotations
 
 import cvxpy as cp
 import numpy as np
 import pytest
-from network import network
+from macmpec import COLLECTION
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
 from lcp_plugin.interfaces import scip
@@ -14,35 +14,33 @@ from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_soluti
 
 @pytest.fixture
 def without_scip(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let nobody find pyscipopt."""
+    """Make pyscipopt unavailable."""
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
 
 
 @pytest.mark.full
-def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("has_scip", [True, False])
+def test_fifty_pairs_have_their_published_optimum_with_scip_and_without(
+    has_scip: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SCIP closes the gap, which is said; without it our own nodes find the same point and prove it."""
-    problem, invested = network()
+    """The optimum is right, and the explanation names SCIP; without it our own nodes prove the optimum."""
+    if not has_scip:
+        monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
+    published = COLLECTION["liswet1_050"]
+    problem = published.state()
     problem.solve(method="LCP", max_seconds=600)
     result = problem.solver_stats.extra_stats
-    assert (problem.status, result.problem.pairs) == (cp.OPTIMAL, 42)
+    assert (problem.status, result.problem.pairs) == (cp.OPTIMAL, 50)
+    assert result.bound_by == "proof" or has_scip
     assert result.bound_by == "proof" or "bound by SCIP, in floating point" in result.explain()
     assert result.problem.excess(result.x) <= 1e-7
-    monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
-    alone, own = network()
-    alone.solve(method="LCP")
-    assert alone.solver_stats.extra_stats.bound_by == "proof"
-    assert alone.value == pytest.approx(problem.value, rel=1e-6)
-    np.testing.assert_allclose(own.value, invested.value, atol=1e-4)
+    assert problem.value == pytest.approx(published.optimum, abs=1e-6 + published.accuracy)
 
 
-@pytest.mark.full
-def test_where_an_equilibrium_is_known_one_is_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_known_equilibrium_is_returned_without_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """The variables hold an equilibrium: with no time at all the answer is no worse."""
-    problem, _ = network()
-    problem.solve(method="LCP")
-    value = problem.value
+    problem, _ = monopolist()
+    value = problem.solve(method="LCP")
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     problem.solve(method="LCP", max_seconds=0)
     assert problem.status in (cp.OPTIMAL, cp.settings.USER_LIMIT)
@@ -50,7 +48,7 @@ def test_where_an_equilibrium_is_known_one_is_returned(monkeypatch: pytest.Monke
 
 
 def monopolist() -> tuple[cp.Problem, cp.Variable]:
-    """Price × quantity beside a fringe that sells where the price exceeds 2 + y."""
+    """Price × quantity next to a fringe that sells where the price exceeds 2 + y."""
     x, y, price = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable()
     fringe = complements(y >= 0, 2 + y - price >= 0)
     return cp.Problem(cp.Maximize(cp.multiply(price, x) - x), [fringe, price == 10 - x - y]), x
@@ -89,7 +87,9 @@ def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair() -> None:
     assert bent.solve(method="LCP") == pytest.approx(2.0 + 3.0 * b - b**2 - b**3, abs=1e-5)
 
 
-def test_without_scip_what_is_no_complementarity_problem_is_solved_too(without_scip: None) -> None:
+def test_programs_beyond_complementarity_problems_are_solved_without_scip(
+    without_scip: None,
+) -> None:
     """More rows than unknowns, and one unknown in two pairs."""
     over = QuadraticProgram(None, [1, 0], A=[[1, 0], [0, 1]], b=[1, 0], lower=0)
     twice = QuadraticProgram(None, [1, 0, 0], A=[[1, -1, 0]], b=[1], lower=0)

@@ -29,6 +29,7 @@ SAME = 1e-12  # entries that differ by less, relatively, are equal up to roundin
 CASES = 5  # that follow from a point of an engine; from a start, one
 FACTORS = 20  # that PIQP makes, about
 STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
+SHARP = {"eps_abs": 1e-13, "eps_rel": 1e-13}  # of a second run: M is singular on many active sets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,8 @@ class InteriorPoint(Algorithm):
     If M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds. If diag(s) M with s = ±1 is the saddle point
     problem of a program, that program is solved. Otherwise it is min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly
     for other bounds. Linear solves on the active set of PIQP's point, and on the following active sets, reduce the
-    residual to rounding level. If M is not monotone, the program is not convex, and the run ends with PIQP.
+    residual to rounding level. If no active set is right, PIQP runs once more, with the tolerance 1e-13. If M is not
+    monotone, the program is not convex, and the run ends with PIQP.
 
     The history contains PIQP's final point and the point after each linear solve, because PIQP does not report its
     iterations. PIQP cannot be stopped: it starts only if its factorizations are predicted to fit into the remaining
@@ -83,14 +85,19 @@ class InteriorPoint(Algorithm):
                 min(operations, sizes_of_factor(problem.matrix)[1]),
                 SPARSE_OPERATIONS,
             )
-        require_seconds(FACTORS * operations / speed)
-        z, steps = MonotoneProgram.of(problem).answer(PIQP(max_iter=STEPS))
-        if np.isfinite(z).all():
+        program = MonotoneProgram.of(problem)
+        for options in ({}, SHARP):
+            require_seconds(FACTORS * operations / speed)
+            z, steps = program.answer(PIQP(max_iter=STEPS, **options))
+            if not np.isfinite(z).all():
+                return
             cases = _cases(problem, z, CASES)
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
             sharp.remark = f"{PIQP.name} took {steps} steps"
             yield from chain([sharp, Step(z)], cases)
+            if steps in (0, STEPS):  # PIQP gave up
+                return
 
 
 def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:

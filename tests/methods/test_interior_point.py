@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,33 @@ def test_contact_matrix_of_low_rank() -> None:
     result = solve(LCP(M, w - M @ z), InteriorPoint(), tolerance=1e-12)
     assert result.status is Status.SOLVED
     np.testing.assert_allclose(result.w, w, atol=1e-11)
+
+
+def wall(side: int, seed: int) -> LCP:
+    """Normal contacts of a grid of boxes, four a face, four times as many as the boxes need."""
+    rng, n = np.random.default_rng(seed), side * side
+    faces = [(k, k - side) for k in range(n)] + [(k, k - 1) for k in range(n) if k % side]
+    J = np.zeros((len(faces), 4, n, 6))
+    for face, (one, other) in enumerate(faces):
+        way = np.eye(3)[2 if other == one - side else 0]
+        for corner, (a, b) in enumerate(product((-1, 1), repeat=2)):
+            arm = np.array([a, b, -1] if way[2] else [-1, a, b])
+            J[face, corner, one] = [*way, *np.cross(arm, way)]
+            if other >= 0:
+                J[face, corner, other] = [*-way, *-np.cross(arm + 2 * way, way)]
+    rows, inverse = J.reshape(-1, 6 * n), np.repeat(rng.choice([1.0, 1e-3], n), 6)
+    velocity = 1e-6 * rng.standard_normal((n, 6)) - 0.1 * np.eye(6)[2]
+    return LCP((rows * inverse) @ rows.T, rows @ velocity.ravel())
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
+@pytest.mark.parametrize(("side", "seed"), [(4, 1), (5, 0), (5, 3), (5, 5)])
+def test_contacts_of_a_wall_that_hardly_moves(side: int, seed: int, algorithm: str) -> None:
+    """Of many z, on active sets where M is singular, one is found: z ≥ 0, w ≥ 0 and one of both is 0."""
+    problem = wall(side, seed)
+    z = solve(problem, algorithm).require_solved().z
+    w = problem.M @ z + problem.q
+    assert np.abs(np.minimum(z, w)).max() <= 1e-8 * np.abs(problem.q).max()
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -102,7 +102,7 @@ class BoundedLeastSquares:
         try:
             self.b = checked_vector(b, "b", m)
         except InvalidProblem as error:
-            if (hint := _hint(np.shape(b), m, n)) is None:
+            if (hint := _hint(np.asarray(b, dtype=object).shape, m, n)) is None:
                 raise
             raise InvalidProblem(f"{error}{hint}") from error
         self.lower, self.upper = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)

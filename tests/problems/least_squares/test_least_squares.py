@@ -483,6 +483,7 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     ),
     ({"b": [1.0, 2.0]}, InvalidProblem, r"b must be a vector of length 3, got shape \(2,\)"),
     ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"write b\.ravel\(\)"),
+    ({"b": [[1.0, 2.0], [3.0], [4.0]]}, InvalidProblem, "got no rectangular array"),
     (
         {"b": np.ones((3, 4))},
         InvalidProblem,

@@ -6,9 +6,6 @@ that guess the active set, active-set iterations and Lemke's path. Larger proble
 | stage | if | until it has ended, or |
 |---|---|---|
 | the direct methods (:mod:`lcp_plugin.methods.direct`) | a program's KKT form, or a bimatrix game | |
-| banded | a narrow band, predicted to take the time of 10 sweeps | |
-| pgs, in the order of the triangle | M is triangular: one sweep is exact | |
-| psor | rows are clearly dominated by the diagonal | |
 | banded | a narrow band, predicted to take the time of 150 sweeps | |
 | npsor, relaxation 1.7, row scaling 1/d | the diagonal is positive | another stage is cheaper |
 | psor with automatic relaxation | the diagonal is positive; predicted cheaper than the stages below | the same |
@@ -25,9 +22,7 @@ The first sweeps are the quickest: they smooth the error, and only then its slow
 large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
 factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
 below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because in
-the plane a localized residual falls as 1/k². Along a strong flow psor is quick, which the first sweeps of npsor do
-not show: if
-Σ_j √(m_ij m_ji / (m_ii m_jj)) ≤ 0.8 on every row, it comes before multigrid.
+the plane a localized residual falls as 1/k².
 
 No clock is read: the same call gives the same bits.
 """
@@ -51,14 +46,14 @@ from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kernels.threads import threads_for
 from .core.lcp import LCP
 from .core.matrix.matrix import Matrix
-from .core.matrix.row_sums import has_positive_diagonal, row_blocks
-from .core.matrix.symmetry import is_nearly_symmetric, mean_coupling
+from .core.matrix.row_sums import has_positive_diagonal
+from .core.matrix.symmetry import is_nearly_symmetric
 from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
 from .core.solving.judge import End
 from .core.solving.result import Result, StageRecord
 from .core.solving.run import Callback, Run
 from .core.solving.stage import Stage
-from .core.splittings.projected_relaxation import PGS, PSOR
+from .core.splittings.projected_relaxation import PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import (
     BANDED_PASSES,
@@ -80,7 +75,6 @@ GUESSED = "small: a few sweeps guess the active set"
 SHORTEST_TRIAL, TRIAL_SWEEPS, TRIAL_SWEEPS_PSOR, ASKED_EVERY = 3, 10, 40, 20
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
 BROKEN_PROMISE = 3.0  # of multigrid: this multiple of its passes on grids
-CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor in a sweep: 1e-8 in 83 sweeps
 NEAR = 1e-2  # relative to the largest unknown: so near to a bound is not free
 
 
@@ -99,6 +93,7 @@ def plan(
     begin : {"npsor", "psor", "multigrid"}, optional
         The method that solved a problem with this M before.
     """
+    from .methods.banded import Banded, banded_passes
     from .methods.direct import direct_methods
 
     direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
@@ -111,36 +106,13 @@ def plan(
         if is_program or _is_game(problem):
             yield from direct()
             return
-        yield from _quick_stages(problem)
+        passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
+        if passes <= BANDED_PASSES:
+            time = "one sweep" if passes < 1.5 else f"{passes:.0f} sweeps"
+            yield Stage(Banded(), f"M is a narrow band, solved in about the time of {time}")
     if has_positive_diagonal(problem.matrix).all():
         yield from _sweeping_stages(problem, goal, begin)
     yield from direct()
-
-
-def _quick_stages(problem: LCP) -> Iterator[Stage]:
-    """Yield methods that are evidently fast for this M: narrow bands, triangles, dominant diagonals."""
-    from .methods.banded import Banded, banded_passes
-
-    passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
-    order = _triangle(problem) if has_positive_diagonal(problem.matrix).all() else None
-    is_large = not problem.is_dense and problem.n > DIRECT_UP_TO
-    time = "one sweep" if passes < 1.5 else f"{passes:.0f} sweeps"
-    narrow = Stage(Banded(), f"M is a narrow band, solved in about the time of {time}")
-    if passes <= TRIAL_SWEEPS:
-        yield narrow
-    elif order is not None:
-        yield Stage(PGS(sweep=order), "M is triangular: a sweep in that order is exact", _is_swept)
-    elif is_large and _is_clearly_dominant(problem):
-        because = (
-            f"a sweep leaves at most {CLEARLY_DOMINANT:.0%} of the error: the diagonal dominates"
-        )
-        yield Stage(PSOR(), because)
-    elif passes <= BANDED_PASSES:
-        yield narrow
-
-
-def _is_swept(stage: Stage) -> bool:
-    return stage.iterations > 1
 
 
 def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[Stage]:
@@ -156,8 +128,7 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
         return needed > best and stage.work + needed > PATIENCE * best
 
     def is_too_slow(stage: Stage) -> bool:
-        least = max(TRIAL_SWEEPS_PSOR, cycles) if is_along_flow else TRIAL_SWEEPS_PSOR
-        if stage.iterations < least or stage.iterations % ASKED_EVERY:
+        if stage.iterations < TRIAL_SWEEPS_PSOR or stage.iterations % ASKED_EVERY:
             return False
         return stage.work + stage.steps_to_go(goal) > PATIENCE * min(direct, cycles)
 
@@ -167,9 +138,7 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
         npsor = Stage(NPSOR(scaling="diagonal"), why, is_trial_over)
         yield npsor
         sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
-    is_along_flow = cycles < math.inf and mean_coupling(problem.matrix) <= CLEARLY_DOMINANT
-    rival = min(direct, math.inf if is_along_flow else cycles)
-    if begin != "multigrid" and _psor_passes(sweeps) <= rival:
+    if begin != "multigrid" and _psor_passes(sweeps) <= min(direct, cycles):
         yield Stage(PSOR(), "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
         from .methods.direct import factor_passes
@@ -252,37 +221,6 @@ def takes_rounds(problem: LCP) -> bool:
     return banded_passes(problem.matrix) > TRIAL_SWEEPS
 
 
-def _is_clearly_dominant(problem: LCP) -> bool:
-    """Return whether Σ_{j≠i} |m_ij| ≤ 0.8 m_ii on every row; the first block of rows rejects most other matrices."""
-    M, diagonal = problem.csr, problem.diagonal
-    for rows in row_blocks(problem.n):
-        d, ends = diagonal[rows], M.indptr[rows.start : rows.stop + 1]
-        if not d.min() > 0.0:
-            return False
-        with np.errstate(over="ignore"):
-            sums = np.add.reduceat(np.abs(M.data[ends[0] : ends[-1]]), ends[:-1] - ends[0])
-            if not bool(np.all(sums - d <= CLEARLY_DOMINANT * d)):
-                return False
-    return True
-
-
-def _triangle(problem: LCP) -> str | None:
-    """Return the direction of a sweep that solves a triangular problem, or None."""
-    M = problem.M
-    if problem.n < 2 or (problem.is_dense and M[0, -1] and M[-1, 0]):
-        return None
-    if (
-        not problem.is_dense
-    ):  # the rows are sorted; the first and the last row rule out almost every other matrix
-        first, last = M.indptr[[1, -2]]
-        if M.indices[first - 1] > 0 and M.indices[last] < problem.n - 1:
-            return None
-    from .core.matrix.structure import triangular_form
-
-    form = triangular_form(problem.matrix)
-    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(form or "")
-
-
 def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
     """Return the algorithm object for the `algorithm` and the options of a call; None for "auto".
 
@@ -351,19 +289,15 @@ def solve_lcp(
     algorithm: str | Algorithm = "auto",
     *,
     z0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    record: bool = False,
     callback: Callback | None = None,
-    error_bound: bool = False,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-    verbose: bool = False,
     **options: Any,
 ) -> Result:
     """Return the result of an LCP; :func:`lcp_plugin.solve` describes the parameters and the result.
+
+    Parameters
+    ----------
+    **options
+        The fields of :class:`~lcp_plugin.core.settings.Settings`, and the options of a named algorithm.
 
     Raises
     ------
@@ -371,23 +305,13 @@ def solve_lcp(
         As :func:`lcp_plugin.solve`.
     """
     clock = Clock()
-    method = method_of(algorithm, options)
-    settings = Settings(
-        tolerance,
-        max_iterations,
-        max_seconds,
-        absolute_tolerance,
-        record,
-        error_bound,
-        threads,
-        verbose,
-        prove_infeasibility,
-    )
+    method, settings = parse_call(algorithm, options)
     callback, start = checked_callback(callback), checked_start(problem, z0)
-    if method is None and callback is None:
-        found = _result_of_rounds(problem, settings, start, clock)
+    is_plain = method is None and callback is None and settings.is_plain
+    if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
+        found = first_answer(problem, start, settings.tolerance)
         if found is not None:
-            return found
+            return _result_of_rounds(problem, settings, clock, *found)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate():
         return run_on(problem, method, settings, start, clock, callback)
@@ -434,18 +358,9 @@ def run_on(
 
 
 def _result_of_rounds(
-    problem: LCP, settings: Settings, start: FloatVector, clock: Clock
-) -> Result | None:
-    """Return the result of a small problem that the first rounds, or the first path, solve; else None."""
-    is_watched = not settings.is_unobserved or settings.max_seconds < math.inf
-    if is_watched or settings.absolute_tolerance or not settings.max_iterations:
-        return None
-    if getattr(problem.origin, "form", "") == "kkt" or not takes_rounds(problem):
-        return None
-    found = first_answer(problem, start, settings.tolerance)
-    if found is None:
-        return None
-    z, label, work = found
+    problem: LCP, settings: Settings, clock: Clock, z: FloatVector, label: str, work: float
+) -> Result:
+    """Return the result of a small problem that the first rounds, or the first path, solve."""
     seconds = clock.read()
     return Result(
         z=z,

@@ -64,8 +64,8 @@ def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -
     return freeze_csr(matrix)
 
 
-def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | None]:
-    """Return (CSR, None), or (None, ndarray) if the matrix is small and dense."""
+def checked_matrix(M: Any) -> Any:
+    """Return the square matrix as a CSR array, or as an ndarray if it is small and dense."""
     is_sparse = sp.issparse(M)
     if is_sparse:
         check_kind(M.dtype, "M must hold real numbers")
@@ -74,12 +74,12 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
         hint = "" if len(matrix.shape) == 2 else "; the matrix comes first: LCP(M, q)"
         raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}{hint}")
     if is_sparse:
-        return canonical_csr(matrix, "M"), None
+        return canonical_csr(matrix, "M")
     _check_finite(matrix, "M")
     n = matrix.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(matrix) > DENSE_ABOVE_DENSITY * n * n:
-        return None, read_only(np.array(matrix, order="C"))  # the caller may change the original
-    return freeze_csr(sp.csr_array(matrix)), None
+        return read_only(np.array(matrix, order="C"))  # the caller may change the original
+    return freeze_csr(sp.csr_array(matrix))
 
 
 def rectangular_matrix(
@@ -243,13 +243,6 @@ def real_vector(
     InvalidProblem
         If it is not an array of real numbers, or has another shape.
     """
-    if (
-        type(values) is np.ndarray
-        and values.dtype == DOUBLE
-        and values.ndim == 1
-        and length in (None, values.size)
-    ):
-        return read_only(values.copy())
     need = (
         need
         or f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"

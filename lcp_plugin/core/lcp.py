@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,9 +23,6 @@ from .checks import (
 )
 from .matrix.matrix import Matrix
 from .representation import describe_lcp
-
-if TYPE_CHECKING:
-    pass
 
 
 class LCP:
@@ -69,38 +66,31 @@ class LCP:
         self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
     ) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
-        self.q: FloatVector = finite_vector(q, "q", self.matrix.n)
-        bounds = (
-            checked_bound(lower, "lower", self.matrix.n),
-            checked_bound(upper, "upper", self.matrix.n),
+        self.n = self.matrix.n
+        self.q: FloatVector = finite_vector(q, "q", self.n)
+        self.lower, self.upper = without_huge(
+            checked_bound(lower, "lower", self.n), checked_bound(upper, "upper", self.n)
         )
-        self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
-        self.origin: Any = (
-            None  # the problem before a conversion; it recovers the original solution
-        )
-
-    @cached_property
-    def n(self) -> int:
-        """The number of unknowns."""
-        return self.matrix.n
+        # The problem before a conversion; it recovers the original solution.
+        self.origin: Any = None
 
     @property
     def M(self) -> Any:
         """The stored matrix: a CSR array, or an ndarray if M is dense and small, shape (n, n)."""
         return self.matrix.array
 
-    @cached_property
+    @property
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
         return self.matrix.csr
 
-    @cached_property
+    @property
     def is_dense(self) -> bool:
         """True if M is stored as an ndarray."""
         return self.matrix.is_dense
 
-    @cached_property
+    @property
     def nonzeros(self) -> int:
         """Number of nonzero entries of M."""
         return self.matrix.nonzeros
@@ -115,7 +105,7 @@ class LCP:
         """The diagonal of M, shape (n,)."""
         return self.matrix.diagonal
 
-    @cached_property
+    @property
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
@@ -174,7 +164,7 @@ class LCP:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
         other = object.__new__(LCP)
-        other.origin, other.matrix = None, self.matrix
+        other.origin, other.matrix, other.n = None, self.matrix, self.n
         other.lower, other.upper, other.nearest_to_zero = (
             self.lower,
             self.upper,

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import Enum
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from .checks import is_number
 from .errors import InvalidOption
+from .kernels.threads import usable_threads
 
 NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
 
@@ -71,7 +70,7 @@ class Settings:
     record, error_bound : bool
         Whether to keep samples, and whether to bound the error.
     threads : int or None
-        At least 1; None means all that the process may use. Ranks may differ in it.
+        At least 1; None means all that the process may use.
     verbose : bool
         Whether to print the run.
     prove_infeasibility : bool
@@ -95,12 +94,12 @@ class Settings:
 
     def __post_init__(self) -> None:
         given = self.__dict__
-        for name, default, check in CHECKS_BESIDE_DEFAULTS:
+        for name, check in CHECKS.items():
             value = given[name]
-            if value is None or not (
-                value is default or (type(value) is type(default) and value == default)
-            ):
-                object.__setattr__(self, name, check(value, name))
+            if value is None and name in NONE_MEANS:
+                given[name] = NONE_MEANS[name]
+            elif value is not getattr(Settings, name):
+                given[name] = check(value, name)
 
     @property
     def goal(self) -> float:
@@ -120,6 +119,12 @@ class Settings:
     def is_unobserved(self) -> bool:
         """True if the run neither records nor prints, and computes no error bound."""
         return not (self.record or self.error_bound or self.verbose)
+
+    @property
+    def is_plain(self) -> bool:
+        """True if the run is unobserved and has only the relative tolerance to reach, in any time."""
+        is_limited = self.max_seconds < math.inf or not self.max_iterations
+        return self.is_unobserved and not (is_limited or self.absolute_tolerance)
 
 
 BESIDE = ("z0", "callback")  # further options of a run
@@ -147,12 +152,8 @@ def _relative(value: Any, name: str) -> float:
     return float(value)
 
 
-def _seconds(value: Any, name: str) -> float:
-    return math.inf if value is None else _number(value, name)
-
-
 def _count(value: Any, name: str) -> int:
-    return 100_000 if value is None else _whole_number(value, name, 0)
+    return _whole_number(value, name, 0)
 
 
 def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
@@ -167,17 +168,6 @@ def _flag(value: Any, name: str) -> bool:
     return bool(value)
 
 
-@lru_cache(maxsize=1)
-def _usable_threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        after_in_child=_usable_threads.cache_clear
-    )  # workers may be bound to some of the cores
-
-
 def checked_threads(threads: Any, name: str = "threads") -> int:
     """Return the number of threads; None means all that the process may use.
 
@@ -187,13 +177,13 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
         If `threads` is not an integer ≥ 1.
     """
     otherwise = ", or None for all that may be used"
-    return _usable_threads() if threads is None else _whole_number(threads, name, 1, otherwise)
+    return usable_threads() if threads is None else _whole_number(threads, name, 1, otherwise)
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": _relative,
     "max_iterations": _count,
-    "max_seconds": _seconds,
+    "max_seconds": _number,
     "absolute_tolerance": _number,
     "record": _flag,
     "error_bound": _flag,
@@ -201,9 +191,7 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "verbose": _flag,
     "prove_infeasibility": _flag,
 }
-
-
-CHECKS_BESIDE_DEFAULTS = [(name, getattr(Settings, name), check) for name, check in CHECKS.items()]
+NONE_MEANS = {"max_iterations": 100_000, "max_seconds": math.inf}
 
 
 def checked_callback(callback: Any) -> Callable[..., Any] | None:

@@ -30,7 +30,7 @@ from ..core.checks import (
 )
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
-from ..core.matrix.matrix import largest_entry, residual_scale_of
+from ..core.matrix.matrix import residual_scale_of
 from ..interfaces.files.files import (
     MATRIX_KEYS,
     VECTORS,
@@ -81,7 +81,7 @@ class RowsOnRanks:
         )
         check_order(self.lower, self.upper)
         self.diagonal = read_only(np.asarray(rows.diagonal(), np.float64))
-        self.residual_scale = residual_scale_of(rows, self.diagonal, largest_entry(rows))
+        self.residual_scale = residual_scale_of(rows, self.diagonal)
         self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
 
     @classmethod

@@ -211,21 +211,6 @@ MECHANISMS = (
         {"auto:_psor_passes": says(math.inf)},
     ),
     Mechanism(
-        "clear dominance",
-        "psor at once where diagonal entries outweigh rows",
-        {"auto:_is_clearly_dominant": says(False)},
-    ),
-    Mechanism(
-        "triangles of M",
-        "one exact sweep of a triangular M",
-        {"auto:_triangle": says(None)},
-    ),
-    Mechanism(
-        "coupling",
-        "psor before multigrid along strong flows",
-        {"core.matrix.symmetry:mean_coupling": says(math.inf)},
-    ),
-    Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
         {"core.solving.run:Run._polish": given_back(1)},

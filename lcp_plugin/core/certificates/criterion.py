@@ -58,11 +58,17 @@ class RowsAtPoint(NamedTuple):
         T = |M||z| + |q|.
     slip : array, shape (…, n)
         A bound of the rounding error of w, for any order of summation; 0 if M z = 0 exactly.
+    wrong : array, shape (…, n)
+        The violations v_i, as the docstring of this module defines them.
+    acts : array of bool, shape (…, n)
+        The rows that are off their bounds or violated.
     """
 
     w: FloatVector
     terms: FloatVector
     slip: FloatVector
+    wrong: FloatVector
+    acts: Any
 
 
 class RowData:
@@ -91,25 +97,25 @@ class RowData:
     ) -> None:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
+        self.start: FloatVector = np.minimum(np.maximum(0.0, lower), upper)  # z°
+        # Number of entries of each row, at most.
+        self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
     @cached_property
-    def start(self) -> FloatVector:
-        """z°, the point of the bounds nearest to 0."""
-        return np.minimum(np.maximum(0.0, self.lower), self.upper)
-
-    @cached_property
-    def _counts(self) -> Any:
-        """Number of entries of each row, at most."""
-        return self.q.shape[-1] if isinstance(self.M, np.ndarray) else np.diff(self.M.indptr)
+    def reference(self) -> Any:
+        """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
+        at = self.rows(self.start)
+        return self.largest(self.residual_ends(self.start, at.w, at.slip)[0])
 
     def rows(self, z: FloatVector) -> RowsAtPoint:
         """Return the values of all rows at z."""
-        products = times(self.absolute, np.abs(z))
+        w, products = times(self.M, z) + self.q, times(self.absolute, np.abs(z))
         terms = products + np.abs(self.q)
-        slip = np.where(
-            products > 0.0, (self._counts + 6) * (EPSILON * terms + TINY), 0.0
-        )  # NaN stays
-        return RowsAtPoint(times(self.M, z) + self.q, terms, slip)
+        rounding = (self._counts + 6) * (EPSILON * terms + TINY)
+        slip = np.where(products > 0.0, rounding, 0.0)  # NaN stays
+        is_above, is_below = z > self.lower, z < self.upper
+        wrong = np.maximum(w * is_above, -w * is_below)
+        return RowsAtPoint(w, terms, slip, wrong, (wrong > 0.0) | (is_above & is_below))
 
     def largest(self, values: FloatVector) -> Any:
         """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one."""
@@ -143,18 +149,9 @@ class RowData:
             low, high = np.where(is_number, low, 0.0), np.where(is_number, high, np.inf)
         return low, high
 
-    def violations(self, z: FloatVector, w: FloatVector) -> FloatVector:
-        """Return the violations v_i of the rows, as the docstring of this module defines them."""
-        return np.maximum(w * (z > self.lower), -w * (z < self.upper))
-
-    def acts(self, z: FloatVector, wrong: FloatVector) -> Any:
-        """Return the rows that are off their bounds or violated, bool."""
-        return (wrong > 0.0) | ((z > self.lower) & (z < self.upper))
-
-    def acting_reference(self, z: FloatVector, at: RowsAtPoint) -> Any:
+    def acting_reference(self, at: RowsAtPoint) -> Any:
         """Return, for each row, the largest T_k/d_k of the rows of its component that act, or may act with rounding."""
-        wrong = self.violations(z, at.w)
-        may_act = self.acts(z, wrong) | ((np.abs(at.w) <= at.slip) & (self.lower < self.upper))
+        may_act = at.acts | ((np.abs(at.w) <= at.slip) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
         return self.largest(np.where(may_act, at.terms / self.scale * rounding, 0.0))
 
@@ -182,26 +179,26 @@ class RowData:
         power : float
             Exponent of the tolerance next to T_i.
         """
-        wrong = self.violations(z, at.w)
+        wrong = at.wrong
         is_open = ~(wrong <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
         if not is_open.any():
             return np.zeros(z.shape)
-        is_open &= ~(self._is_excused(z, wrong, at.terms) | (wrong <= self._underflow(z)))
+        is_open &= ~(self._is_excused(z, at) | (wrong <= self._underflow(z)))
         asked = self.asked
         least = (wrong / at.terms) ** (1.0 / power)
         of_asked = np.where(asked > 0.0, (wrong / asked) ** (1.0 / ASKED_POWER), 0.0)
         least = np.where(is_open, np.maximum(least, of_asked), 0.0)
         return np.where(np.isfinite(least), least, np.inf)
 
-    def _is_excused(self, z: FloatVector, wrong: FloatVector, terms: FloatVector) -> Any:
+    def _is_excused(self, z: FloatVector, at: RowsAtPoint) -> Any:
         """Return the rows with q_i = 0 that are at the rounding level of their component, bool."""
         is_candidate = self.q == 0.0
         if not is_candidate.any():
             return is_candidate
         of_z = self.scale * self.largest(np.abs(z))
-        of_acting = self.largest(np.where(self.acts(z, wrong), terms, 0.0))
+        of_acting = self.largest(np.where(at.acts, at.terms, 0.0))
         unit = np.minimum(of_z, of_acting)
-        is_small = terms <= NEGLIGIBLE * unit
+        is_small = at.terms <= NEGLIGIBLE * unit
         is_led = is_small & ~is_candidate
         by_columns = self.absolute.swapaxes(-1, -2) if z.ndim > 1 else self.absolute.T
         while is_led.any():
@@ -210,7 +207,7 @@ class RowData:
             if (after == is_led).all():
                 break
             is_led = after
-        return is_candidate & ~is_led & (is_small | (wrong <= ROUNDING * unit))
+        return is_candidate & ~is_led & (is_small | (at.wrong <= ROUNDING * unit))
 
     def _underflow(self, z: FloatVector) -> Any:
         """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""

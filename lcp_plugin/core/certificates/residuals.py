@@ -221,7 +221,7 @@ class Certificate:
         """Bounds of ref_P of each component, shape (components,) each."""
         least, most = references_of_components(self.problem)
         with np.errstate(all="ignore"):
-            of_rows = row_data(self.problem).acting_reference(self.z, self._rows)
+            of_rows = row_data(self.problem).acting_reference(self._rows)
         limit = largest_of_components(self.problem, of_rows)
         return np.minimum(least, limit), np.minimum(most, limit)
 

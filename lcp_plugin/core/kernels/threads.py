@@ -20,9 +20,15 @@ MAX_THREADS = 128  # to begin more takes longer than the work that they share
 _threads: ContextVar[int] = ContextVar("threads", default=1)
 
 
+@cache
+def usable_threads() -> int:
+    """Return the number of threads that the process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @contextmanager
-def threads_for(count: int) -> Iterator[None]:
-    """Let the work inside a ``with`` statement use `count` threads.
+def threads_for(count: int | None) -> Iterator[None]:
+    """Let the work inside a ``with`` statement use `count` threads; None means all that the process may use.
 
     Examples
     --------
@@ -32,7 +38,7 @@ def threads_for(count: int) -> Iterator[None]:
     >>> threads_now()
     1
     """
-    token = _threads.set(min(count, MAX_THREADS))
+    token = _threads.set(min(count or usable_threads(), MAX_THREADS))
     try:
         yield
     finally:
@@ -51,6 +57,9 @@ def _executor() -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_executor.cache_clear)
+    os.register_at_fork(
+        after_in_child=usable_threads.cache_clear
+    )  # workers may have some cores only
 
 
 def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:

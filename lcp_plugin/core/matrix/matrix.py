@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Hashable
-from functools import update_wrapper
+from functools import cached_property, update_wrapper
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, checked_matrix, freeze_csr, read_only, restore_state
+from ..checks import FloatVector, checked_matrix, freeze_csr, read_only
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
 
 P = ParamSpec("P")
@@ -54,10 +54,6 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         """Return whether the value is cached."""
         return (self, *args) in matrix._facts
 
-    def keep(self, matrix: Matrix, value: T) -> None:
-        """Cache a value that is known without computation."""
-        matrix._facts[self,] = value
-
 
 class Matrix:
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
@@ -69,8 +65,14 @@ class Matrix:
 
     Attributes
     ----------
+    array : csr_array or ndarray, shape (n, n)
+        The stored matrix: an ndarray if it is dense and small.
     n : int
         Number of rows.
+    is_dense : bool
+        True if it is stored as an ndarray.
+    nonzeros : int
+        Number of nonzero entries.
 
     Raises
     ------
@@ -84,36 +86,17 @@ class Matrix:
     """
 
     def __init__(self, M: Any) -> None:
-        self._csr, self._dense = checked_matrix(M)
+        self.array: Any = checked_matrix(M)
         self.n: int = self.array.shape[0]
-        self._begin()
-
-    def _begin(self) -> None:
+        self.is_dense = isinstance(self.array, np.ndarray)
+        self.nonzeros = int(np.count_nonzero(self.array) if self.is_dense else self.array.nnz)
         self._facts: dict[Hashable, Any] = {}
         self._lock = threading.RLock()
 
-    @property
-    def array(self) -> Any:
-        """The stored matrix: a CSR array, or an ndarray if it is dense and small, shape (n, n)."""
-        return self._csr if self._dense is None else self._dense
-
-    @property
+    @cached_property
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
-        if self._csr is None:
-            self._csr = _csr_of_dense(self)
-        return self._csr
-
-    @property
-    def is_dense(self) -> bool:
-        """True if it is kept as an ndarray."""
-        return self._dense is not None
-
-    @property
-    @fact
-    def nonzeros(self) -> int:
-        """Number of nonzero entries."""
-        return int(self.csr.nnz if self._dense is None else np.count_nonzero(self._dense))
+        return csr_of_dense(self.array) if self.is_dense else self.array
 
     @property
     @fact
@@ -128,13 +111,7 @@ class Matrix:
 
         d_i = m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return read_only(residual_scale_of(self.array, self.diagonal, self.largest))
-
-    @property
-    @fact
-    def largest(self) -> float:
-        """max_ij |m_ij|; 0 without entries."""
-        return largest_entry(self.array)
+        return read_only(residual_scale_of(self.array, self.diagonal))
 
     @property
     @fact
@@ -149,22 +126,14 @@ class Matrix:
         """The matrix by columns, shape (n, n)."""
         return sp.csc_array(self.csr)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state without cached values and without the lock."""
-        csr = None if self.is_dense else self.csr
-        return {"n": self.n, "_dense": self._dense, "_csr": csr}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        restore_state(self, state)
-        self._begin()
-        if self._csr is not None:
-            self._csr = freeze_csr(self._csr)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the matrix without cached values and without the lock; a copy is checked again."""
+        return type(self), (self.array,)
 
 
-@fact
-def _csr_of_dense(matrix: Matrix) -> sp.csr_array:
+def csr_of_dense(dense: FloatVector) -> sp.csr_array:
     """Return a dense matrix as CSR; its entries are used without a copy if none is zero."""
-    dense, n = matrix.array, matrix.n
+    n = len(dense)
     if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
         return freeze_csr(sp.csr_array(dense))
     columns = np.tile(np.arange(n, dtype=np.int32), n)
@@ -186,17 +155,11 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
     return largest
 
 
-def largest_entry(M: Any) -> float:
-    """Return the largest |entry| of an ndarray or CSR array; 0 without entries."""
-    entries = M.data if sp.issparse(M) else M
-    return max(float(entries.max()), -float(entries.min())) if entries.size else 0.0
-
-
-def residual_scale_of(M: Any, diagonal: FloatVector, largest: float) -> FloatVector:
+def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
     """Return D of the scaled residual of the rows of an ndarray or CSR array; see :attr:`Matrix.residual_scale`."""
-    if not largest:
-        return np.ones(M.shape[0])
-    if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
+    entries, smallest = M.data if sp.issparse(M) else M, diagonal.min(initial=np.inf)
+    largest = max(entries.max(initial=0.0), -entries.min(initial=0.0))
+    if smallest > 0.0 and smallest >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
     return residual_scales(diagonal, largest_in_rows(M))
 

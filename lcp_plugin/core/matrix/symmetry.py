@@ -73,26 +73,3 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
     """
     M = matrix.array
     return is_symmetric_to_rounding(M, matrix.residual_scale if sp.issparse(M) else None)
-
-
-@fact
-def mean_coupling(matrix: Matrix) -> float:
-    """Return max_i Σ_{j≠i} √(|m_ij m_ji| / (m_ii m_jj)); ∞ without a positive diagonal.
-
-    No scaling of rows or columns changes it. If |m_ij / m_ji| are the ratios of a scaling D, as for a tridiagonal M, it
-    is the largest row sum of D⁻¹J D for some D, J = |I − diag(M)⁻¹M|. This is at least the spectral radius of J,
-    however large a flow makes m_ij relative to m_ji.
-
-    Examples
-    --------
-    >>> flow = np.array([[20.0, -1.0, 0.0], [-19.0, 20.0, -1.0], [0.0, -19.0, 20.0]])
-    >>> round(mean_coupling(Matrix(flow)), 3)
-    0.436
-    """
-    diagonal = matrix.diagonal
-    if not (diagonal > 0.0).all():
-        return np.inf
-    with np.errstate(all="ignore"):
-        M, root = abs(matrix.csr), np.sqrt(diagonal)
-        both = M if is_nearly_symmetric(matrix) else np.sqrt(M).multiply(np.sqrt(M).T)
-        return float(((both @ (1.0 / root)) / root).max(initial=1.0)) - 1.0

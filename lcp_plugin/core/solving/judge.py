@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum
-from functools import cached_property, partial
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -31,7 +31,6 @@ from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
 from ..settings import Settings, Status
-from .result import BoundOrReason, bound_or_reason
 
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
 ALIKE = 1.0 + 1e-9  # references so near are one
@@ -147,10 +146,7 @@ class Judge:
 
     def certify(self, z: FloatVector) -> float:
         """Return an upper bound of the relative residual of z, without the components that z° solves."""
-        return self._relative_in_open_components(self.certificate_of(z))
-
-    def _relative_in_open_components(self, certificate: Certificate) -> float:
-        return certificate.relative_above(self.settings.least_reference, self.answered)
+        return self.certificate_of(z).relative_above(self.settings.least_reference, self.answered)
 
     @cached_property
     def goal(self) -> float:
@@ -172,14 +168,6 @@ class Judge:
         if not meets:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         return meets
-
-    def bound_at_the_end(
-        self, certificate: Certificate
-    ) -> BoundOrReason | Callable[[], BoundOrReason]:
-        """Return the function that computes the error bound, or an empty bound if none was requested."""
-        if not self.settings.error_bound:
-            return BoundOrReason()
-        return partial(bound_or_reason, self.problem, certificate.z)
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether the residual of z is small and no larger than rounding explains: no step is worth its work."""
@@ -230,8 +218,9 @@ class Judge:
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned point if only it passes, or if both or none pass and its residual is no larger."""
-        before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
-        meets = [one.meets(self.settings, self.answered) for one in (certificate, cleaned)]
+        both, least = (certificate, cleaned), self.settings.least_reference
+        before, after = (one.relative_above(least, self.answered) for one in both)
+        meets = [one.meets(self.settings, self.answered) for one in both]
         is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]
         return cleaned if is_no_worse else certificate
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from ..lcp import LCP
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_of_run
 from .judge import FAILED, End, Judge
-from .result import BoundOrReason, Result, Sample
+from .result import BoundOrReason, Result, Sample, bound_or_reason
 from .run_log import Header, RunLog
 from .stage import Stage
 
@@ -295,7 +296,9 @@ class Run:
             stages=stages,
             infeasibility=self.judge.proof,
             _asked=self.chosen,
-            _bound=self.judge.bound_at_the_end(certificate) if self.stages else BoundOrReason(),
+            _bound=partial(bound_or_reason, self.problem, certificate.z)
+            if settings.error_bound and self.stages
+            else BoundOrReason(),
             _advice=self._advice(status),
         )
         if self.log is not None:

@@ -63,7 +63,7 @@ class _InPlace(_Relaxation):
         matrix, M = problem.matrix, problem.matrix.csr
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
-        adaptive = AdaptiveRelaxation(1.0) if fixed is None else None
+        adaptive = AdaptiveRelaxation() if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
         rows = kernels.pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
@@ -230,8 +230,6 @@ class AdaptiveRelaxation:
     again, and the next trial begins. Otherwise z returns to the start of the trial, and the next Gauss–Seidel phase is
     twice as long.
 
-    If an ω is known from a similar problem (`first`), it is tried after one Gauss–Seidel sweep.
-
     So the iteration converges wherever projected Gauss–Seidel does. Either infinitely many trials are kept: then
     the increments of a Gauss–Seidel sweep fall to 0, and they vanish at solutions only. Or from some point on
     all trials are undone: the remaining iteration is Gauss–Seidel.
@@ -241,19 +239,13 @@ class AdaptiveRelaxation:
     Hageman, Young: *Applied Iterative Methods*, Academic Press 1981, chapter 9.
     """
 
-    def __init__(self, first: float = 1.0) -> None:
-        self.relaxation = 1.0
-        self._first, self._omega = first, 1.0
+    def __init__(self) -> None:
+        self.relaxation = self._omega = 1.0
         self._wait = FIRST_WAIT
         self._record = math.inf
         self._sizes: list[float] = []
         self._checkpoint: FloatVector | None = None
         self._is_final_sweep = False
-
-    @property
-    def wanted(self) -> float:
-        """The ω of the present trial; 1 in a phase of Gauss–Seidel sweeps."""
-        return 1.0 if self._checkpoint is None else self._omega
 
     @property
     def is_settling(self) -> bool:
@@ -263,10 +255,7 @@ class AdaptiveRelaxation:
     def next_relaxation(self, size: float, z: FloatVector) -> float:
         """Return ω for the next sweep, given Σ|z⁺ − z| of the last sweep; z is restored after a failed trial."""
         self._sizes.append(size)
-        if self._first > 1.0:  # the increment of one Gauss–Seidel sweep is known for comparison
-            self._record, self._omega, self._first = size, self._first, 1.0
-            self._begin_trial(z)
-        elif self._checkpoint is None:
+        if self._checkpoint is None:
             if len(self._sizes) >= self._wait:
                 self._end_phase(z)
         elif self._is_final_sweep:

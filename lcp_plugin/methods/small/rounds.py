@@ -24,7 +24,6 @@ from numpy.linalg import LinAlgError
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import RowData, times
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, residual_scales
 
@@ -57,8 +56,7 @@ class Rounds(Algorithm):
         unit = max(problem.nonzeros, 1)
         with np.errstate(all="ignore"):
             stack = one_as_stack(problem)
-            reference = references(stack)
-        points = answers(stack, z0[None], reference)
+        points = answers(stack, z0[None])
         while True:
             with np.errstate(all="ignore"):
                 found = next(points, None)
@@ -67,7 +65,7 @@ class Rounds(Algorithm):
             label, z, entries = found
             if np.isfinite(z).all():
                 with np.errstate(all="ignore"):
-                    z = judged(stack, z[None], reference, 0.0).z[0]
+                    z = judged(stack, z[None], 0.0).z[0]
                 yield Step(z, work=entries / unit, label=label)
 
 
@@ -80,22 +78,21 @@ def first_answer(
     """
     with np.errstate(all="ignore"):
         stack = one_as_stack(problem)
-        reference = references(stack)
-        is_cold = z0 is problem.nearest_to_zero
-        if not reference.all() or not (
-            is_cold or not judged(stack, z0[None], reference, tolerance).is_solved[0]
-        ):
+        if not stack.reference.all():
             return None
-        label, z, entries = next(answers(stack, z0[None], reference))
-        found = judged(stack, z[None], reference, tolerance)
+        is_cold = z0 is problem.nearest_to_zero
+        if not is_cold and judged(stack, z0[None], tolerance).is_solved[0]:
+            return None
+        label, z, entries = next(answers(stack, z0[None]))
+        found = judged(stack, z[None], tolerance)
     if not found.is_solved[0]:
         return None
-    return read_only(found.z[0]), label, entries / max(problem.nonzeros, 1)
+    return read_only(found.z[0]), label, entries / max(problem.matrix.nonzeros, 1)
 
 
 def is_small(problem: LCP) -> bool:
     """Return whether rounds on a dense M suit the problem."""
-    return 0 < problem.n <= (SMALL_DENSE if problem.is_dense else SMALL_SPARSE)
+    return 0 < problem.n <= (SMALL_DENSE if problem.matrix.is_dense else SMALL_SPARSE)
 
 
 def one_as_stack(problem: LCP) -> RowData:
@@ -157,12 +154,6 @@ def part_of(stack: RowData, items: Any) -> RowData:
     return RowData(**parts, labels=labels)
 
 
-def references(stack: RowData) -> Any:
-    """Return lower bounds of ‖r_P(z°)‖∞ in the component of each row."""
-    at = stack.rows(stack.start)
-    return stack.largest(stack.residual_ends(stack.start, at.w, at.slip)[0])
-
-
 class Judged(NamedTuple):
     """Points on their bounds, whether each is solved, and their relative residuals."""
 
@@ -171,9 +162,9 @@ class Judged(NamedTuple):
     residual: FloatVector
 
 
-def judged(stack: RowData, z: FloatVector, reference: FloatVector, tolerance: float) -> Judged:
+def judged(stack: RowData, z: FloatVector, tolerance: float) -> Judged:
     """Return the points z of a stack, projected onto near bounds for the criterion."""
-    size = np.abs(z)
+    size, reference = np.abs(z), stack.reference
     z = np.where(
         size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
     )
@@ -181,7 +172,7 @@ def judged(stack: RowData, z: FloatVector, reference: FloatVector, tolerance: fl
     z = stack.snap_to_bounds(z, times(stack.M, z) + stack.q)
     at = stack.rows(z)
     high = stack.residual_ends(z, at.w, at.slip)[1]
-    limit = np.minimum(reference, stack.acting_reference(z, at))
+    limit = np.minimum(reference, stack.acting_reference(at))
     relative = np.where(high == 0.0, 0.0, high / limit).max(-1, initial=0.0)
     terms = stack.term_residuals(z, at, power=1.0).max(-1, initial=0.0)
     return Judged(z, (relative <= tolerance) & (terms <= tolerance), relative)
@@ -198,31 +189,29 @@ def solve_stack(
     """Return points of problems (B, n) after iterations and paths of all problems at once."""
     with np.errstate(all="ignore"):
         stack = stack_of(M, q, lower, upper)
-        reference = references(stack)
         free = (stack.lower == -np.inf) & (stack.upper == np.inf)
-        has_diagonal = _has_diagonal(stack)
         z = stack.start if starts is None else np.broadcast_to(starts, stack.q.shape)
         if starts is not None:  # they name active sets
-            z = rounds(stack, z, times(stack.M, z) + stack.q, reference)[0]
-        elif (has_diagonal | free).all():
-            z = rounds(stack, *guessed(stack, z), reference)[0]
-        found = judged(stack, z, reference, tolerance)
+            z = rounds(stack, z)
+        elif (_has_diagonal(stack) | free).all():
+            z = rounds(stack, guessed(stack, z))
+        found = judged(stack, z, tolerance)
         items = np.flatnonzero(~found.is_solved & ~free.any(1))
         if items.size:
-            of_paths = judged(few := part_of(stack, items), paths(few), reference[items], tolerance)
+            few = part_of(stack, items)
+            of_paths = judged(few, paths(few), tolerance)
             for table, values in zip(found, of_paths, strict=True):
                 table[items] = values
     return found
 
 
 def _has_diagonal(stack: RowData) -> Any:
-    """Return the rows whose diagonal entry is positive and not negligible."""
-    diagonal = stack.M.diagonal(axis1=-2, axis2=-1)
-    return (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * stack.absolute.max(-1))
+    """Return the rows whose diagonal entry is positive and not negligible, so that it is d_i."""
+    return stack.M.diagonal(axis1=-2, axis2=-1) == stack.scale
 
 
-def guessed(stack: RowData, z: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return z and w after sweeps of NPSOR: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
+def guessed(stack: RowData, z: FloatVector) -> FloatVector:
+    """Return z after sweeps of NPSOR: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
 
     L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem.
     """
@@ -235,14 +224,13 @@ def guessed(stack: RowData, z: FloatVector) -> tuple[FloatVector, FloatVector]:
         later = z[:, half:] - change[:, half:] - more / (pivot * stack.scale[:, half:])
         new[:, half:] = np.clip(later, stack.lower[:, half:], stack.upper[:, half:])
         z = new
-    return z, times(stack.M, z) + stack.q
+    return z
 
 
-def rounds(
-    stack: RowData, z: FloatVector, w: FloatVector, reference: FloatVector
-) -> tuple[FloatVector, FloatVector]:
-    """Return the final points of active-set iterations, and their w."""
-    z, side, items = z.copy(), _sides(stack, z, w), np.arange(len(z))
+def rounds(stack: RowData, z: FloatVector) -> FloatVector:
+    """Return the final points of active-set iterations."""
+    z, items = z.copy(), np.arange(len(z))
+    side = _sides(stack, z, times(stack.M, z) + stack.q)
     fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
     for _ in range(ROUNDS):
         z[items] = at_sides(stack, side, items)
@@ -251,11 +239,11 @@ def rounds(
         changes = (side != before).sum(1)
         idle = np.where(changes < fewest, 0, idle + 1)
         fewest = np.minimum(changes, fewest)
-        is_open = (np.abs(stack.residual(z, w)) > GOOD * reference).any(1)
+        is_open = (np.abs(stack.residual(z, w)) > GOOD * stack.reference).any(1)
         items = items[((changes > 0) & (idle <= IDLE) & is_open)[items]]
         if not items.size:
             break
-    return z, w
+    return z
 
 
 def _sides(stack: RowData, z: FloatVector, w: FloatVector) -> Any:
@@ -432,9 +420,7 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 }
 
 
-def answers(
-    stack: RowData, z0: FloatVector, reference: Any
-) -> Iterator[tuple[str, FloatVector, float]]:
+def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     n = z0.shape[1]
     entries = float(n**3)
@@ -442,8 +428,7 @@ def answers(
     has_rounds = bool((_has_diagonal(stack) | free).all())
     is_cold = bool((z0 == stack.start).all())
     if has_rounds or not is_cold:  # a start names an active set
-        begin = guessed(stack, z0) if is_cold else (z0, times(stack.M, z0) + stack.q)
-        yield "rounds", rounds(stack, *begin, reference)[0][0], entries
+        yield "rounds", rounds(stack, guessed(stack, z0) if is_cold else z0)[0], entries
     M, q, width, back = _canonical(
         *(one[0] for one in (stack.M, stack.q, stack.lower, stack.upper))
     )
@@ -454,11 +439,9 @@ def answers(
         z = back(path(M, q, width, covering(q)) if q.size else q)
         yield name, np.clip(z, stack.lower[0], stack.upper[0]), 3.0 * entries
         if np.isfinite(z).all():
-            w = times(stack.M, z[None]) + stack.q
-            yield "rounds", rounds(stack, z[None], w, reference)[0][0], entries
+            yield "rounds", rounds(stack, z[None])[0], entries
     if not has_rounds:
-        w = times(stack.M, stack.start) + stack.q
-        yield "rounds", rounds(stack, stack.start, w, reference)[0][0], entries
+        yield "rounds", rounds(stack, stack.start)[0], entries
 
 
 class _Tableau:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import FloatVector
-from ..core.matrix.scaling import Exponents, fit_scaling
-from ..core.matrix.structure import IntVector, row_numbers
+from ..core.matrix.scaling import Exponents
+from ..core.matrix.structure import row_numbers
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
-BALANCING_SWEEPS = 12
+EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 LARGEST_EXPONENT = 1000.0
 
 
@@ -45,21 +45,17 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
         If True, the scaled matrix is also symmetric.
     """
     pivots = np.abs(M.diagonal())
-    smallest, largest = float(np.log2(pivots.min())), float(np.log2(pivots.max()))
-    largest_entry = float(np.log2(max(M.data.max(), -M.data.min())))
-    if largest - smallest <= DIAGONAL_SPREAD and largest_entry - smallest <= LARGEST_RATIO:
+    largest_entry = max(M.data.max(), -M.data.min())
+    smallest, largest = np.log2(pivots.min()), np.log2(pivots.max())
+    if largest - smallest <= DIAGONAL_SPREAD and np.log2(largest_entry) - smallest <= LARGEST_RATIO:
         return None
     diagonal: FloatVector = np.log2(pivots)
-    rows = row_numbers(M)
-    off = (rows != M.indices) & (M.data != 0.0)
-    ratios = np.log2(np.abs(M.data[off])) - diagonal[rows[off]]
-    spread = float(np.ptp(diagonal))
-    if spread <= DIAGONAL_SPREAD and (ratios.size == 0 or ratios.max() <= LARGEST_RATIO):
+    ratios = np.log2(np.abs(M.data)) - diagonal[row_numbers(M)]
+    if np.ptp(diagonal) <= DIAGONAL_SPREAD and ratios.max() <= LARGEST_RATIO:
         return None
     if is_symmetric:
         return unit_diagonal(pivots)
-    position = _balanced(ratios, rows[off], M.indices[off], diagonal.size)
-    column = np.rint(np.clip(position, -LARGEST_EXPONENT, LARGEST_EXPONENT)).astype(np.int64)
+    column = equilibrating_exponents(M, EQUILIBRATING_PASSES, LARGEST_EXPONENT).column
     return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
 
 
@@ -93,28 +89,3 @@ def equilibrating_exponents(M: Any, aims: Sequence[float], most: float = np.inf)
                 middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
             scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
     return Exponents(*(np.clip(scale, -most, most).astype(np.int64) for scale in scales))
-
-
-def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
-    """Return s such that ratio_ij 2^(s_j − s_i) is balanced, s in log2.
-
-    First the least squares fit of ratio_ij + s_j − s_i ≈ 0, which undoes any diagonal similarity at once, then
-    sweeps of Osborne's balancing.
-    """
-    position: Any = fit_scaling(ratios, rows, columns, n)
-    for _ in range(BALANCING_SWEEPS):
-        magnitude = np.exp2(
-            np.clip(
-                ratios + position[columns] - position[rows], -LARGEST_EXPONENT, LARGEST_EXPONENT
-            )
-        )
-        row_sum = np.bincount(rows, magnitude, n)
-        column_sum = np.bincount(columns, magnitude, n)
-        both = (row_sum > 0.0) & (column_sum > 0.0)
-        change = np.zeros(n)
-        change[both] = 0.25 * np.log2(row_sum[both] / column_sum[both])
-        position += change
-        if np.abs(change).max(initial=0.0) < 0.5:
-            break
-    centred: FloatVector = position - position.mean()
-    return centred

@@ -14,7 +14,7 @@ from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scale_matrix, times_power
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
-from .equilibration import equilibrating_exponents, unit_diagonal
+from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
 from .least_norm import pseudo_inverses
@@ -34,7 +34,6 @@ SINGULAR = (
     1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
 )
 BADLY_SCALED = 1e4  # residual scales that differ by more are equilibrated before a factorization
-EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 
 
 class FreeSystem:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import BoolVector
-from ..core.matrix.scaling import are_well_scaled
 
 SINGULAR = 2.0**-43  # of the largest singular value: rounding error of a zero singular value
+SPREAD, ROW_RATIO = 2.0**10, 2.0**4  # largest ratios of rows and columns, and in a row, in one unit
 HALF = 2.0**26  # size of terms relative to their sum, 1: half of the digits of a double cancel
 ALIKE, ENTRIES = (
     8,
@@ -124,5 +124,14 @@ def _least(blocks: Any, own: Any) -> tuple[Any, BoolVector]:
         items = np.flatnonzero(own.sum(axis=1) == count)
         chosen = blocks[items, :count, :count]
         inverses[items, :count, :count], is_singular[items] = pseudo_inverses(chosen)
-        is_singular[items] &= are_well_scaled(chosen)
+        is_singular[items] &= _have_one_unit(chosen)
     return inverses, is_singular
+
+
+def _have_one_unit(blocks: Any) -> Any:
+    """Return the mask of blocks whose diagonal, or the largest entries of all rows and columns, differ little."""
+    sizes = np.abs(blocks)
+    rows, sides = sizes.max(2), np.concatenate([sizes.max(2), sizes.max(1)], 1)
+    is_diagonal_large = rows <= ROW_RATIO * np.abs(np.diagonal(blocks, axis1=1, axis2=2))
+    smallest = sides.min(1, initial=np.inf, where=sides > 0.0)
+    return is_diagonal_large.all(1) | (sides.max(1) <= SPREAD * smallest)

@@ -118,7 +118,10 @@ class RowData:
         return RowsAtPoint(w, terms, slip, wrong, (wrong > 0.0) | (is_above & is_below))
 
     def largest(self, values: FloatVector) -> Any:
-        """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one."""
+        """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one.
+
+        A NaN stays.
+        """
         if self.labels is None:
             return values.max(-1, keepdims=True, initial=0.0)
         found = np.zeros(int(self.labels.max(initial=-1)) + 1)
@@ -275,25 +278,6 @@ def is_within(relative_residual: Any, term_residual: Any, tolerance: float) -> A
     return (relative_residual <= tolerance) & (term_residual <= tolerance)
 
 
-def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
-    """Return the largest of the values ≥ 0 of each component's rows, shape (components,); a NaN stays, 0 without rows.
-
-    Parameters
-    ----------
-    values : array, shape (n,)
-    """
-    several = connected_components(problem.matrix)
-    if several is not None:
-        return several.largest(values)
-    return np.array([float(values.max()) if values.size else 0.0])  # values may be negative
-
-
-def spread_to_rows(problem: LCP, values: Any) -> Any:
-    """Return the value of each row's component, shape (n,), or (1,) if there is one component."""
-    several = connected_components(problem.matrix)
-    return values if several is None else values[several.labels]
-
-
 def sharp_residual_ends(problem: LCP, z: FloatVector) -> VectorEnds:
     """Return sharp bounds of every |r_i(z)| by compensated sums."""
     with np.errstate(all="ignore"):
@@ -303,16 +287,17 @@ def sharp_residual_ends(problem: LCP, z: FloatVector) -> VectorEnds:
 
 @fact
 def references_of_components(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r_P(z°)‖∞ of each component, shape (components,) each."""
+    """Return bounds of ‖r_P(z°)‖∞ in the component of each row, shape (n,), or (1,) if there is one component."""
     z, data = problem.nearest_to_zero, row_data(problem)
     with np.errstate(all="ignore"):
         at = data.rows(z)
-        ends = data.residual_ends(z, at.w, at.slip)
-    least, most = (largest_of_components(problem, end) for end in ends)
-    is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
-    if is_open.any():
-        sharp = [largest_of_components(problem, end) for end in sharp_residual_ends(problem, z)]
-        least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
+        least, most = map(data.largest, data.residual_ends(z, at.w, at.slip))
+        is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
+        if is_open.any():
+            sharp = map(data.largest, sharp_residual_ends(problem, z))
+            least, most = (
+                np.where(is_open, *ends) for ends in zip(sharp, (least, most), strict=True)
+            )
     return least, most
 
 
@@ -354,8 +339,8 @@ def rows_near_start(problem: LCP) -> Any:
             floor = rounding_floor(problem, at.terms, data.scale)
             is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
             is_open = (data.residual_ends(z, at.w, at.slip)[1] > 0.0) & ~is_rounding
-        is_solved = largest_of_components(problem, is_open.astype(np.float64)) == 0.0
-    return np.broadcast_to(spread_to_rows(problem, is_solved), z.shape)
+        is_solved = data.largest(is_open.astype(np.float64)) == 0.0
+    return np.broadcast_to(is_solved, z.shape)
 
 
 def snap_to_bounds(problem: LCP, z: FloatVector) -> FloatVector:

@@ -12,19 +12,16 @@ from numpy.typing import ArrayLike
 from ..checks import BoolVector, FloatVector, read_only, real_vector, restore_state
 from ..errors import InvalidProblem
 from ..lcp import LCP
-from ..matrix.structure import connected_components
 from ..problem_classes import refusal
 from ..rounding import gamma
 from .criterion import (
     POWER,
     RowsAtPoint,
     VectorEnds,
-    largest_of_components,
     references_of_components,
     row_data,
     rows_near_start,
     sharp_residual_ends,
-    spread_to_rows,
 )
 from .row_residuals import (
     divide_nonnegative,
@@ -119,18 +116,13 @@ class Certificate:
         return read_only(self._rows.w)
 
     @cached_property
-    def _terms(self) -> FloatVector:
-        """|M||z| + |q|."""
-        return self._rows.terms
-
-    @cached_property
     def _worst(self) -> tuple[float, int]:
         """The residual that is largest relative to the reference of its component, and its row."""
-        several = connected_components(self.problem.matrix)
+        references = self.references[0]
         with np.errstate(all="ignore"):
-            residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            if several is not None:  # the component with the largest relative residual
-                relative = divide_nonnegative(self._proved_rows, self.references[0][several.labels])
+            residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
+            if references.size > 1:  # the component with the largest relative residual
+                relative = divide_nonnegative(self._proved_rows, references)
                 relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         return (float(residual[worst]), worst) if relative.size else (0.0, -1)
@@ -198,48 +190,40 @@ class Certificate:
 
     @property
     def residuals_of_components(self) -> VectorEnds:
-        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ref_P, shape (components,) each."""
-        return largest_of_components(self.problem, self._proved_rows), self.references[0]
+        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ref_P of each row, shape (n,), or (1,) if M is connected."""
+        with np.errstate(all="ignore"):
+            return row_data(self.problem).largest(self._proved_rows), self.references[0]
 
     @cached_property
     def _proved_rows(self) -> FloatVector:
         """An upper bound of every |r_i|, sharp in components that z° solves: there only an exact 0 passes."""
-        ends, of_rows = self._scaled_ends[1], spread_to_rows(self.problem, self.references[0])
-        is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
+        ends = self._scaled_ends[1]
+        is_exact = (self.references[0] == 0.0) & (ends > 0.0) & (ends < np.inf)
         return np.where(is_exact, self._sharp_ends(), ends) if is_exact.any() else ends
 
     def _sharp_ends(self) -> FloatVector:
         return sharp_residual_ends(self.problem, self.z)[1]
 
-    @property
-    def _scale(self) -> FloatVector:
-        """The divisor of w in the residual."""
-        return self.problem.residual_scale
-
     @cached_property
     def references(self) -> VectorEnds:
-        """Bounds of ref_P of each component, shape (components,) each."""
+        """Bounds of ref_P of each row, shape (n,), or (1,) if M is connected."""
         least, most = references_of_components(self.problem)
         with np.errstate(all="ignore"):
-            of_rows = row_data(self.problem).acting_reference(self._rows)
-        limit = largest_of_components(self.problem, of_rows)
+            limit = row_data(self.problem).acting_reference(self._rows)
         return np.minimum(least, limit), np.minimum(most, limit)
 
     @cached_property
     def _scaled_ends(self) -> VectorEnds:
         """Bounds of every |r_i|."""
-        return self._ends(self._scale)
+        low, high = self._ends(self.problem.residual_scale)
+        is_open = (high > DECIDED * self.references[0]) & (low < 0.99 * high) & (high < np.inf)
+        # Where rounding counts, compensated sums are sharper.
+        return sharp_residual_ends(self.problem, self.z) if is_open.any() else (low, high)
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
         with np.errstate(all="ignore"):
             at = self._rows
-            low, high = row_data(self.problem).residual_ends(self.z, at.w, at.slip, scale)
-            if scale is self._scale:
-                of_rows = spread_to_rows(self.problem, self.references[0])
-                is_open = (high > DECIDED * of_rows) & (low < 0.99 * high) & (high < np.inf)
-                if is_open.any():  # rounding counts: compensated sums are sharper
-                    return sharp_residual_ends(self.problem, self.z)
-        return low, high
+            return row_data(self.problem).residual_ends(self.z, at.w, at.slip, scale)
 
     @cached_property
     def _natural(self) -> FloatVector:
@@ -283,7 +267,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
-        return rounding_floor(self.problem, self._terms, self._scale)
+        return rounding_floor(self.problem, self._rows.terms, self.problem.residual_scale)
 
     @cached_property
     def is_at_rounding_level(self) -> bool:
@@ -291,7 +275,7 @@ class Certificate:
         residual = self._scaled_ends[1]
         if not self.is_linearised:
             with np.errstate(all="ignore"):
-                residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+                residual = np.abs(scaled_residual(self.problem, self.z, self.w))
         return bool(find_rounding_rows(residual, self.rounding_floor).all())
 
     @cached_property
@@ -302,9 +286,7 @@ class Certificate:
         """
         if not self.is_at_rounding_level:
             return False
-        is_large = spread_to_rows(
-            self.problem, ~(divide_nonnegative(*self.residuals_of_components) <= GAINED)
-        )
+        is_large = ~(divide_nonnegative(*self.residuals_of_components) <= GAINED)
         return not (is_large & ~rows_near_start(self.problem)).any()
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
@@ -315,7 +297,7 @@ class Certificate:
         if not least and answered is None:
             return self.relative_residual
         rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
-        references = np.maximum(spread_to_rows(self.problem, self.references[0]), least)
+        references = np.maximum(self.references[0], least)
         return largest_ratio(rows, np.broadcast_to(references, rows.shape))
 
     def __str__(self) -> str:

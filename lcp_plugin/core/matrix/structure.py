@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import FloatVector, read_only
+from ..checks import read_only
 from .matrix import Matrix, fact
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
@@ -47,13 +47,6 @@ class Components:
 
     labels: IntVector
     count: int
-
-    def largest(self, values: FloatVector) -> FloatVector:
-        """Return the largest of the values ≥ 0 of each component's rows, shape (count,); a NaN stays."""
-        found = np.zeros(self.count)
-        with np.errstate(invalid="ignore"):
-            np.maximum.at(found, self.labels, values)
-        return found
 
 
 @fact

@@ -18,7 +18,6 @@ from ..certificates.criterion import (
     rounding_of_data,
     rows_solved_at_start,
     snap_to_bounds,
-    spread_to_rows,
 )
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import (
@@ -101,7 +100,7 @@ class Judge:
         answered = rows_solved_at_start(problem)
         self.answered = answered if answered.any() else None
         most = references_of_components(problem)[1]
-        self._references = np.broadcast_to(spread_to_rows(problem, most), (problem.n,))
+        self._references = np.broadcast_to(most, (problem.n,))
         open_references = self._references[~answered]
         self.reference = float(open_references.max(initial=0.0))
         self._is_uniform = self.answered is None and bool(

@@ -26,16 +26,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.certificates.criterion import (
-    VectorEnds,
-    largest_of_components,
-    row_data,
-    spread_to_rows,
-)
+from ...core.certificates.criterion import VectorEnds, row_data
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import (
     largest_ratio,
@@ -95,10 +90,13 @@ class Reference:
         return cls(origin, value if np.array_equal(origin, start) else problem.value(origin), start)
 
     def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> VectorEnds:
-        """Return bounds of each component's reference, where `problem` is the linearization at x and `value` F(x)."""
+        """Return bounds of the reference of each row's component, shape (n,), or (1,) if there is one component.
+
+        `problem` is the linearization at x, and `value` is F(x).
+        """
         least, most = self._ends_of_f(problem)
         limit = self._limit(problem, x, value)
-        distance = largest_of_components(problem, np.abs(x - self.x))
+        distance = row_data(problem).largest(np.abs(x - self.x))
         is_none = (most == 0.0) | np.isinf(most)
         least, most = (np.where(is_none, distance, np.minimum(end, limit)) for end in (least, most))
         return least, most
@@ -106,27 +104,25 @@ class Reference:
     def snap_to_start(self, problem: LCP, x: FloatVector) -> FloatVector:
         """Return x with x° in the components that x° solves, and that x has come near on its way from the start."""
         most = self._ends_of_f(problem)[1]
-        left, way = (
-            largest_of_components(problem, np.abs(point - self.x)) for point in (x, self.start)
-        )
+        left, way = (row_data(problem).largest(np.abs(point - self.x)) for point in (x, self.start))
         is_reached = (most == 0.0) & (left <= NEARLY_THERE * way)
-        return np.where(spread_to_rows(problem, is_reached), self.x, x)
+        return np.where(is_reached, self.x, x)
 
     def _ends_of_f(self, problem: LCP) -> VectorEnds:
-        """Return bounds of ‖r_P(x°)‖∞ of each component; ∞ if F is not defined at x°."""
+        """Return bounds of ‖r_P(x°)‖∞ of each row's component; ∞ if F is not defined at x°."""
         ends = _ends(problem, self.x, self.value, problem.residual_scale)
-        smallest, largest = (largest_of_components(problem, end) for end in ends)
+        with np.errstate(invalid="ignore"):
+            smallest, largest = map(row_data(problem).largest, ends)
         return np.where(np.isinf(largest), np.inf, smallest), largest
 
-    def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
+    def _limit(self, problem: LCP, x: FloatVector, value: FloatVector) -> Any:
         """Return the bound of ‖r_P(x°)‖∞ for affine F with the same value and slope at x."""
         with np.errstate(all="ignore"):
             distance = np.abs(x - self.x)
             reached = distance + abs(problem.M) @ distance / problem.residual_scale
             here = np.abs(scaled_residual(problem, x, value))
-            return ROUNDED * (
-                largest_of_components(problem, here) + largest_of_components(problem, reached)
-            )
+            largest = row_data(problem).largest
+            return ROUNDED * (largest(here) + largest(reached))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +177,7 @@ class NonlinearCertificate(Certificate):
 
     @property
     def references(self) -> VectorEnds:
-        """Bounds of the reference of each component, shape (components,) each."""
+        """Bounds of the reference of each row's component, shape (n,), or (1,) if there is one component."""
         return self.reference.ends(self.problem, self.z, self.value)
 
     @cached_property
@@ -197,16 +193,14 @@ class NonlinearCertificate(Certificate):
         is_faint = shares < FAINT
         if not is_faint.any() or not own.any():
             return own
-        strict = term_residuals(
-            *at, spread_to_rows(self.problem, -largest_of_components(self.problem, -shares))
-        )
+        data = row_data(self.problem)
+        strict = term_residuals(*at, float(shares.min()) if data.labels is None else 0.0)
         without = Linearization(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
         if not without.is_defined:
             return strict
-        there = largest_of_components(
-            self.problem, term_residuals(without.lcp, without.x, without.value)
-        )
-        errors: FloatVector = np.fmin(strict, np.fmax(own, spread_to_rows(self.problem, there)))
+        with np.errstate(invalid="ignore"):
+            there = data.largest(term_residuals(without.lcp, without.x, without.value))
+        errors: FloatVector = np.fmin(strict, np.fmax(own, there))
         return errors
 
     @cached_property
@@ -289,8 +283,9 @@ def term_residuals(
         wrong = np.where(distance > 0.0, np.abs(value), 0.0)
         terms = magnitude(problem, x)
         tells = (distance > 0.0) & (wrong <= VANISHING * terms)
-        unit = largest_of_components(problem, np.where(tells, terms / problem.residual_scale, 0.0))
-        unit = spread_to_rows(problem, np.minimum(unit, largest_of_components(problem, np.abs(x))))
+        largest = row_data(problem).largest
+        unit = largest(np.where(tells, terms / problem.residual_scale, 0.0))
+        unit = np.minimum(unit, largest(np.abs(x)))
         rows = problem.matrix.csr
         unknowns = largest_in_rows(
             rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)

@@ -13,13 +13,12 @@ import scipy.sparse as sp
 
 from ...auto import method_of, stages_of
 from ...core.algorithm import Algorithm, Step, without_warnings
-from ...core.certificates.criterion import largest_of_components
+from ...core.certificates.criterion import row_data
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.matrix.structure import connected_components
 from ...core.settings import Settings
 from ...core.solving.result import Result
 from ...core.solving.run import Run
@@ -203,10 +202,10 @@ class _NewtonRun:
 
     @staticmethod
     def _residuals(point: Linearization) -> FloatVector:
-        """Return ‖r_P‖∞ of each component."""
-        return largest_of_components(
-            point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value))
-        )
+        """Return ‖r_P‖∞ of each row's component."""
+        residual = scaled_residual(point.lcp, point.x, point.value)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(row_data(point.lcp).largest(np.abs(residual)))
 
     def _relative(self, point: Linearization) -> float:
         references = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
@@ -261,14 +260,10 @@ class _NewtonRun:
 
 def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
     """Return 1/reference of each row's component, shape (n,), or [1.0] for one component."""
-    several = connected_components(start.lcp.matrix)
-    if several is None:
-        return np.ones(1)
     unit = compared_with.ends(start.lcp, start.x, start.value)[1]
-    weights: FloatVector = (
-        1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)[several.labels]
-    )
-    return weights
+    if unit.size == 1:
+        return np.ones(1)
+    return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
 
 
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:

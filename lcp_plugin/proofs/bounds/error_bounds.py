@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.certificates.criterion import largest_of_components
+from ...core.certificates.criterion import row_data
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
@@ -187,12 +187,12 @@ class BestBound:
         if self.near is not self.at and not (active | inactive).all():
             more_active, more_inactive = self.at.classified(y)
             active, inactive = active | more_active, inactive | more_inactive
-        sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
-        infinity, residual = sizes
-        of_components = (
-            largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z)
+        infinity, residual = (
+            float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at))
         )
-        relative = max(map(relative_to, *of_components), default=0.0)
+        largest = row_data(problem).largest
+        errors, sizes = (largest(np.abs(one)).tolist() for one in (y, self.z))
+        relative = max(relative_to(*one) for one in {*zip(errors, sizes, strict=True)})
         is_active = active | (problem.lower == problem.upper)
         near = NearPoint(self.near.high, self.near.low, self.near_y)
         return ErrorBound(y, infinity, relative, self.method, is_active, inactive, residual, near)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.certificates.criterion import largest_of_components, spread_to_rows
+from ...core.certificates.criterion import row_data
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...core.rounding import compensated_pair, compensated_product
@@ -99,11 +99,9 @@ class RowInequality:
             side(self.over, self.above, self.slack),
             side(self.under, self.below, self.negative_slack),
         )
-        largest = largest_of_components(self.problem, np.maximum(np.maximum(*sides), 0.0))
-        inflated: FloatVector = spread_to_rows(
-            self.problem, np.where(np.isnan(largest), np.inf, largest)
-        )
-        return inflated
+        with np.errstate(invalid="ignore"):
+            largest = row_data(self.problem).largest(np.maximum(np.maximum(*sides), 0.0))
+        return np.where(np.isnan(largest), np.inf, largest)
 
     def image(self, y: FloatVector) -> FloatVector:
         """Return Φ(y), shape (n,)."""

@@ -17,7 +17,6 @@ import scipy.sparse as sp
 from ...core.certificates.criterion import (
     references_of_components,
     rounding_of_data,
-    spread_to_rows,
 )
 from ...core.checks import FloatVector
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
@@ -177,7 +176,7 @@ class Choices(NamedTuple):
             if path.get(i) == (LOWER if value > 0 else UPPER)
         ]  # of z_i from its bound
         most = references_of_components(self.problem)[1]
-        reference = np.broadcast_to(spread_to_rows(self.problem, most), (self.problem.n,))
+        reference = np.broadcast_to(most, (self.problem.n,))
         is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
         if not is_safe.all():  # a reference may be rounded to 0, or to ∞
             return 0.0, 0.0

@@ -17,7 +17,7 @@ from ..core.checks import FloatVector
 from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scale_matrix, times_power
 from ..core.matrix.structure import row_numbers
-from ..core.matrix.symmetry import is_symmetric_to_rounding
+from ..core.matrix.symmetry import ROUNDED, mismatch
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
 from .factors import diagonal_pivot_factor, factor_fits, solver_of
@@ -58,7 +58,7 @@ class ComparisonMatrix:
     """
 
     def __init__(self, M: Any) -> None:
-        self.is_symmetric = is_symmetric_to_rounding(M)
+        self.is_symmetric = mismatch(M, np.abs(M.diagonal()), ROUNDED)[1] is None
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
         self.matrix = scale_matrix(comparison_of(M), self.exponents)
         self.diagonal: FloatVector = self.matrix.diagonal()

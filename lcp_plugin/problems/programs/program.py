@@ -26,7 +26,7 @@ from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.symmetry import is_its_mirror, mismatch
+from ...core.matrix.symmetry import mismatch
 from ...core.rounding import compensated_pair, compensated_product
 from .constraints import Constraints
 from .criterion import PROGRAM_TOLERANCE
@@ -380,6 +380,4 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j of the largest relative difference, or None if at rounding level."""
-    if bool((M == M.T).all()) if isinstance(M, np.ndarray) else is_its_mirror(M):
-        return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.certificates.row_residuals import scaled_residual
+from ..core.certificates.criterion import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON

@@ -18,8 +18,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ..api import solve
+from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.certificates.residuals import Certificate
-from ..core.certificates.row_residuals import magnitude, rounding_floor, scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
@@ -224,7 +224,9 @@ def _compare(convex: ReferenceProgram, ours: Certificate, theirs: Certificate) -
 def _weighted_residual(convex: ReferenceProgram, side: Certificate) -> float:
     """Return ‖D^½ r‖ / unit, rounding included."""
     problem, scale = side.problem, np.square(convex.weight)
-    floor = rounding_floor(problem, magnitude(problem, side.z), scale)
+    data = row_data(problem)
+    with np.errstate(all="ignore"):
+        floor = data.rounding_floor(data.rows(side.z).terms, scale)
     residual = np.abs(scaled_residual(problem, side.z, side.w, scale)) + floor
     return float(np.linalg.norm(residual * convex.weight / convex.unit))
 

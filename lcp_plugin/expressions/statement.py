@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..auto import solve_lcp
-from ..core.certificates.row_residuals import magnitude
+from ..core.certificates.criterion import row_data
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
@@ -111,7 +111,8 @@ class SquareModel:
         left = left[self.places]
         expected[left] = self.signs * w
         if isinstance(self.problem, NonlinearProblem):
-            terms[left] = magnitude(self.problem.linearize(z), z)
+            with np.errstate(all="ignore"):
+                terms[left] = row_data(self.problem.linearize(z)).rows(z).terms
         else:
             unknowns = np.abs(self.elimination.expand(z))
             terms = np.concatenate([abs(matrix) @ unknowns for matrix in self.stored])

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Step, check_choice
-from ..core.certificates.row_residuals import scaled_residual
+from ..core.certificates.criterion import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP

@@ -18,8 +18,11 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import reference_residual, references_of_components
-from lcp_plugin.core.certificates.row_residuals import scaled_residual
+from lcp_plugin.core.certificates.criterion import (
+    reference_residual,
+    references_of_components,
+    scaled_residual,
+)
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 EPSILON = Fraction(1, 2**52)

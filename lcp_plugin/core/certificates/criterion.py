@@ -37,9 +37,10 @@ from ..checks import FloatVector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact, largest_in_rows
+from ..matrix.row_sums import row_blocks
 from ..matrix.structure import connected_components
 from ..rounding import compensated_product
-from .row_residuals import find_rounding_rows, rounding_floor
+from .row_residuals import find_rounding_rows
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
@@ -131,13 +132,20 @@ class RowData:
     def residual(
         self, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
     ) -> FloatVector:
-        """Return r(z), by mid(z − upper, z − lower, w/d): a small step is not lost next to a large z."""
-        step = w / (self.scale if scale is None else scale)
-        is_lost = (step == 0.0) & (w != 0.0)  # the quotient underflows
-        if is_lost.any():
-            step[is_lost] = np.copysign(TINY, w[is_lost])
-        np.maximum(step, z - self.upper, out=step)
-        return np.minimum(step, z - self.lower, out=step)
+        """Return r(z), by mid(z − upper, z − lower, w/d): a small step is not lost next to a large z.
+
+        Intermediate arrays are so short that they stay in the cache.
+        """
+        residual, scale = np.empty(w.shape), self.scale if scale is None else scale
+        for rows in row_blocks(w.shape[-1]):
+            part = (..., rows)
+            step = np.divide(w[part], scale[part], out=residual[part])
+            is_lost = (step == 0.0) & (w[part] != 0.0)  # the quotient underflows
+            if is_lost.any():
+                step[is_lost] = np.copysign(TINY, w[part][is_lost])
+            np.maximum(step, z[part] - self.upper[part], out=step)
+            np.minimum(step, z[part] - self.lower[part], out=step)
+        return residual
 
     def residual_ends(
         self, z: FloatVector, w: FloatVector, slip: FloatVector, scale: FloatVector | None = None
@@ -212,6 +220,12 @@ class RowData:
             is_led = after
         return is_candidate & ~is_led & (is_small | (at.wrong <= ROUNDING * unit))
 
+    def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
+        """Return the rounding level of each residual: k_i ε T_i / d_i with k_i = nonzeros of row i + 2."""
+        with np.errstate(all="ignore"):
+            rounding = (self._counts + 2) * (EPSILON * terms + TINY)
+            return rounding / (self.scale if scale is None else scale)
+
     def _underflow(self, z: FloatVector) -> Any:
         """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""
         grid = np.where((z != 0.0) & (np.abs(z) < NORMAL), TINY, 0.0)
@@ -278,6 +292,22 @@ def is_within(relative_residual: Any, term_residual: Any, tolerance: float) -> A
     return (relative_residual <= tolerance) & (term_residual <= tolerance)
 
 
+def scaled_residual(
+    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+) -> FloatVector:
+    """Return r(z), shape (n,); ∞ where w_i is not finite, because its sign is then unknown."""
+    residual = row_data(problem).residual(z, w, scale)
+    if not np.isfinite(w.sum()):
+        residual[np.isinf(w)] = np.inf
+    return residual
+
+
+def measured_residual(problem: LCP, z: FloatVector) -> float:
+    """Return ‖r(z)‖∞ as computed in double precision, without a bound of its rounding error."""
+    with np.errstate(all="ignore"):
+        return float(np.abs(scaled_residual(problem, z, problem.slack(z))).max(initial=0.0))
+
+
 def sharp_residual_ends(problem: LCP, z: FloatVector) -> VectorEnds:
     """Return sharp bounds of every |r_i(z)| by compensated sums."""
     with np.errstate(all="ignore"):
@@ -336,7 +366,7 @@ def rows_near_start(problem: LCP) -> Any:
     else:
         with np.errstate(all="ignore"):
             at = data.rows(z)
-            floor = rounding_floor(problem, at.terms, data.scale)
+            floor = data.rounding_floor(at.terms)
             is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
             is_open = (data.residual_ends(z, at.w, at.slip)[1] > 0.0) & ~is_rounding
         is_solved = data.largest(is_open.astype(np.float64)) == 0.0

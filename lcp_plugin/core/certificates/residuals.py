@@ -21,6 +21,7 @@ from .criterion import (
     references_of_components,
     row_data,
     rows_near_start,
+    scaled_residual,
     sharp_residual_ends,
 )
 from .row_residuals import (
@@ -28,8 +29,6 @@ from .row_residuals import (
     euclidean_norm,
     find_rounding_rows,
     largest_ratio,
-    rounding_floor,
-    scaled_residual,
 )
 
 if TYPE_CHECKING:
@@ -217,7 +216,7 @@ class Certificate:
         """Bounds of every |r_i|."""
         low, high = self._ends(self.problem.residual_scale)
         is_open = (high > DECIDED * self.references[0]) & (low < 0.99 * high) & (high < np.inf)
-        # Where rounding counts, compensated sums are sharper.
+        # If rounding counts, compensated sums are sharper.
         return sharp_residual_ends(self.problem, self.z) if is_open.any() else (low, high)
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
@@ -267,7 +266,8 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
-        return rounding_floor(self.problem, self._rows.terms, self.problem.residual_scale)
+        floor: FloatVector = row_data(self.problem).rounding_floor(self._rows.terms)
+        return floor
 
     @cached_property
     def is_at_rounding_level(self) -> bool:

@@ -1,72 +1,14 @@
-"""Residuals of rows with bounds of their rounding errors; quotients that are rounded upwards."""
+"""Quotients of numbers ≥ 0 that are rounded upwards, and rows at rounding level."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from ..checks import BoolVector, FloatVector
-from ..kernels.floats import EPSILON, TINY
+from ..kernels.floats import EPSILON
 from ..lcp import LCP
-from ..matrix.matrix import Matrix, fact
-from ..matrix.row_sums import row_blocks
-
-
-def scaled_residual(
-    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-) -> FloatVector:
-    """Return r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), shape (n,); ∞ where w_i is not finite.
-
-    The formula mid(z − upper, z − lower, w/d) gives the same number without the loss of a small step relative to a
-    large z. If w overflows, its sign is unknown, and the residual is ∞.
-    """
-    residual, scale = np.empty(z.size), problem.residual_scale if scale is None else scale
-    for rows in row_blocks(z.size):  # intermediate arrays stay in the cache
-        step = w[rows] / scale[rows]
-        block = np.subtract(z[rows], problem.upper[rows], out=residual[rows])
-        np.maximum(step, block, out=block)
-        np.minimum(block, z[rows] - problem.lower[rows], out=block)
-    if not np.isfinite(w.sum()):
-        residual[np.isinf(w)] = np.inf
-    return residual
-
-
-@fact
-def row_counts(matrix: Matrix) -> Any:
-    """Return the number of entries of each row, shape (n,), or n of a dense M."""
-    return matrix.n if matrix.is_dense else np.diff(matrix.csr.indptr)
-
-
-def magnitude(problem: LCP, z: FloatVector) -> FloatVector:
-    """Return |M||z| + |q|, shape (n,)."""
-    with np.errstate(all="ignore"):
-        sizes: FloatVector = abs(problem.matrix.array) @ np.abs(z) + np.abs(problem.q)
-    return sizes
-
-
-def measured_residual(problem: LCP, z: FloatVector) -> float:
-    """Return ‖r(z)‖∞ as computed in double precision, without a bound of its rounding error."""
-    with np.errstate(all="ignore"):
-        residual = scaled_residual(problem, z, problem.slack(z))
-        return float(np.abs(residual, out=residual).max(initial=0.0))
-
-
-def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> FloatVector:
-    """Return the rounding level of each residual: k_i ε (|M||z| + |q|)_i / d_i with k_i = nonzeros of row i + 2.
-
-    Parameters
-    ----------
-    magnitude : array, shape (own,)
-        |M||z| + |q|.
-    scale : array, shape (own,)
-        d.
-    """
-    terms = row_counts(problem.matrix) + 2
-    with np.errstate(all="ignore"):
-        floor: FloatVector = terms * (EPSILON * magnitude + TINY) / scale
-    return floor
 
 
 def find_rounding_rows(residual: FloatVector, floor: FloatVector) -> BoolVector:

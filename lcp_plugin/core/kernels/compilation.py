@@ -16,20 +16,17 @@ from typing import Any
 from ..deadline import compilation, pause_for_compilation
 
 with pause_for_compilation():  # most of a second
-    from numba import float64, njit, types, uintp
+    from numba import float64, njit, uintp
     from numba.core import event
-    from numba.extending import lower_builtin, overload, type_callable
+    from numba.extending import lower_builtin, type_callable
 
 __all__ = [
-    "IN_ANY_ORDER",
     "float64",
     "helper",
     "inline",
     "kernel",
     "lower_builtin",
-    "overload",
     "type_callable",
-    "types",
     "uintp",
 ]
 OPTIONS: dict[str, Any] = {
@@ -38,10 +35,6 @@ OPTIONS: dict[str, Any] = {
     "no_cfunc_wrapper": True,
 }  # C calls none of them
 OF_HELPERS: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # nor Python these
-IN_ANY_ORDER = {
-    "fastmath": {"reassoc", "contract", "nnan", "nsz"},
-    "forceinline": True,
-}  # sums of terms, none NaN
 
 
 class _Seconds(event.Listener):

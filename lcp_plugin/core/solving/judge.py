@@ -14,17 +14,17 @@ import numpy as np
 from ..algorithm import Algorithm, Step
 from ..certificates.criterion import (
     POWER,
+    measured_residual,
     references_of_components,
     rounding_of_data,
     rows_solved_at_start,
+    scaled_residual,
     snap_to_bounds,
 )
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import (
     divide_nonnegative,
-    measured_residual,
     ratio,
-    scaled_residual,
 )
 from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING

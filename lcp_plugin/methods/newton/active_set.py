@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.certificates.row_residuals import measured_residual, scaled_residual
+from ...core.certificates.criterion import measured_residual, scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...systems.factors import factor_operations

@@ -30,13 +30,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.certificates.criterion import VectorEnds, row_data
+from ...core.certificates.criterion import VectorEnds, row_data, scaled_residual
 from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import (
-    largest_ratio,
-    magnitude,
-    scaled_residual,
-)
+from ...core.certificates.row_residuals import largest_ratio
 from ...core.checks import FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
@@ -281,7 +277,7 @@ def term_residuals(
             value > 0.0, x - problem.lower, problem.upper - x
         )  # to where this sign is right
         wrong = np.where(distance > 0.0, np.abs(value), 0.0)
-        terms = magnitude(problem, x)
+        terms = row_data(problem).rows(x).terms
         tells = (distance > 0.0) & (wrong <= VANISHING * terms)
         largest = row_data(problem).largest
         unit = largest(np.where(tells, terms / problem.residual_scale, 0.0))
@@ -324,7 +320,7 @@ def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> Floa
             & (x < problem.upper)
             & ~(problem.residual_scale * distance < np.abs(value))
         )
-        terms = np.where(is_between, magnitude(problem, x), np.inf)
+        terms = np.where(is_between, row_data(problem).rows(x).terms, np.inf)
         parts = np.abs(rows.data * x[rows.indices]) / np.repeat(terms, np.diff(rows.indptr))
     shares = np.zeros(x.size)
     np.maximum.at(shares, rows.indices, np.nan_to_num(parts))

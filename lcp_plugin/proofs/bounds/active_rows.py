@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.row_residuals import magnitude, rounding_floor
+from ...core.certificates.criterion import row_data
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...systems.free_systems import FreeSystem
@@ -113,8 +113,8 @@ def _judged(
     left: FloatVector | None = None,
 ) -> ActiveRows:
     """Return the classification of the rows by z and w, if `left` bounds the distance of z from the solution."""
-    scale = problem.residual_scale
-    floor = rounding_floor(problem, magnitude(problem, z), scale)
+    scale, data = problem.residual_scale, row_data(problem)
+    floor = data.rounding_floor(data.rows(z).terms)
     beside_largest = np.minimum(
         scale / problem.matrix.row_largest, 1.0
     )  # by a tiny diagonal entry no row moves z_i

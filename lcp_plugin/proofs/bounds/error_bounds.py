@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.certificates.criterion import row_data
-from ...core.certificates.row_residuals import scaled_residual
+from ...core.certificates.criterion import row_data, scaled_residual
 from ...core.checks import BoolVector, FloatVector, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.lcp import LCP

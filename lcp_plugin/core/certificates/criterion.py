@@ -140,8 +140,8 @@ class RowData:
         for rows in row_blocks(w.shape[-1]):
             part = (..., rows)
             step = np.divide(w[part], scale[part], out=residual[part])
-            is_lost = (step == 0.0) & (w[part] != 0.0)  # the quotient underflows
-            if is_lost.any():
+            if not step.all():  # perhaps a quotient underflows
+                is_lost = (step == 0.0) & (w[part] != 0.0)
                 step[is_lost] = np.copysign(TINY, w[part][is_lost])
             np.maximum(step, z[part] - self.upper[part], out=step)
             np.minimum(step, z[part] - self.lower[part], out=step)

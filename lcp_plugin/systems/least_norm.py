@@ -124,11 +124,11 @@ def _least(blocks: Any, own: Any) -> tuple[Any, BoolVector]:
         items = np.flatnonzero(own.sum(axis=1) == count)
         chosen = blocks[items, :count, :count]
         inverses[items, :count, :count], is_singular[items] = pseudo_inverses(chosen)
-        is_singular[items] &= _have_one_unit(chosen)
+        is_singular[items] &= have_one_unit(chosen)
     return inverses, is_singular
 
 
-def _have_one_unit(blocks: Any) -> Any:
+def have_one_unit(blocks: Any) -> Any:
     """Return the mask of blocks whose diagonal, or the largest entries of all rows and columns, differ little."""
     sizes = np.abs(blocks)
     rows, sides = sizes.max(2), np.concatenate([sizes.max(2), sizes.max(1)], 1)

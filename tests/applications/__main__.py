@@ -15,11 +15,11 @@ sys.path[0] = str(Path(__file__).parents[1])
 sys.path.insert(1, str(Path(__file__).parents[2]))
 
 from applications import entries  # noqa: E402
-from applications.table import all_runs, cases, differences, path_of, read, summary, written  # noqa: E402
+from applications.table import all_runs, cases, differences, path_of, read, written  # noqa: E402
 
 
 def main() -> int:
-    """Print what changed and how auto stands; return the exit code: 2 for bad input."""
+    """Print what changed; return the exit code: 2 for bad input."""
     parser = argparse.ArgumentParser(
         "python tests/applications", description=(__doc__ or "").partition("\n")[0]
     )
@@ -68,7 +68,7 @@ def main() -> int:
             )
         if not given.dry_run:
             file.write_text(written(new), encoding="utf-8")
-    print("\n".join([*differences(old, new), *summary(new)]))
+    print("\n".join(differences(old, new)))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Measure applications, compare two tables, and print the lines of a summary."""
+"""Measure applications, and compare two tables."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FEW_PASSES = 5.0  # a pivot more or less is a matter of rounding: another proces
 FAR_BEHIND = 3.0  # times the best named method's work: often chaotic, so not compared
 CHAOTIC = 100.0  # times that, for auto on scaled problems: pivots depend on rounding
 FALSE_FROM = 1e-3  # SOLVED with such an error is false
-TARGET = 1.5  # times the work of the best named method
+
 
 # A run ends here; limits are steps, not seconds.
 STEPS = {"auto": 10_000, "npsor": 2000, "psor": 2000, "multigrid": 150, "newton": 150, "interior_point": 100,
@@ -308,15 +308,6 @@ def _differ(a: Measured, b: Measured) -> bool:
     ) > 2.0 * min(small)
 
 
-class Standing(NamedTuple):
-    """Comparison of auto with the best named method on one unscaled problem."""
-
-    problem: str
-    auto: Measured
-    best: str | None
-    ratio: float  # of work; ∞ if auto does not solve a problem that a named method solves
-
-
 def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
     """Return the named method of least work on each solved unscaled problem, and this work.
 
@@ -331,40 +322,3 @@ def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
         ):
             best[key.problem] = key.method, row.work
     return best
-
-
-def standings(table: Table) -> list[Standing]:
-    """Return the comparison of auto with named methods on each problem."""
-    found, named = [], best_of_named(table)
-    for key, auto in table.items():
-        if (key.method, key.units) == ("auto", "own"):
-            best, least = named.get(key.problem, (None, np.inf))
-            ratio = auto.work / max(least, 1.0) if auto.is_solved else np.inf if best else 0.0
-            found.append(Standing(key.problem, auto, best, ratio))
-    return found
-
-
-def summary(table: Table) -> Iterator[str]:
-    """Yield the lines of a summary of auto."""
-    worst: dict[str, float] = {}
-    found = standings(table)
-    for one in found:
-        name = one.problem.partition(" ")[0]
-        worst[name] = max(worst.get(name, 0.0), one.ratio)
-        if one.ratio > TARGET:
-            best = table[Key(one.problem, one.best or "", "own")].work
-            yield f"  {one.problem}: auto {one.auto}; {one.best} {best:g}: {one.ratio:.2f} ×"
-    false = [key for key, row in table.items() if row.rank == 3]
-    by_auto = sum(key.method == "auto" for key in false)
-    unsolved = [key for key, row in table.items() if key.method == "auto" and row.rank in (1, 2)]
-    for word, keys in (("falsely SOLVED", false), ("unsolved", unsolved)):
-        yield from (f"  {word}: {' '.join(key)}: {table[key]}" for key in keys)
-    finite = [one.ratio for one in found if one.ratio < np.inf]
-    good = sum(ratio <= TARGET for ratio in worst.values())
-    yield (
-        f"auto's work is at most {TARGET} × the best named method's on {good} of {len(worst)} applications; "
-        f"worst ratio {max(finite, default=0.0):.2f}; unsolved though a named method solves: "
-        f"{sum(one.ratio == np.inf for one in found)} of {len(found)} problems; in all units auto is unsolved in "
-        f"{len(unsolved)} of {sum(key.method == 'auto' for key in table)} rows, falsely SOLVED in "
-        f"{by_auto}, and named methods in {len(false) - by_auto}"
-    )

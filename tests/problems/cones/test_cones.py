@@ -47,7 +47,7 @@ BAD: dict[str, tuple[Any, str]] = {
         lambda: FC([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5),
         "symmetric",
     ),
-    "μ < 0": (lambda: FC(*ONE[:2], -0.1), r"friction = -0.1"),
+    "μ < 0": (lambda: FC(*ONE[:2], -0.1), r"friction\[0\] = -0.1"),
     "two coefficients": (lambda: FC(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
     "b is NaN": (lambda: FC(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
     "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),

@@ -71,7 +71,6 @@ MISTAKES: dict[str, tuple[str, Any]] = {
         r"friction must not be negative, but friction\[0\] = -0.5",
         (EYE, [-0.5], FALL),
     ),
-    "negative number": ("must not be negative, but friction = -0.5", (EYE, -0.5, FALL)),
     "friction of others": (r"array of shape \(1,\)", (EYE, [0.5, 0.5], FALL)),
     "tangents not unit": (
         "must be orthogonal unit vectors, but contact 0 violates this by .* divide",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import dataclass
 from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
@@ -39,27 +38,11 @@ SEEDS = range(6)
 # --- Programs whose answer came first ----------------------------------------------------------------------
 
 
-@dataclass
-class Planted:
-    """A program and the x and multipliers that solve it."""
-
-    program: QuadraticProgram
-    x: Any
-    inequality: Any
-    equality: Any
-    lower: Any
-    upper: Any
-
-    def solution(self) -> QPSolution:
-        return QPSolution(
-            self.program, self.x, self.inequality, self.equality, self.lower, self.upper
+def assert_agree(ours: QPSolution, right: QPSolution, tolerance: float) -> None:
+    for name in ("x", "inequality", "equality", "lower", "upper"):
+        np.testing.assert_allclose(
+            getattr(ours, name), getattr(right, name), atol=tolerance, err_msg=name
         )
-
-    def agrees(self, other: QPSolution, tolerance: float) -> None:
-        for name in ("x", "inequality", "equality", "lower", "upper"):
-            np.testing.assert_allclose(
-                getattr(other, name), getattr(self, name), atol=tolerance, err_msg=name
-            )
 
 
 def planted(
@@ -72,7 +55,7 @@ def planted(
     bounded: bool = True,
     sparse: bool = False,
     singletons: int = 0,
-) -> Planted:
+) -> QPSolution:
     """x, its active set and all multipliers are drawn; then c, h and b make them right.
 
     Each third of the rows is active, inactive and degenerate; few enough are active for unique multipliers.
@@ -97,7 +80,7 @@ def planted(
     c = -(P @ x + G.T @ inequality + A.T @ equality - at_lower + at_upper)
     wrap = sp.csr_array if sparse else np.asarray
     program = QuadraticProgram(wrap(P), c, wrap(G), h, wrap(A), A @ x, lower, upper)
-    return Planted(program, x, inequality, equality, at_lower, at_upper)
+    return QPSolution(program, x, inequality, equality, at_lower, at_upper)
 
 
 def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
@@ -111,7 +94,8 @@ def test_direct_form_solved_and_recovered(seed: int) -> None:
     problem = lcp_from_qp(answer.program)
     assert problem.origin.form == "direct"
     assert problem.n == answer.program.n
-    answer.agrees(problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved()), 1e-6)
+    found = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved())
+    assert_agree(found, answer, 1e-6)
 
 
 @pytest.mark.parametrize("rank", [None, 3, 0])
@@ -122,7 +106,7 @@ def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
     problem = lcp_from_qp(answer.program)
     z = np.concatenate([answer.x, answer.inequality, answer.equality])
     assert Certificate.of(problem, z).relative_residual < 1e-12
-    answer.agrees(problem.origin.recover(z), 1e-12)
+    assert_agree(problem.origin.recover(z), answer, 1e-12)
     M = problem.csr.toarray()
     assert np.linalg.eigvalsh(M + M.T).min() > -1e-12
 
@@ -400,7 +384,7 @@ REFUSED = {
         "semidefinite",
         lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])),
     ),
-    "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).solution().is_optimal(-1)),
+    "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).is_optimal(-1)),
     "game shapes": (INVALID, r"B must be.*\(2, 2\)", lambda: game(EYE, [[1, 2]])),
     "game, payoffs twice": (INVALID, "leave B out", lambda: game(game_of(EYE, EYE), EYE)),
     "game of three": (

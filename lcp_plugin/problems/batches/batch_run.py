@@ -9,15 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...api import solve
-from ...core.certificates.residuals import Certificate
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.settings import Settings, Status
 from ...core.solving.answer import Answer
-from ...core.solving.result import Result, StageRecord
-from ..cones.data import Blocks
-from ..cones.solving import result_of
+from ...core.solving.result import Result
 from ..many.answers import AnswerSequence
 from ..many.chunks import run_in_chunks
 
@@ -130,7 +127,7 @@ class BatchRun:
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
         """Solve problem k by itself."""
-        found = self.results[k] = self._solved(k, options)
+        found = self.results[k] = self._solved(k, self.problems.start(k), options)
         if isinstance(self.z, np.ndarray):
             self.z[k], self.z[k, : found.x.size] = 0.0, found.x
         else:
@@ -140,8 +137,7 @@ class BatchRun:
         self.status[k], self.iterations[k], self.is_open[k] = found.status, found.iterations, False
         self.is_interrupted |= found.status is Status.INTERRUPTED
 
-    def _solved(self, k: int, options: dict[str, Any]) -> Any:
-        start = self.problems.start(k)
+    def _solved(self, k: int, start: Any, options: dict[str, Any]) -> Any:
         given = {} if start is None else {"z0": start}
         named = {} if self.asked.algorithm == "auto" else {"algorithm": self.asked.algorithm}
         return solve(self.problems[k], **given, **named, **options)
@@ -151,26 +147,12 @@ class BatchRun:
         if k in self.results:
             return self.results[k]
         if self.status[k] is not Status.SOLVED:
-            found = self._solved(k, {**self.asked.options, "max_seconds": 0.0})
+            options = {**self.asked.options, "max_seconds": 0.0}
+            found = self._solved(k, self.problems.start(k), options)
             return replace(found, status=self.status[k])
-        problem, iterations = self.problems[k], int(self.iterations[k])
+        found = self._solved(k, self.z[k][: self.problems[k].n], self.asked.options)
         share = self.seconds / len(self.status)
-        if isinstance(problem, Blocks):
-            return result_of(problem, self.z[k][: problem.n], iterations, self.settings, share)
-        certificate, work = Certificate.of(problem, self.z[k]), float(problem.n)
-        return Result(
-            z=certificate.z,
-            w=certificate.w,
-            status=Status.SOLVED,
-            certificate=certificate,
-            algorithm="auto: rounds",
-            iterations=iterations,
-            work=work,
-            seconds=share,
-            setup_seconds=0.0,
-            tolerance=self.settings.tolerance,
-            stages=(StageRecord("rounds", "", 1, work),),
-        )
+        return replace(found, iterations=int(self.iterations[k]), seconds=share)
 
     def tables(self) -> dict[str, Any]:
         """Return the arrays of the results by name."""

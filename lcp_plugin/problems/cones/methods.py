@@ -78,13 +78,6 @@ class ConeAlgorithm:
         """Yield the start, then a point per step, until the residual is at most `goal` or no longer falls."""
         raise NotImplementedError
 
-    def require_friction(self, problem: Any) -> None:
-        """Raise UnsuitableProblem for cones without friction."""
-        if not problem.has_friction:
-            raise UnsuitableProblem(
-                f'{self.name} takes contacts with friction; try algorithm="fixed_point"'
-            )
-
 
 @dataclass(frozen=True, kw_only=True)
 class ConeNPGS(ConeAlgorithm):
@@ -172,7 +165,10 @@ class ConeInteriorPoint(ConeAlgorithm):
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield the start, then a point per factorization."""
-        self.require_friction(problem)
+        if not problem.has_friction:
+            raise UnsuitableProblem(
+                f'{self.name} takes contacts with friction; try algorithm="fixed_point"'
+            )
         residual = float(stack.measure(z)[2][0])
         yield z, residual, 1.0
         if residual > goal:

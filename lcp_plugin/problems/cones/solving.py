@@ -135,7 +135,7 @@ def solve_cones(
             run.solve(chosen)
     result = _result(problem, run, log, chosen)
     if settings.verbose:
-        log.say(f"{result.status.name}: {result.advice}")
+        print(f"{result.status.name}: {result.advice}", flush=True)
     return result
 
 
@@ -204,8 +204,11 @@ class Log:
         self.is_watched = settings.record or settings.verbose or callback is not None
         self._next = self._next_line = 0
         if settings.verbose:
-            self.say(f"{problem}")
-            self.say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
+            print(problem, flush=True)
+            print(
+                f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}",
+                flush=True,
+            )
 
     def begin(self, name: str, because: str) -> None:
         """Begin a stage, unless it is the current one."""
@@ -214,7 +217,7 @@ class Log:
         self.stage, self._next_line = (name, because), self.iterations
         self.stages.setdefault(self.stage, StageRecord(name, because, 0, 0.0))
         if self.settings.verbose:
-            self.say(f"{name}: {because}" if because else name)
+            print(f"{name}: {because}" if because else name, flush=True)
 
     def count(self, work: float, iterations: int) -> None:
         """Add a step to the last stage."""
@@ -235,8 +238,9 @@ class Log:
             is_due = residual is not None and self.iterations >= self._next_line
             if self.settings.verbose and is_due:
                 self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
-                self.say(
-                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {seconds:>9.3f}"
+                print(
+                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {seconds:>9.3f}",
+                    flush=True,
                 )
         if wants_to_stop:
             raise Ended(Status.INTERRUPTED)
@@ -248,11 +252,6 @@ class Log:
         self.clock.read()
         if self.clock.elapsed >= self.settings.max_seconds:
             raise Ended(Status.MAX_SECONDS)
-
-    @staticmethod
-    def say(line: str) -> None:
-        """Print a line."""
-        print(line, flush=True)
 
 
 class ConeRun:
@@ -512,45 +511,24 @@ def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm
     if run.status is Status.SOLVED and not log.iterations:
         stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
     name = ", ".join(dict.fromkeys(stage.name for stage in stages))
-    return _result_at(
-        certificate,
-        run.status,
+    held: Any = certificate
+    return ConeResult(
+        z=certificate.z,
+        w=certificate.w,
+        status=run.status,
+        certificate=held,
         algorithm=f"auto: {name}" if chosen == "auto" else chosen.name,  # type: ignore[union-attr]
         iterations=log.iterations,
         work=log.work,
         seconds=log.clock.read(),
+        setup_seconds=0.0,
         tolerance=settings.tolerance,
         absolute_tolerance=settings.absolute_tolerance,
         history=tuple(log.samples),
         stages=stages,
         infeasibility=run.proof,
         _advice=words,
-    )
-
-
-def _result_at(certificate: ConeCertificate, status: Status, **parts: Any) -> ConeResult:
-    z, w, problem = certificate.z, certificate.w, certificate.problem
-    held: Any = certificate
-    return ConeResult(
-        z=z, w=w, status=status, certificate=held, setup_seconds=0.0, problem=problem, **parts
-    )
-
-
-def result_of(
-    problem: Blocks, z: FloatVector, iterations: int, settings: Settings, seconds: float
-) -> ConeResult:
-    """Return the result of a problem that was solved in a stack."""
-    certificate = ConeCertificate.at(problem, z, settings.tolerance)
-    stage = StageRecord("npgs, newton", f"{SWEPT}, {FOLLOWS}", iterations, 0.0)
-    return _result_at(
-        certificate,
-        Status.SOLVED,
-        algorithm="auto: npgs, newton",
-        iterations=iterations,
-        work=0.0,
-        seconds=seconds,
-        tolerance=settings.tolerance,
-        stages=(stage,),
+        problem=problem,
     )
 
 

@@ -24,7 +24,6 @@ ENDS = {  # SCIP's names
     "userinterrupt": Status.INTERRUPTED,
 }
 BY_SCIP = "bound by SCIP, in floating point"
-WIDE = 0.1  # a gap
 GLOBAL = "pip install 'lcp_plugin[global]'"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
@@ -42,6 +41,7 @@ ADVICE = {
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
+UNCONFIRMED = "SCIP's point or its bound could not be confirmed; next: bound the unknowns, or rescale the data"
 SAID = {
     "infeasible": "SCIP, in floating point, finds no solution; this is not proved, so the status is not INFEASIBLE; "
     "next: check the data",
@@ -226,21 +226,12 @@ class EquilibriumResult(Answer):
     @property
     def advice(self) -> str:
         """Meaning of the status for this search, followed by advice after ``next:``."""
-        advice = ADVICE.get(self.status, self.status.value)
         if self.is_solved and self.bound_by == "SCIP":
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
+        advice = ADVICE.get(self.status, self.status.value)
         if self.status is Status.STALLED and self.outside is not None:
-            what = (
-                "SCIP's point could not be confirmed"
-                if self.x is None
-                else "the value exceeds SCIP's bound"
-            )
-            if self.outside.bound == -math.inf:
-                what = f"SCIP ended without an answer, with the words {self.outside.status!r}"
-            advice = SAID.get(
-                self.outside.status, f"{what}; next: bound the unknowns, or rescale the data"
-            )
+            advice = SAID.get(self.outside.status, UNCONFIRMED)
         elif self.status is Status.STALLED and not self.problem.is_provable:
             advice = (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
@@ -254,12 +245,8 @@ class EquilibriumResult(Answer):
             if self.x is None
             else "x is the best solution found so far"
         )
-        if self.status in LIMITS and self.lower_bound > -math.inf:
-            found += ", lower_bound holds" if self.bound_by == "proof" else ""
         happened, begins, to_do = advice.partition(NEXT)
-        wide = "; the lower bound barely moves, bounds of the unknowns from above help"
-        said = "" if self.gap <= WIDE or self.outside is None else wide
-        return f"{happened}; {found}{said}{begins}{to_do}"
+        return f"{happened}; {found}{begins}{to_do}"
 
     def _numbers(self) -> dict[str, float]:
         own = {

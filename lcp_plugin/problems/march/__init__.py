@@ -16,11 +16,12 @@ from ...core.checks import FloatVector, check_kind, checked_start, is_number, re
 from ...core.deadline import Clock
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
+from ...core.matrix.structure import connected_components
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ..many.answers import AnswerSequence
-from .on_band import Marches, needs_no_scaling
+from .on_band import Marches
 
 ITERATIVE = ("npsor", "psor", "multigrid")
 BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
@@ -114,7 +115,7 @@ def take_steps_together(
         not settings.is_unobserved
         or wishes.get("callback") is not None
         or not isinstance(begin.algorithm, Banded)
-        or not all(needs_no_scaling(one.problem) for one in marches)
+        or any(connected_components(one.problem.matrix) is not None for one in marches)
     ):
         return
     steps = Marches(

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
-from ...core.matrix.structure import connected_components
 from ...methods.banded import active_sets, solve_one_sided
 from ...systems.factors import bands
 
@@ -130,7 +129,7 @@ class Marches:
 
     def _bound_rounding(self, T: FloatVector) -> FloatVector:
         """Return a bound of the rounding error of w/d, w with the terms T."""
-        width = max(int(np.diff(one.csr.indptr).max(initial=0)) for one in self.problems[:1])
+        width = int(np.diff(self.problems[0].csr.indptr).max(initial=0))
         rounding: FloatVector = (T * EPSILON + TINY) * ((width + 4) / self.scale)
         return rounding
 
@@ -165,8 +164,3 @@ def _entries(problem: LCP) -> FloatVector:
     band = bands(problem.matrix)
     assert band is not None
     return band.entries
-
-
-def needs_no_scaling(problem: LCP) -> bool:
-    """Return whether one reference applies to all rows, because M is connected."""
-    return connected_components(problem.matrix) is None

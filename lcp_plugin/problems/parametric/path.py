@@ -17,7 +17,7 @@ from ...core.settings import PROVEN, Status
 from .families import Family, PathPoint, Piece
 
 SHOWN = 8  # breakpoints in a paragraph
-INSIDE = 1e-6, 1e-5  # of half a segment: distances from its begin and end at which it is checked
+INSIDE = 1e-5  # of a part of a segment: distance from its begin and end at which it is checked
 MIDST = 0.3819660112501051  # of a segment: integers would cancel at a simple fraction
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 
@@ -92,20 +92,10 @@ class Path:
         found = []
         for piece in self.pieces:
             middle = piece.begin + MIDST * (piece.end - piece.begin)
-            known = [self.at(middle, piece).status]
-            if known[0] is Status.SOLVED:
-                known = [self._inside(piece, end, middle) for end in (piece.begin, piece.end)]
+            inner = (end + INSIDE * (middle - end) for end in (piece.begin, piece.end))
+            known = [self.at(theta, piece).status for theta in (middle, *inner)]
             found.append(next(one for one in WORST_FIRST if one in known))
         return found
-
-    def _inside(self, piece: Piece, end: float, middle: float) -> Status:
-        """Return the status just inside an end, at the first SOLVED point of two, if any."""
-        status = Status.SOLVED
-        for share in INSIDE:
-            status = self.at(end + share * (middle - end), piece).status
-            if status is Status.SOLVED:
-                break
-        return status
 
     @cached_property
     def status(self) -> Status:

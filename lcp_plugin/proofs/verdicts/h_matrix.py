@@ -40,10 +40,6 @@ class HCertificate:
     v: FloatVector
     margin: FloatVector
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "v", read_only(self.v))
-        object.__setattr__(self, "margin", read_only(self.margin))
-
 
 @dataclass(frozen=True, eq=False)
 class HVerdict:
@@ -53,10 +49,6 @@ class HVerdict:
     evidence: str
     certificate: HCertificate | None = None
     not_h_vector: FloatVector | None = None
-
-    def __post_init__(self) -> None:
-        if self.not_h_vector is not None:
-            object.__setattr__(self, "not_h_vector", read_only(self.not_h_vector))
 
 
 def comparison_certificate(matrix: Matrix) -> HCertificate | None:
@@ -127,10 +119,12 @@ def decide(M: Any) -> HVerdict:
     if zeros.size:
         y = np.zeros(n)
         y[zeros[0]] = 1.0
-        return HVerdict(False, f"M[{zeros[0]}, {zeros[0]}] = 0", not_h_vector=y)
-    ones = np.ones(n)
+        return HVerdict(False, f"M[{zeros[0]}, {zeros[0]}] = 0", not_h_vector=read_only(y))
+    ones = read_only(np.ones(n))
     if (margin := positive_margin(M, ones)) is not None:
-        return HVerdict(True, "v = 1: every row sum of ⟨M⟩ is positive", HCertificate(ones, margin))
+        return HVerdict(
+            True, "v = 1: every row sum of ⟨M⟩ is positive", HCertificate(ones, read_only(margin))
+        )
     if is_nonpositive(M, ones):
         return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive", not_h_vector=ones)
     system, weights = ComparisonMatrix(M), ones
@@ -142,10 +136,12 @@ def decide(M: Any) -> HVerdict:
         if (margin := positive_margin(M, v)) is not None:
             smallest = float((margin / np.abs(M.diagonal()) / v).min())
             evidence = f"v from a solve with ⟨M⟩: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ 1 − {smallest:.3g}"
-            return HVerdict(True, evidence, HCertificate(v, margin))
+            return HVerdict(True, evidence, HCertificate(read_only(v), read_only(margin)))
         y = _centred(system.to_caller(np.maximum(-x, 0.0)))
         if is_nonpositive(M, y):
-            return HVerdict(False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked", not_h_vector=y)
+            return HVerdict(
+                False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked", not_h_vector=read_only(y)
+            )
         weights = np.maximum(np.abs(x) / np.abs(x).max(), SMALLEST_WEIGHT)
     return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
 

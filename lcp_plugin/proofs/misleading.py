@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 FAR = 1e-2  # part of ‖z‖∞
-BOUND_UP_TO, BOUND_PASSES = (
-    1000,
-    100.0,
-)  # unknowns; passes over M that a run has cost: a bound costs less than either
+# unknowns; passes over M that a run has cost: a bound costs less than either
+BOUND_UP_TO, BOUND_PASSES = 1000, 100.0
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 

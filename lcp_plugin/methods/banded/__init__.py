@@ -69,7 +69,7 @@ class Banded(Algorithm):
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on M-matrices."""
-        is_one_sided = _is_one_sided(problem)
+        is_one_sided = (problem.upper == np.inf).all() or (problem.lower == -np.inf).all()
         band = bands(problem.matrix)
         is_covered = is_one_sided or (band is not None and band.is_tridiagonal_z)
         if not is_covered or report.is_m_matrix is not True:
@@ -96,10 +96,6 @@ class Banded(Algorithm):
                 'try algorithm="auto"'
             )
         return band
-
-
-def _is_one_sided(problem: LCP) -> bool:
-    return bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
 
 
 @fact
@@ -184,10 +180,8 @@ def active_sets(
             held = np.count_nonzero(target)
             is_better = wrong.size < fewest_wrong or held < fewest_held
             patience = TRIES if is_better else patience - 1
-            fewest_wrong, fewest_held = (
-                min(float(wrong.size), fewest_wrong),
-                min(float(held), fewest_held),
-            )
+            fewest_wrong = min(float(wrong.size), fewest_wrong)
+            fewest_held = min(float(held), fewest_held)
             if patience < 0:
                 return
 

@@ -15,14 +15,8 @@ import numpy as np
 from ...core.kernels.compilation import helper, inline, kernel
 
 NEGLIGIBLE_PIVOT = 1e-14  # relative to the diagonal entry; a smaller one makes the block singular
-EMPTY = (
-    0.0,
-    0.0,
-    1.0,
-    0.0,
-    1.0,
-    0.0,
-)  # the first row is the row right of no row, the last row the one left of it
+# The first row of no rows is the row to the right, the last row is the row to the left.
+EMPTY = 0.0, 0.0, 1.0, 0.0, 1.0, 0.0
 
 
 @inline
@@ -32,11 +26,8 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     A block is z of its first and of its last row, each as constant, factor of the left z, and factor of the right z.
     """
     pivot = d - a * before[5] - c * after[1]
-    own, left, right = (
-        (a * before[3] + c * after[0] - q) / pivot,
-        a * before[4] / pivot,
-        c * after[2] / pivot,
-    )
+    own = (a * before[3] + c * after[0] - q) / pivot
+    left, right = a * before[4] / pivot, c * after[2] / pivot
     first = before[0] + before[2] * own, before[1] + before[2] * left, before[2] * right
     last = after[3] + after[4] * own, after[4] * left, after[5] + after[4] * right
     return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
@@ -67,11 +58,8 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
         False if a pivot is negligible or not positive: M is singular or not an M-matrix.
     """
     n = is_free.size
-    top, left, block = (
-        0,
-        0.0,
-        EMPTY,
-    )  # number of rows at bounds, z of the last such row, and the free rows behind
+    top, left = 0, 0.0  # number of rows at bounds, and z of the last such row
+    block = EMPTY  # the free rows behind it
     for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
         here, after = value[i], value[i + 1] if i + 1 < n else 0.0
@@ -153,12 +141,8 @@ def solve_one_sided(bands, Q, sign, value, is_held, is_free, Z):  # type: ignore
         m, or the first problem with a negligible or nonpositive pivot: its M is singular or not an M-matrix.
     """
     m, n = Q.shape
-    stops, blocks, turned, slope = (
-        np.empty(n + 1, np.int64),
-        np.empty((n + 1, 7)),
-        np.empty(n),
-        np.empty(n),
-    )
+    stops, blocks = np.empty(n + 1, np.int64), np.empty((n + 1, 7))
+    turned, slope = np.empty(n), np.empty(n)
     for j in range(m):
         M = bands[j if bands.shape[0] > 1 else 0]
         for i in range(n):

@@ -212,12 +212,8 @@ class BatchAnswers(AnswerSequence[Any]):
     residual: Any
 
     def __init__(self, run: BatchRun) -> None:
-        self._run, self.item, self.status, self.seconds = (
-            run,
-            run.asked.item,
-            run.status,
-            run.seconds,
-        )
+        self._run, self.item = run, run.asked.item
+        self.status, self.seconds = run.status, run.seconds
         self.errors, self.problems, self.threads = run.errors, run.problems, run.asked.threads
         vars(self).update(run.tables())
         for table in vars(self).values():

@@ -99,10 +99,8 @@ class ProgramBatchRun(BatchRun):
         good = np.flatnonzero(is_solved)
         at = good + items.start
         self.x[at], self.y[at] = x[good], y[good]
-        self.at_bounds[:, at], self.residual[at] = (
-            np.array(of_bounds)[:, good],
-            errors.largest[good],
-        )
+        self.at_bounds[:, at] = np.array(of_bounds)[:, good]
+        self.residual[at] = errors.largest[good]
         self.is_open[at], self.status[at] = False, Status.SOLVED
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:

@@ -26,10 +26,8 @@ NEWTON_STEPS = 300
 PATH_STEPS, NO_GAIN = 40, 8  # of the central path, and steps without a new best
 NEAR, NEARER = 1e-3, 1e-2  # residual below which Newton's steps are tried, and its later reduction
 PROGRAMS, PROGRAM_WORK = 5, 20.0  # convex programs without a gain, and the work of one
-SPREADS = (
-    1.0,
-    8.0,
-)  # times the mean of |z_i|, or of the references, by which starts are moved at random
+# times the mean of |z_i|, or of the references, by which starts are moved at random
+SPREADS = 1.0, 8.0
 
 
 def newton_points(stack: ConeStack, z: Any, steps: int, goal: float, **options: Any) -> Points:

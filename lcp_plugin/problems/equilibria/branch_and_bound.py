@@ -234,11 +234,8 @@ class BranchAndBound:
         before = self.nodes
 
         def report_progress(value: float, bound: float, nodes: int) -> bool:
-            self.nodes, self._outside_value, self.outside = (
-                before + nodes,
-                value,
-                Outside("", bound),
-            )
+            self.nodes, self._outside_value = before + nodes, value
+            self.outside = Outside("", bound)
             return ends()
 
         found = engine(
@@ -357,13 +354,8 @@ class BranchAndBound:
         if self.outside is not None and is_open and self.outside.bound > lower:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
-            status, best, bound_by, lower, value = (
-                Status.UNBOUNDED,
-                None,
-                None,
-                -math.inf,
-                -math.inf,
-            )
+            status, best, bound_by = Status.UNBOUNDED, None, None
+            lower = value = -math.inf
         elif best is not None and (value == lower or value - lower <= self.allowed):
             status = Status.SOLVED
         elif ended is not None:

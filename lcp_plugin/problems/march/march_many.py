@@ -24,13 +24,8 @@ from . import March, checked_propagator, checked_rows, take_steps, take_steps_to
 from .on_band import bounded_side
 
 BOUNDS = "lower", "upper"
-OF_MARCH = (
-    "problem",
-    "forcing",
-    "propagator",
-    *BOUNDS,
-    "algorithm",
-)  # options of `march`, not of `solve`
+# options of `march`, not of `solve`
+OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm"
 SIDE_BY_SIDE = 16  # marches per array, so that a block of steps fits into the cache
 
 

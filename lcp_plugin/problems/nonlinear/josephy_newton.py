@@ -24,7 +24,7 @@ from ...core.solving.result import Result
 from ...core.solving.run import Run
 from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
-from ...methods.newton.semismooth_newton import LinearizedPhi, fischer_burmeister
+from ...methods.newton.semismooth_newton import fischer_burmeister
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearization, Linearizations
 
@@ -164,22 +164,17 @@ class _NewtonRun:
 
     def _search(self, target: FloatVector, *, is_newton: bool) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
-        here = self.here
+        here, allowed = self.here, GROWTH * min(map(self._relative, self.recent))
         worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
         for k in range(SHORTER):
             x = target if k == 0 else here.x + 0.5**k * (target - here.x)
             point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
-            is_better = self._merit(point) <= least or (
-                is_newton and k == 0 and self._is_within(point)
-            )
-            if is_better and point.is_defined and not np.array_equal(x, here.x):
+            if not point.is_defined or np.array_equal(x, here.x):
+                continue
+            is_near = is_newton and not k and self._relative(point) <= allowed
+            if is_near or self._merit(point) <= least:
                 return point
         return None
-
-    def _is_within(self, point: Linearization) -> bool:
-        """Return whether the residual at a point is at most ten times the least of the latest points."""
-        least = min(map(self._relative, self.recent))
-        return point.is_defined and self._relative(point) <= GROWTH * least
 
     def _at(self, x: FloatVector) -> Linearization:
         self.work += 1.0
@@ -191,11 +186,9 @@ class _NewtonRun:
         """Return ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
-        return float(np.linalg.norm(self.weights * self._phi(self.here.lcp, point).value))
-
-    @staticmethod
-    def _phi(lcp: LCP, point: Linearization) -> LinearizedPhi:
-        return fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
+        lcp = self.here.lcp
+        phi = fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
+        return float(np.linalg.norm(self.weights * phi.value))
 
     def _is_at_floor(self) -> bool:
         return NonlinearCertificate.at(self.here, self.options.compared_with).is_limited_by_rounding

@@ -83,10 +83,8 @@ class GramColumns(Columns):
 
     def __init__(self, A: Any, ridge: float | FloatVector) -> None:
         self.n, self._ridge = A.shape[1], np.broadcast_to(np.asarray(ridge), A.shape[1:])
-        self._A, self._transpose = (
-            A,
-            (sp.csr_array(A.T) if sp.issparse(A) else np.ascontiguousarray(A.T)),
-        )
+        self._A = A
+        self._transpose = sp.csr_array(A.T) if sp.issparse(A) else np.ascontiguousarray(A.T)
         squares = (
             np.asarray(abs(A).power(2).sum(axis=0)).ravel()
             if sp.issparse(A)

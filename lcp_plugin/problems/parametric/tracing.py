@@ -128,10 +128,8 @@ class _Trace:
 
     def run(self) -> Path:
         """Return the path."""
-        path, failed = (
-            self.path,
-            -1,
-        )  # shares that led to nothing since the last line; −1: the start
+        path = self.path
+        failed = -1  # shares that led to nothing since the last line; −1: the start
         while self.end >= 0.0 and failed < len(BEYOND):
             follower = self._begin((0.0, *BEYOND)[failed + 1 :])
             if follower is None:

@@ -17,15 +17,13 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
 from ..exact.upward import quotient_above, sum_above
-from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
+from .row_inequality import ActiveSetSteps, NearPoint, RowInequality, distance_above
 from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
 
 SMALL = 1000  # up to here every stage is cheap
 STEPS = 12  # each takes two digits off the bound, at the cost of a third of a linear solve
-SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = (
-    0.05,
-    0.5,
-)  # possible improvement, relative to a lower bound of the error
+# possible improvement, relative to a lower bound of the error
+SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
@@ -167,7 +165,7 @@ class BestBound:
     def go_to(self, near: RowInequality, y: FloatVector) -> None:
         """Set the reference point and the bound y of its error; keep the least bound per row."""
         self.near, self.near_y = near, y
-        by_way_of_it = sum_above(near.distance(self.z), y)
+        by_way_of_it = sum_above(distance_above(near.high, near.low, self.z), y)
         if by_way_of_it.max(initial=0.0) < self.y.max(initial=0.0):
             self.method = "reference point"
         self.y = np.minimum(self.y, by_way_of_it)
@@ -176,7 +174,8 @@ class BestBound:
     def is_sharp(self) -> bool:
         """True if the error is proved to be nearly as large as its bound."""
         enough = SHARP_ENOUGH_SMALL if self.z.size <= SMALL else SHARP_ENOUGH_LARGE
-        error = float((self.near.distance(self.z) - self.near_y).max(initial=0.0))
+        distance = distance_above(self.near.high, self.near.low, self.z)
+        error = float((distance - self.near_y).max(initial=0.0))
         return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
 
     def result(self) -> ErrorBound:
@@ -186,9 +185,9 @@ class BestBound:
         if self.near is not self.at and not (active | inactive).all():
             more_active, more_inactive = self.at.classified(y)
             active, inactive = active | more_active, inactive | more_inactive
-        infinity, residual = (
-            float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at))
-        )
+        w = 0.5 * (self.at.slack - self.at.negative_slack)
+        residuals = scaled_residual(problem, self.at.high, w)
+        infinity, residual = (float(np.abs(one).max(initial=0.0)) for one in (y, residuals))
         largest = row_data(problem).largest
         errors, sizes = (largest(np.abs(one)).tolist() for one in (y, self.z))
         relative = max(relative_to(*one) for one in {*zip(errors, sizes, strict=True)})
@@ -217,11 +216,6 @@ def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
         found.go_to(point, y)
         if found.is_sharp and problem.n > SMALL:
             return
-
-
-def _residuals(at: RowInequality) -> FloatVector:
-    """Return r(z), to rounding."""
-    return scaled_residual(at.problem, at.high, 0.5 * (at.slack - at.negative_slack))
 
 
 def relative_to(infinity: float, size: float) -> float:

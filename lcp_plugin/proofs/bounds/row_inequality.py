@@ -145,10 +145,6 @@ class RowInequality:
         held: BoolVector = is_forced | (problem.lower == problem.upper)
         return held
 
-    def distance(self, z: FloatVector) -> FloatVector:
-        """Return an upper bound of |z − (high + low)|, shape (n,)."""
-        return distance_above(self.high, self.low, z)
-
 
 def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:
     """Return an upper bound of |z − (high + low)|, shape (n,)."""

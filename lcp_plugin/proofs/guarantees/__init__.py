@@ -17,10 +17,7 @@ from ...core.matrix.iteration_facts import (
     PROJECTED_TYPE,
     IterationFacts,
 )
-from ...core.matrix.row_sums import (
-    inverse_residual_scale,
-    unit_triangle_sums,
-)
+from ...core.matrix.row_sums import inverse_residual_scale, unit_triangle_sums
 from ...core.problem_classes import refusal
 from ...systems.comparison import jacobi_radius
 from ..verdicts import analyze, comparison_certificate, h_verdict

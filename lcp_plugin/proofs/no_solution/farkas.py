@@ -32,10 +32,8 @@ NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear pr
 POLISHES = 2  # the second removes the rounding of the first
 MOST_DENSE = 1_000_000  # entries; .1 s
 MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
-MOST, LEAST = (
-    1e5,
-    1e-6,
-)  # times the unit: sizes that a linear program distinguishes from ∞ and from 0
+# times the unit: sizes that a linear program distinguishes from ∞ and from 0
+MOST, LEAST = 1e5, 1e-6
 ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
 CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
 NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program

@@ -77,8 +77,6 @@ def is_at_rest(P: Any, direction: Any) -> bool:
     P = sp.csr_array(P)
     if not P[moving].count_nonzero() or _left(P, d) > MEAN_ROUNDING:
         return False
-    pattern, root = (
-        sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape),
-        np.sqrt(np.abs(P.diagonal())),
-    )
+    root = np.sqrt(np.abs(P.diagonal()))
+    pattern = sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape)
     return bool((np.abs(P @ d) <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())

@@ -19,13 +19,7 @@ from ...core.certificates.criterion import reference_residual
 from ...core.lcp import LCP
 from ..exact.rational import Rational
 from .linear_constraints import DECISIVE, LinearConstraints
-from .proof import (
-    Choices,
-    Infeasibility,
-    Margins,
-    NoSolutionProof,
-    row_choices,
-)
+from .proof import Choices, Infeasibility, Margins, NoSolutionProof, row_choices
 
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 

@@ -212,10 +212,8 @@ class Contradiction:
             return True
         largest, known = max(map(abs, self.y.values())), known or {}
         y = np.array([float(abs(value) / largest) for value in self.y.values()])
-        terms, offset = (
-            abs(self.sides.matrix[list(self.y)]).T @ y,
-            float(y @ np.abs(self.sides.q[list(self.y)])),
-        )
+        terms = abs(self.sides.matrix[list(self.y)]).T @ y
+        offset = float(y @ np.abs(self.sides.q[list(self.y)]))
         with np.errstate(all="ignore"):
             moved = sum(
                 float(abs(value) / largest) * max(offset / terms[j], known.get(j, 0.0))

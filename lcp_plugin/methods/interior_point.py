@@ -41,7 +41,7 @@ class InteriorPoint(Algorithm):
     If M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds. If diag(s) M with s = ±1 is the saddle point
     problem of a program, that program is solved. Otherwise it is min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly
     for other bounds. Linear solves on the active set of PIQP's point, and on the following active sets, reduce the
-    residual to rounding level. If no active set is right, PIQP runs once more, with the tolerance 1e-13. If M is not
+    residual to rounding level. If no active set is right, a second run of PIQP has the tolerance 1e-13. If M is not
     monotone, the program is not convex, and the run ends with PIQP.
 
     The history contains PIQP's final point and the point after each linear solve, because PIQP does not report its

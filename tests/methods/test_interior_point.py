@@ -129,7 +129,7 @@ def wall(side: int, seed: int) -> LCP:
 @pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
 @pytest.mark.parametrize(("side", "seed"), [(4, 1), (5, 0), (5, 3), (5, 5)])
 def test_contacts_of_a_wall_that_hardly_moves(side: int, seed: int, algorithm: str) -> None:
-    """Of many z, on active sets where M is singular, one is found: z ≥ 0, w ≥ 0 and one of both is 0."""
+    """A run on singular active sets finds one of many z: z ≥ 0, w ≥ 0, and one of both is 0 in each row."""
     problem = wall(side, seed)
     z = solve(problem, algorithm).require_solved().z
     w = problem.M @ z + problem.q

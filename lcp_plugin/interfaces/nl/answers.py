@@ -18,7 +18,7 @@ from ...core.lcp import LCP
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
-from ...expressions.statement import SquareModel, mismatches, solve_from
+from ...expressions.statement import OUTSIDE, SquareModel, mismatches, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
@@ -39,18 +39,8 @@ CODES = {
     Status.STALLED: 500,
     Status.DIVERGED: 501,
 }
-OUTSIDE = 1e-8  # of 1 + |x|
 MAX_SEARCH_NODES = 1000  # of a search that the user did not request
 OBJECTIVE = 1e-3  # tolerance for the objective: an expanded one has lost digits
-TAKEN = (
-    "tolerance",
-    "max_iterations",
-    "max_seconds",
-    "callback",
-    "verbose",
-    "threads",
-    "prove",
-)  # of a program with an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
@@ -117,12 +107,6 @@ class NLModel(ABC):
             Of :func:`lcp_plugin.solve`, or :func:`lcp_plugin.problems.nonlinear.solving.solve_nonlinear` for a smooth
             model.
         """
-
-    @property
-    def start(self) -> FloatVector:
-        """The start in the unknowns of the problem; 0 for unknowns without a start in the file."""
-        start: FloatVector = self.content.start[self.unknowns]
-        return start
 
     def variables(self, values: FloatVector) -> FloatVector:
         """Return all variables, shape (n,), from the values of the unknowns."""
@@ -443,15 +427,16 @@ def _of_search(options: dict[str, Any]) -> dict[str, Any]:
     from ...problems.equilibria.branch_and_bound import OPTIONS
 
     plain = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}
-    given = {name: wish for name, wish in options.items() if wish is not None}
-    wishes = {name: wish for name, wish in given.items() if name in (*OPTIONS, *TAKEN)}
-    for name, wish in given.items():
-        if name not in wishes and wish != plain.get(name):
-            raise InvalidOption(
-                f"an objective beside complementarities is minimised by SCIP or branch and bound, which takes no "
-                f"{name}, got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
-            )
-    wishes.pop("threads", None)
+    taken = {*OPTIONS, "max_iterations"}
+    given = {name: wish for name, wish in options.items() if name != "threads"}
+    wishes = {
+        name: wish for name, wish in given.items() if name in taken or wish != plain.get(name)
+    }
     if "max_iterations" in wishes:
         wishes["max_nodes"] = wishes.pop("max_iterations")
+    for name in wishes.keys() - {*OPTIONS}:
+        raise InvalidOption(
+            f"an objective beside complementarities is minimised by SCIP or branch and bound, which takes no {name}, "
+            f"got {wishes[name]!r}; leave it out; taken are {', '.join(OPTIONS)}"
+        )
     return wishes

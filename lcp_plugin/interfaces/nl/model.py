@@ -108,8 +108,6 @@ class FileStatement:
         self.says_nothing = ~is_pair & ~is_bounded
         self.is_paired = np.zeros(self.n, dtype=bool)
         self.is_paired[content.partners[self.pairs]] = True
-        if self.pairs.size:
-            self._check_partners()
         self.known = self._known(self.says_nothing)
         self.expressions = Expressions(content, self.known)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
@@ -133,20 +131,6 @@ class FileStatement:
             raise UnsupportedModel(
                 f"{call(k)} has the lower bound {low[k]:g} above the upper bound {high[k]:g}: no point satisfies the "
                 "model; correct one of them"
-            )
-
-    def _check_partners(self) -> None:
-        """Raise if two rows belong to one variable."""
-        content, rows = self.content, self.pairs
-        columns = content.partners[rows]
-        order = np.argsort(columns, kind="stable")
-        twice = np.flatnonzero(np.diff(columns[order]) == 0)
-        if twice.size:
-            first, second = rows[order[twice[0]]], rows[order[twice[0] + 1]]
-            both = f"{content.row(first)} and {content.row(second)}"
-            raise UnsupportedModel(
-                f"{both} are both complementary to {content.variable(content.partners[first])}; give one of them a "
-                "variable of its own"
             )
 
     def _known(self, leaves_out: BoolVector) -> FloatVector:
@@ -193,7 +177,7 @@ class FileStatement:
         own, place = found.unknowns, np.full(self.n, -1)
         place[own] = np.arange(own.size)
         others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
-        stated = self._statement(np.zeros(self.n, dtype=bool))
+        stated = self._statement()
         stated.integers = np.flatnonzero(content.is_integer[own])
         for part in self._parts(others):
             stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
@@ -248,11 +232,7 @@ class FileStatement:
         equations = self._without_empty(equations, right)
         spare = self._spare(pairs, equations)
         pairs = np.setdiff1d(pairs, spare)
-        is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
-        is_bounded[content.partners[pairs]] = False
-        is_bounded &= bool(pairs.size)
-        beside = SideConditions(content, self.inequalities, spare, np.flatnonzero(is_bounded))
-        statement = self._statement(is_bounded)
+        statement = self._statement()
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
         order = [self._parts(pairs), self._parts(equations)]
@@ -267,6 +247,8 @@ class FileStatement:
         )
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
+        bounded = found.unknowns[arrangement.dropped]
+        beside = SideConditions(content, self.inequalities, spare, bounded)
         return ComplementarityModel(
             content,
             arrangement.problem,
@@ -280,17 +262,16 @@ class FileStatement:
             lambda: FileStatement(content).best(),
         )
 
-    def _statement(self, is_free: BoolVector) -> Statement:
-        """Return the unknowns with their bounds, without the bounds of some variables."""
+    def _statement(self) -> Statement:
+        """Return the unknowns with their bounds."""
         content, found = self.content, self.expressions
         free = np.full(content.defined_trees.size, np.inf)
-        lower = np.append(np.where(is_free, -np.inf, content.lower), -free)[found.unknowns]
-        upper = np.append(np.where(is_free, np.inf, content.upper), free)[found.unknowns]
+        lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
         return Statement(
             found.compiler,
             {UNKNOWNS: 0},
-            lower,
-            upper,
+            lower[found.unknowns],
+            upper[found.unknowns],
             lambda column: content.variable(int(found.unknowns[column])),
         )
 

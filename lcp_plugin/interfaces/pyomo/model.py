@@ -276,12 +276,6 @@ class _Draft:
         absent = [variable for variable, _ in self.partners.values() if id(variable) not in written]
         if absent:
             information = self._write(path, absent)
-        for variable in information.variables:
-            if not variable.is_continuous() and not self.partners:
-                raise UnsupportedModel(
-                    f"the variable {variable.name} is integer, and integers are taken beside complementarities only; "
-                    "give it a continuous domain"
-                )
         names = [
             self.named.get(id(variable)) or variable.name for variable in information.variables
         ]

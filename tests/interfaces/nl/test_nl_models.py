@@ -418,7 +418,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     )
     yield "nonlinear objective", content_of(1, objective=("exp", x)), "neither linear nor quadratic"
     twice = replace(paired(content_of(2, [x, y])), partners=np.array([1, 1]))
-    yield "two rows for one", twice, "both complementary to variable 1"
+    yield "two rows for one", twice, "0 equations and 1 unknown without a complementarity"
     names = r"\(variable 0, variable 1\)"
     yield (
         "not square",

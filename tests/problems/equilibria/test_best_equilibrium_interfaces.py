@@ -89,7 +89,8 @@ def test_a_yes_or_no_beside_pairs() -> None:
     assert (m.b.value, pe.value(m.cost)) == (1.0, pytest.approx(10.0, abs=1e-6))
     m.pair.deactivate()
     with pytest.raises(
-        UnsupportedModel, match="b is integer, and integers are taken beside complementarities only"
+        UnsupportedModel,
+        match="b is an integer variable; integers are taken beside complementarities only",
     ):
         solver.solve(m)
 

@@ -245,13 +245,10 @@ def matched_for_monotony(
 
     Notes
     -----
-    Optimality conditions are monotone only if stationarity in x is matched with x and feasibility with its multiplier.
-    Row and column then have the same numbers up to signs. Such matches are searched first among the pairs, then among
-    matched rows. If this does not decide all rows, large diagonal entries decide.
+    Large entries go on the diagonal. The sign of a row makes its diagonal entry positive; if that is zero, the row must
+    be minus the column, as in optimality conditions, whose matrix is skew there.
     """
-    order = _mirrored(equations, pairs, paired, free)
-    if order is None:
-        order = matching(sp.csr_array(equations[:, free]))
+    order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)
     signs = np.sign(np.asarray(equations[rows, free[order]]).ravel()) if order.size else np.zeros(0)
     column = free[order]
@@ -267,31 +264,3 @@ def matched_for_monotony(
 def _row_dots(first: sp.csr_array, second: sp.csr_array) -> FloatVector:
     """Return the dot products of the rows of two matrices."""
     return np.asarray(first.multiply(second).sum(axis=1), dtype=np.float64).ravel()
-
-
-def _mirrored(
-    equations: sp.csr_array, pairs: sp.csr_array, paired: Indices, free: Indices
-) -> Indices | None:
-    """Return the matching of rows and columns with equal absolute values; None if it does not settle all."""
-    size = free.size
-    weights = np.random.default_rng(0).random(paired.size + size) + 1.0
-    row_sums = abs(equations[:, paired]) @ weights[: paired.size]
-    column_sums = abs(sp.csr_array(pairs[:, free])).T @ weights[: paired.size]
-    block = abs(sp.csr_array(equations[:, free]))
-    order = np.full(size, -1, dtype=np.int64)
-    while (order < 0).any():
-        open_rows = np.flatnonzero((order < 0) & (row_sums > 0.0))
-        is_taken = np.zeros(size, dtype=bool)
-        is_taken[order[order >= 0]] = True
-        open_columns = np.flatnonzero(~is_taken & (column_sums > 0.0))
-        if not open_rows.size or open_rows.size != open_columns.size:
-            return None
-        new_rows = open_rows[np.argsort(row_sums[open_rows], kind="stable")]
-        new_columns = open_columns[np.argsort(column_sums[open_columns], kind="stable")]
-        if not np.allclose(row_sums[new_rows], column_sums[new_columns], rtol=1e-9, atol=0.0):
-            return None
-        order[new_rows] = new_columns
-        weight = weights[paired.size + new_rows]
-        row_sums = row_sums + block[:, new_columns] @ weight
-        column_sums = column_sums + block[new_rows].T @ weight
-    return order

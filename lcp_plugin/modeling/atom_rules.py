@@ -24,7 +24,7 @@ from ..expressions import functions
 from ..expressions.functions import Function
 from ..expressions.rows import Compiler, Indices, Rows, added, entries_behind, stacked
 from . import _compat as atoms
-from ._compat import name_of, postorder
+from ._compat import name_of
 
 Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
 
@@ -53,44 +53,6 @@ def whole(node: Any, arguments: list[Any]) -> list[Any]:
         one.spread(part.shape) if isinstance(one, Rows) and one.shape != part.shape else one
         for part, one in zip(node.args, arguments, strict=True)
     ]
-
-
-def right_to_left(root: Any) -> Any:
-    """Return an equal expression that multiplies no two matrices of parameters where their product is then applied.
-
-    Written out, such a product has n³ terms, and each step from right to left n².
-    """
-    changed: dict[int, Any] = {}
-    for node in postorder(root, ()):
-        arguments = [changed.get(id(part), part) for part in node.args]
-        if _is_matrix_product(node) and _holds_product(arguments[0]):
-            changed[id(node)] = _applied(*arguments)
-        elif any(one is not part for one, part in zip(arguments, node.args, strict=True)):
-            changed[id(node)] = node.copy(arguments)
-    return changed.get(id(root), root)
-
-
-def _is_matrix_product(node: Any) -> bool:
-    is_product = isinstance(node, atoms.MATRIX_PRODUCT) and not isinstance(node, atoms.ELEMENTWISE)
-    return is_product and all(part.ndim in (1, 2) for part in node.args)
-
-
-def _holds_product(node: Any) -> bool:
-    if isinstance(node, atoms.SUM):
-        return all(part.shape == node.shape for part in node.args) and any(
-            map(_holds_product, node.args)
-        )
-    return (
-        _is_matrix_product(node) and node.ndim == 2 and all(part.parameters() for part in node.args)
-    )
-
-
-def _applied(matrix: Any, right: Any) -> Any:
-    if not _holds_product(matrix):
-        return matrix @ right
-    if isinstance(matrix, atoms.SUM):
-        return sum(_applied(part, right) for part in matrix.args)
-    return _applied(matrix.args[0], _applied(matrix.args[1], right))
 
 
 def refused(node: Any) -> UnsupportedModel:

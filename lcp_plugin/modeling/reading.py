@@ -28,7 +28,6 @@ from .atom_rules import (
     broadcasts,
     linearised,
     refused,
-    right_to_left,
     rule_of,
     whole,
 )
@@ -123,7 +122,6 @@ class Reader:
             variable whose attributes change the meaning of its entries.
         """
         root = Expression.cast_to_const(expression)
-        root = root if self._held is None else right_to_left(root)
         self._kept.append(root)
         with np.errstate(all="ignore"):  # values that are not finite raise an error later
             result = folded(root, self._result, self._known)

@@ -245,8 +245,8 @@ def matched_for_monotony(
 
     Notes
     -----
-    Large entries go on the diagonal. The sign of a row makes its diagonal entry positive; if that is zero, the row must
-    be minus the column, as in optimality conditions, whose matrix is skew there.
+    Large entries go on the diagonal. The sign of a row makes its diagonal entry positive; if this entry is zero, the
+    row must be minus the column, because the matrix of optimality conditions is skew.
     """
     order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)

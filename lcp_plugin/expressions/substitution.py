@@ -245,8 +245,9 @@ def matched_for_monotony(
 
     Notes
     -----
-    Each equation is matched by a large entry, which becomes a diagonal entry. The sign of a row makes its diagonal entry positive; if this entry is zero, the
-    row must be minus the column, because the matrix of optimality conditions is skew.
+    Each equation is matched by a large entry, which becomes a diagonal entry. The sign of a row makes its diagonal
+    entry positive; if this entry is zero, the row must be minus the column, because the matrix of optimality
+    conditions is skew.
     """
     order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)

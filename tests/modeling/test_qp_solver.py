@@ -8,7 +8,6 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from cvxpy.tests.solver_test_helpers import StandardTestQPs
 
 from lcp_plugin import QPSolver, UnsupportedModel
 
@@ -118,20 +117,6 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
             assert problem.value == pytest.approx(fresh.value, rel=1e-8, abs=1e-9)
             for ours, theirs in zip(problem.constraints, fresh.constraints, strict=True):
                 np.testing.assert_allclose(ours.dual_value, theirs.dual_value, atol=1e-6)
-
-
-# test_qp_bound_attr asks that bounds do not become rows, which is not wanted; test_cvxpy_programs.py solves it.
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name in dir(StandardTestQPs)
-        if name.startswith("test_qp") and name != "test_qp_bound_attr"
-    ],
-)
-def test_cvxpy_s_own_quadratic_tests_pass(name: str) -> None:
-    """Each of cvxpy's StandardTestQPs that this version has passes with our solver."""
-    getattr(StandardTestQPs, name)(solver=QPSolver, tolerance=1e-12)
 
 
 def test_a_limit_is_never_called_optimal() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -199,3 +201,17 @@ def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: fl
     found = solve(stretched, name)
     assert found.objective == pytest.approx(value, abs=1e-8)
     assert np.abs(found.x - x).max() <= 1e-7
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+@pytest.mark.parametrize("rank", [0, 2])
+def test_a_minimum_at_0_with_multipliers_is_solved(kind: Any, rank: int, draws: Any) -> None:
+    """The solution is x = 0 over rows G x ≤ 0 if c = −Gᵀy for some y ≥ 0, although all terms vanish there."""
+    for seed in draws(40):
+        rng = np.random.default_rng(seed)
+        n, m = int(rng.integers(2, 8)), int(rng.integers(1, 10))
+        G, F = rng.normal(size=(m, n)).round(1), rng.normal(size=(n, rank)).round(1)
+        cost = -G.T @ rng.random(m).round(1)
+        found = solve(QuadraticProgram(kind(F @ F.T + np.eye(n)), cost, kind(G), np.zeros(m)))
+        assert found.is_solved, seed
+        assert np.abs(found.x).max() <= 1e-12

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain, product
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from ...engines.scaling import (
     with_sides_about_one,
     without_far_limits,
 )
-from .criterion import MATTERS, ROWS, Errors
+from .criterion import Errors
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 from .solution import QPSolution
@@ -158,43 +159,14 @@ def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
     """Yield points that may be the solution near a point: the point, and polished, each with noise set to 0.
 
-    If the objective vanishes, multipliers may be noise, and if 0 meets all rows, all of x may be.
+    If the objective vanishes, multipliers may be noise; all of x may be, also if it does not.
     """
-    yield point
-    none, clean = np.zeros_like(point.y), quiet(point)
-    zero = np.clip(0.0, statement.lower, statement.upper)
-    may_be_zero = _is_feasible(statement, zero)
-    if _has_noisy_multipliers(statement, clean):
-        yield clean._replace(y=none)
-    if clean is not point:
-        yield clean
-    if may_be_zero:
-        yield point._replace(x=zero, y=none)
-    for one in () if is_over() else polish_steps(statement, point, rounds):
-        clean = quiet(one)
-        if _has_noisy_multipliers(statement, clean):
-            yield clean._replace(y=none)
+    zero, none = np.clip(0.0, statement.lower, statement.upper), np.zeros_like(point.y)
+    for one in chain([point], polish_steps(statement, point, rounds)):
         yield one
-        if clean is not one:
-            yield clean
-        if may_be_zero:
-            yield clean._replace(x=zero)
-
-
-def _is_feasible(statement: ProgramData, x: FloatVector) -> bool:
-    """Return whether x satisfies the rows to their tolerance, relative to their right-hand sides."""
-    over, off = statement.G @ x - statement.h, np.abs(statement.A @ x - statement.b)
-    limits = ROWS * np.abs(statement.h), ROWS * np.abs(statement.b)
-    return bool((over <= limits[0]).all() and (off <= limits[1]).all())
-
-
-def _has_noisy_multipliers(statement: ProgramData, point: EngineAnswer) -> bool:
-    """Return whether the terms of the objective differ greatly in size from the terms multiplier × right-hand side."""
-    x, sides = point.x, np.concatenate([statement.h, statement.b])
-    used = point.y != 0.0
-    of_rows = np.abs(point.y[used]) @ np.abs(sides[used])
-    objective = np.abs(statement.c) @ np.abs(x) + abs(x @ (statement.P @ x))
-    return bool(min(of_rows, objective) <= MATTERS * max(of_rows, objective))
+        clean = quiet(one)
+        for x, y in product((clean.x, zero), (clean.y, none)):
+            yield one._replace(x=x, y=y)
 
 
 def quiet(point: EngineAnswer) -> EngineAnswer:

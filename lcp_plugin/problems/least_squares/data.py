@@ -87,24 +87,11 @@ class BoundedLeastSquares:
         self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
-        if (
-            isinstance(lower, tuple)
-            and len(lower) == 2 != n
-            and np.ndim(upper) == 0
-            and upper == np.inf
-        ):
-            pair = (
-                f"lower={lower[0]}, upper={lower[1]}"
-                if all(map(is_number, lower))
-                else "lower=…, upper=…"
-            )
-            raise InvalidProblem(f"lower and upper are two arguments, not a pair: write {pair}")
-        try:
-            self.b = checked_vector(b, "b", m)
-        except InvalidProblem as error:
-            if (hint := _hint(np.asarray(b, dtype=object).shape, m, n)) is None:
-                raise
-            raise InvalidProblem(f"{error}{hint}") from error
+        need = (
+            f"b must be a vector of length {m}, an entry per row of A (for many right-hand sides: "
+            "solve_batch([BoundedLeastSquares(A, column) for column in b.T]))"
+        )
+        self.b = checked_vector(b, "b", m, need=need)
         self.lower, self.upper = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
         check_order(self.lower, self.upper)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
@@ -331,15 +318,11 @@ class ScaledLeastSquares:
 
     def product(self, x: FloatVector) -> FloatVector:
         """Return A x."""
-        product = self.problem.product(x / self.columns)
-        return product if self.problem.weights is None else self._root * product
+        return self._root * self.problem.product(x / self.columns)
 
     def apply_transpose(self, y: FloatVector) -> FloatVector:
         """Return Aᵀy."""
-        return (
-            self.problem.apply_transpose(y if self.problem.weights is None else self._root * y)
-            / self.columns
-        )
+        return self.problem.apply_transpose(self._root * y) / self.columns
 
     def matrix(self, *, is_dense: bool) -> Any:
         """Return A, which must have entries: an ndarray or a CSR array."""
@@ -370,19 +353,6 @@ def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
             f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out"
         )
     return penalty
-
-
-def _hint(shape: tuple[int, ...], m: int, n: int) -> str | None:
-    """Return a remedy for a b of the wrong shape, or None."""
-    if shape in ((m, 1), (1, m)):
-        return "; write b.ravel()"
-    if len(shape) == 2 and shape[0] == m:
-        return "; for many right-hand sides: solve_batch([BoundedLeastSquares(A, column) for column in b.T])"
-    return (
-        f", and A has {m} rows and {n} columns; did you mean A.T?"
-        if m != n and shape == (n,)
-        else None
-    )
 
 
 def _checked(A: Any) -> tuple[Any, bool]:

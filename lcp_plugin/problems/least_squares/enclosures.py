@@ -63,7 +63,13 @@ class Enclosures:
 
     def gradient(self, x: FloatVector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
-        return self._with_ridge(*self.apply_transpose(*residual), x)
+        value, radius = self.apply_transpose(*residual)
+        if not self.problem.ridge > 0.0:
+            return value, radius
+        added = self.problem.ridge * x
+        value = value + added
+        rounding = 4.0 * EPSILON * (np.abs(value) + np.abs(added))
+        return value, OUTWARD * (radius + rounding + TINY * (x != 0.0))
 
     def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
         """Return AᵀWy + ridge x."""
@@ -88,16 +94,6 @@ class Enclosures:
         rounding = gamma(2 * terms + 8) * OUTWARD * (size + unsure)
         underflow = (2 * terms + 8) * TINY * (size + unsure > 0.0)
         return B @ v - less, rounding + OUTWARD * unsure + underflow
-
-    def _with_ridge(self, value: FloatVector, radius: FloatVector, x: FloatVector) -> Ball:
-        """Return the value with ridge x added, and the radius with the rounding of that."""
-        if not self.problem.ridge > 0.0:
-            return value, radius
-        added = self.problem.ridge * x
-        value = value + added
-        return value, OUTWARD * (
-            radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0)
-        )
 
     @cached_property
     def reference(self) -> float:

@@ -69,16 +69,11 @@ class FeasiblePoints:
 
     @cached_property
     def inside(self) -> Vector | None:
-        """Feasible point in rational numbers, as far inside as a linear program finds."""
-        return feasible_point(self.program) if self.is_small else None
-
-    @property
-    def is_small(self) -> bool:
-        """True if rational arithmetic is tried."""
-        return (
-            self.program.b.size <= EXACT_UP_TO
-            and self.program.n + self.program.constraints.rows <= SMALL
-        )
+        """Feasible point in rational numbers, as far inside as a linear program finds; None for a large program."""
+        program = self.program
+        if program.b.size > EXACT_UP_TO or program.n + program.constraints.rows > SMALL:
+            return None
+        return feasible_point(program)
 
     def _move_off(self, x: FloatVector, slack: float) -> FloatVector:
         """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""

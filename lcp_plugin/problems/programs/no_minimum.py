@@ -205,18 +205,15 @@ class QPUnboundedness:
         """Return whether point and direction are a proof; exact."""
         if self.is_exact:
             return True
-        return self._is_rounding and self._holds and self.violation <= MET
-
-    @cached_property
-    def _holds(self) -> bool:
         found, program = self._found, self.program
-        is_held = not is_far_out(program.P, program.c, self.direction, found.left)
         return (
-            not is_held
+            self._is_rounding
+            and is_far_out(program.P, program.c, self.direction, found.left)
             and found.has_signs
             and found.size > 0
             and self._is_wide
             and found.is_rounding(program.n)
+            and self.violation <= MET
         )
 
     @cached_property

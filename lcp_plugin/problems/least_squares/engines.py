@@ -38,6 +38,7 @@ FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
 SECONDS_PER_ENTRY = 1e-6  # of the factorization of a sparse A with little fill
 LARGEST_FILL = 1e8  # entries of a factorization
+EPS = 1e-13  # tolerance of PIQP, so that a small l1 counts
 LARGEST_SLOPE = 1e6  # relative to b and columns of size 1: x is 0
 
 
@@ -187,7 +188,7 @@ class Split(NamedTuple):
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     """Return the program, and PIQP's point."""
     program = ProgramData(*statement)
-    return program, PIQP().answer(program, Limits(seconds_left()))
+    return program, PIQP(eps_abs=EPS, eps_rel=EPS).answer(program, Limits(seconds_left()))
 
 
 def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:

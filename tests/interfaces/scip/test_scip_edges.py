@@ -363,3 +363,16 @@ def test_followers_that_take_long_do_not_keep_scip_waiting() -> None:
     result = minimize_over_solutions(hard_followers(0), max_seconds=20.0)
     assert result.status is Status.SOLVED
     assert result.value == pytest.approx(6.260972762935, rel=1e-6)
+
+
+def test_stderr_of_the_process_stays_while_scip_runs() -> None:
+    """File descriptors 1 and 2 are the same inside a callback, so that no other thread loses output."""
+    before, seen = [os.fstat(k).st_ino for k in (1, 2)], []
+
+    def look(search: Any) -> bool:
+        seen.append([os.fstat(k).st_ino for k in (1, 2)])
+        return search.nodes > 20
+
+    minimize_over_solutions(knapsack(), callback=look)
+    assert len(seen) > 1
+    assert all(one == before for one in seen)

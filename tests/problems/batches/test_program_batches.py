@@ -329,3 +329,9 @@ def test_a_number_stands_for_a_vector_of_one() -> None:
         == "program 2: no program: b must be a vector of length 1, got shape (2,): 1 too many"
     )
     assert solve_batch(program, [{"b": 1}]).advice == solve(program).status.value
+
+
+def test_seconds_of_a_result_are_those_of_the_batch() -> None:
+    """A second look at a result shows the same seconds as the first."""
+    answers = solve_batch([QuadraticProgram(np.eye(2), [-1, k]) for k in (1, 2)])
+    assert answers[0].seconds == answers[0].seconds <= answers.seconds

@@ -14,6 +14,7 @@ from campaigns import attack_programs as attacks
 from campaigns.least_squares import bounded_least_squares
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 from scipy.sparse.linalg import aslinearoperator
 
 from lcp_plugin import BoundedLeastSquares, QuadraticProgram, load_problem, solve, solve_batch
@@ -174,3 +175,20 @@ def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
     assert result.cost <= max(bounds) * (1.0 + 1e-6)
     if noise == 0.0:
         np.testing.assert_allclose(result.x, x, atol=10.0 * l1)
+
+
+@pytest.mark.parametrize(
+    ("n", "seed", "l1"),
+    [(32, 3, 1e-6), (32, 3, 1e-9), (32, 4, 1e-9), (128, 1, 1e-9), (64, 2, 1e-11), (16, 5, 1e-11)],
+)
+def test_a_tiny_penalty_on_an_exact_fit_has_the_cost_of_basis_pursuit(
+    n: int, seed: int, l1: float
+) -> None:
+    """The least ‖x‖₁ of an x that fits b exactly, by HiGHS, is the cost; it is SOLVED for l1 of 1e-9 and more."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, 2 * n))
+    b = A @ (rng.standard_normal(2 * n) * (rng.random(2 * n) < 0.1))
+    least = linprog(np.ones(4 * n), A_eq=np.hstack([A, -A]), b_eq=b, bounds=(0, None)).fun
+    result = solve(BoundedLeastSquares(A, b, -INF, l1=l1))
+    assert result.is_solved or l1 < 1e-9
+    assert result.cost == pytest.approx(l1 * least, rel=1e-6)

@@ -753,3 +753,33 @@ def test_only_a_solution_has_a_derivative() -> None:
     """A result that is not SOLVED has no derivative."""
     with pytest.raises(UnsuitableProblem, match="MAX_ITERATIONS"):
         derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=0))
+
+
+@pytest.mark.parametrize("k", [1, 3, 8, 20])
+def test_after_ctrl_c_the_function_is_not_called_again(k: int) -> None:
+    """An interrupt in call k of F is the last call, and the result is INTERRUPTED after the first step."""
+    calls = []
+
+    def F(x: Any) -> Any:
+        calls.append(x)
+        if len(calls) == k:
+            raise KeyboardInterrupt
+        return np.exp(x) - [1.0, 8.0]
+
+    try:
+        assert solve(NonlinearProblem(F), x0=[9.0, 9.0]).status is Status.INTERRUPTED
+    except KeyboardInterrupt:
+        assert k < 8
+    assert len(calls) == k
+
+
+def test_a_run_without_a_start_begins_in_the_bounds_nearest_to_0() -> None:
+    """The lower bound 1, the upper bound −2 and no bound give the start (1, −2, 0)."""
+    seen: list[Any] = []
+    problem = NonlinearProblem(
+        lambda x: seen.append(x.copy()) or x - [3.0, -3.0, 2.0],  # type: ignore[func-returns-value]
+        lower=[1.0, -np.inf, -np.inf],
+        upper=[np.inf, -2.0, np.inf],
+    )
+    np.testing.assert_allclose(solve(problem).require_solved().x, [3.0, -3.0, 2.0])
+    np.testing.assert_array_equal(seen[0], [1.0, -2.0, 0.0])

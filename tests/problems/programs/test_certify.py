@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from fractions import Fraction
 from typing import Any
@@ -569,3 +570,11 @@ def test_a_fit_without_an_error_is_proved(n: int) -> None:
     t = np.abs(A @ x - b).max() + 1e-17
     assert certify(program, np.append(x, t)).verdict == "proved"
     assert certify(program, np.append(x, 1e-9)).verdict == "disproved"
+
+
+def test_a_certification_survives_pickle() -> None:
+    """Verdict, bounds and distance of a pickled certification are the same."""
+    said = certify(SIMPLE, [0.5, 1.5])
+    again = pickle.loads(pickle.dumps(said))
+    assert again.verdict == said.verdict == "proved"
+    assert (again.lower, again.upper, again.distance) == (said.lower, said.upper, said.distance)

@@ -356,7 +356,7 @@ def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
     P, words = NONCONVEX[name]
     with pytest.raises(
         UnsupportedModel,
-        match=f"not convex: (the )?{words}.*a stationary point need not be a minimum",
+        match=f"not convex: (the )?{words}.*a stationary point need not be a minimum; solve Equi",
     ):
         LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0)
 

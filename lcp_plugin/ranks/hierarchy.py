@@ -17,27 +17,20 @@ from numpy.typing import NDArray
 from ..core.checks import Arrays, FloatVector, read_only
 from ..core.kernels.compilation import inline, kernel, uintp
 from ..systems.factors import Factor, dense_lu
-from ..systems.hierarchy import coarsening, galerkin, sweeps, vectors
-from ..systems.hierarchy.coarsening import COARSE
-from ..systems.hierarchy.grids import (
-    SMALLEST_PIECE,
-    Operator,
-    RowBlocks,
-    Transfer,
-    blocks_of,
-    pivots,
-    rows_from_kernel,
+from ..systems.hierarchy import galerkin, sweeps, vectors
+from ..systems.hierarchy.grids import Operator, RowBlocks, Transfer, blocks_of, pivots
+from ..systems.hierarchy.levels import (
+    COARSEST,
+    LARGEST_GRID_SHARE,
+    NOTEWORTHY_LONELY,
+    positive_shares,
+    strength_of,
 )
-from ..systems.hierarchy.levels import chosen_kinds
 from .halo import NOBODY, Halo
 
-COARSEST = 60  # unknowns of all ranks
 COARSEST_SWEEPS = 10  # there and back
 FACTORISED_UP_TO = 150
-STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
-NOTEWORTHY_POSITIVE = 0.02  # share of positive couplings from which on the larger strength is taken
-NOTEWORTHY_LONELY = 5e-4  # share of unknowns without a coarse neighbor: interpolation is extended
-LARGEST_GRID_SHARE, LARGEST_GROWTH, LARGEST_COMPLEXITY = 0.85, 2.0, 8.0
+LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +80,7 @@ class InterpolationOnRanks(NamedTuple):
     rows: Arrays
     is_coarse: NDArray[np.bool_]
     below: Halo
-    extends: bool
+    has_jumps: bool
 
 
 def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyOnRanks:
@@ -100,17 +93,16 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
     if not halo.is_empty:
         rows, ranks = halo.overlapped(rows, halo.ghosts, NOBODY)
     grid = _grid(Operator(*rows), ranks, own, scales_rows)
-    positive, total, _ = map(halo.total, coarsening.couplings_by_sign(*grid.own))
-    is_mixed = positive > NOTEWORTHY_POSITIVE * total
-    strength = STRENGTH_AMONG_POSITIVE if is_mixed else STRENGTH
-    grids, transfers, extends = [grid], list[Transfer](), None
+    shares = positive_shares(Operator(*grid.own), grid.split)
+    strength = strength_of(halo.total(float(shares.sum())) / max(halo.n, 1))
+    grids, transfers, has_jumps = [grid], list[Transfer](), None
     entries = stored = halo.total(float(grid.own[0][-1]))
     size = halo.total(grid.n)
     while size > COARSEST:
-        interpolation = _interpolation(grid, strength, extends)
+        interpolation = _interpolation(grid, strength, has_jumps)
         if interpolation is None:
             break
-        extends = interpolation.extends
+        has_jumps = interpolation.has_jumps
         coarser = _coarser(grid, interpolation, scales_rows)
         if coarser is None:
             break
@@ -159,51 +151,42 @@ def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRa
     return GridOnRanks(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
+@np.errstate(all="ignore")
 def _interpolation(
-    grid: GridOnRanks, strength: float, extends: bool | None
+    grid: GridOnRanks, strength: float, has_jumps: bool | None
 ) -> InterpolationOnRanks | None:
-    """Return the interpolation from coarse unknowns of any rank; None if no unknowns are coupled."""
+    """Return the interpolation from coarse unknowns of any rank; None if no unknowns are coupled.
+
+    If couplings jump from edge to edge, each rank also makes the second pass of Ruge and Stüben among its unknowns.
+    """
+    from pyamg.classical.interpolate import direct_interpolation
+    from pyamg.classical.split import RS
+    from pyamg.strength import classical_strength_of_connection
+
     indptr, indices, data = grid.own
     n, halo = grid.n, grid.halo
-    is_strong = np.empty(data.size, np.bool_)
-    kind = chosen_kinds(indptr, indices, data, strength, is_strong)
+    square = np.pad(indptr, (0, grid.width - n), "edge")  # the rows of ghosts are empty
+    M = sp.csr_matrix((data, indices, square), shape=(grid.width, grid.width))
+    strong = classical_strength_of_connection(M, strength, norm="min")
+    choice = RS(strong[:n, :n], second_pass=bool(has_jumps))
+    choice = np.concatenate([choice, np.zeros(halo.foreign, choice.dtype)])
+    halo.fetch_flags(choice)
     if not halo.is_empty:
-        kinds = _kinds_of_all(grid, kind == COARSE)
-        gives_way = halo.ghosts > halo.first
-        mend_seams(*grid.matrix.arrays, strength, n, gives_way, kinds)
-        kind = kinds[:n]
-    is_coarse = kind == COARSE
-    is_coarse.flags.writeable = False
-    count = int(np.count_nonzero(is_coarse))
-    below = halo.coarser(count)
-    if halo.total(count) == 0:
+        mend_seams(*grid.matrix.arrays, strength, n, halo.ghosts > halo.first, choice)
+        halo.fetch_flags(choice)
+    is_coarse = read_only(choice[:n] == 1)
+    below = halo.coarser(int(np.count_nonzero(is_coarse)))
+    if below.n == 0:
         return None
-    number = np.cumsum(is_coarse, dtype=indices.dtype)
-    number += indices.dtype.type(below.first - 1)
-    if not halo.is_empty:
-        unused = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
-        coarsening.strong_couplings(
-            indptr, indices, data, strength, grid.width, is_strong, *unused, 0, n
-        )
-        kind = _kinds_of_all(grid, is_coarse)
-        number = halo.whole(number.astype(np.float64)).astype(indices.dtype)
-    operands = (indptr, indices, data, is_strong, kind, number)
-    if not extends:
-        direct = coarsening.direct_interpolation
-        rows, lonely = rows_from_kernel(direct, operands, 0, SMALLEST_PIECE)
-        many = NOTEWORTHY_LONELY * halo.total(n)
-        extends = extends is None and halo.total(lonely) > many
-    if extends:
-        extended, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
-        rows, _ = rows_from_kernel(extended, operands, more, n)
-    return InterpolationOnRanks(halo.with_foreign_rows(rows), is_coarse, below, bool(extends))
-
-
-def _kinds_of_all(grid: GridOnRanks, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    flags = np.zeros(grid.width, np.bool_)
-    flags[: grid.n] = is_coarse
-    grid.halo.fetch_flags(flags)
-    return np.where(flags, COARSE, coarsening.FINE).astype(np.uint8)
+    P = sp.csr_array(direct_interpolation(M, strong, choice))
+    if has_jumps is None:
+        is_lonely = (np.diff(P.indptr) == 0) & (np.diff(strong.indptr) > 1)
+        if halo.total(int(np.count_nonzero(is_lonely))) > NOTEWORTHY_LONELY * halo.n:
+            return _interpolation(grid, strength, has_jumps=True)
+    number = halo.whole(below.first - 1.0 + np.cumsum(is_coarse))[choice == 1]
+    end = int(P.indptr[n])
+    rows = P.indptr[: n + 1], number[P.indices[:end]].astype(indices.dtype), P.data[:end]
+    return InterpolationOnRanks(halo.with_foreign_rows(rows), is_coarse, below, bool(has_jumps))
 
 
 def _coarser(
@@ -212,40 +195,27 @@ def _coarser(
     """Return the way to the coarser grid and that grid; None if its numbers are not finite."""
     halo, below = grid.halo, interpolation.below
     p_indptr, columns, p_data = interpolation.rows
-    others = below.outside(columns)
+    others, count = below.outside(columns), below.own
     p_indices = below.local(columns, others)
-    restriction = _restriction(grid, below.own, (p_indptr, p_indices, p_data))
+    fine = grid.matrix.indptr.size - 1  # local unknowns, and ghosts with stored rows
+    P = sp.csr_array((p_data, p_indices, p_indptr), shape=(p_indptr.size - 1, count + others.size))
+    R = P[:fine, :count].T.tocsr()
     if scales_rows:
         with np.errstate(over="ignore"):
-            restriction[2][:] *= halo.whole(grid.inverse)[restriction[1]]
-        if not halo.everywhere(np.isfinite(restriction[2])):
+            R.data *= halo.whole(grid.inverse)[R.indices]
+        if not halo.everywhere(np.isfinite(R.data)):
             return None
-    prolongation, restricting = Operator(p_indptr, p_indices, p_data), Operator(*restriction)
-    rows = galerkin.galerkin_product(
-        grid.matrix.arrays, prolongation.arrays, restricting.arrays, below.own + others.size
-    )
-    count = below.own
+    prolongation = Operator(p_indptr, p_indices, p_data)
+    restriction = Operator(R.indptr, R.indices, R.data)
+    rows = galerkin.product(grid.matrix, prolongation, restriction, count + others.size).arrays
     if not halo.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]
         further = others[np.unique(met[met >= count]) - count]
         rows, below = below.overlapped(rows, others, further)
         # Rows of P of distant unknowns may have any number.
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
-    transfer = Transfer(prolongation, restricting, interpolation.is_coarse)
+    transfer = Transfer(prolongation, restriction, interpolation.is_coarse)
     return transfer, _grid(Operator(*rows), below, count, scales_rows)
-
-
-def _restriction(grid: GridOnRanks, count: int, prolongation: Arrays) -> Arrays:
-    """Return the local rows of Pᵀ; fine unknowns are local, or ghosts with stored rows."""
-    p_indptr, p_indices, p_data = prolongation
-    if grid.halo.foreign:
-        rows = grid.matrix.indptr.size - 1
-        end = int(p_indptr[rows])
-        is_own = p_indices[:end] < count
-        counts = np.concatenate([[0], np.cumsum(is_own)])
-        p_indptr = counts[p_indptr[: rows + 1]].astype(p_indptr.dtype)
-        p_indices, p_data = p_indices[:end][is_own], p_data[:end][is_own]
-    return galerkin.transposed(count, *Operator(p_indptr, p_indices, p_data).arrays)
 
 
 @inline
@@ -271,15 +241,15 @@ def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: 
     mark = np.full(kind.size, -1, indptr.dtype)
     for i in range(n):
         begin, end = uintp(indptr[i]), uintp(indptr[i + one])
-        if kind[i] == COARSE or begin == end or uintp(indices[end - one]) < n:
+        if kind[i] == 1 or begin == end or uintp(indices[end - one]) < n:
             continue
         least = _least_strong(indptr, indices, data, strength, i)
         for k in range(begin, end):
-            if -data[k] >= least and kind[uintp(indices[k])] == COARSE:
+            if -data[k] >= least and kind[uintp(indices[k])] == 1:
                 mark[uintp(indices[k])] = i
         for k in range(begin, end):
             j = uintp(indices[k])
-            if j < n or j >= rows or -data[k] < least or kind[j] == COARSE or not gives_way[j - n]:
+            if j < n or j >= rows or -data[k] < least or kind[j] == 1 or not gives_way[j - n]:
                 continue
             has_common = False
             its_least = _least_strong(indptr, indices, data, strength, j)
@@ -288,7 +258,7 @@ def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: 
                     has_common = True
                     break
             if not has_common:
-                kind[i] = COARSE
+                kind[i] = 1
                 break
 
 
@@ -374,7 +344,6 @@ class TruncationOnRanks:
             level.touched,
             level.is_interpolated,
             level.free_changed,
-            transfer.scaling,
             transfer.is_coarse,
         ):
             own = slice(level.grid.n)

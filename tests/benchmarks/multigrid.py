@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+import pyamg
 import scipy.sparse as sp
 
 from lcp_plugin.api import solve
-from lcp_plugin.core.errors import LCPError
 from lcp_plugin.core.solving.result import Result
 from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import Scene, parse
@@ -67,12 +67,6 @@ def from_scratch(scene: Scene, algorithm: str) -> Result:
 
 def linear_solve(scene: Scene, hierarchy: str) -> str:
     """Solve M x = −q by a Ruge–Stüben hierarchy of pyamg's with CG (BiCGStab where M is not symmetric) to 1e-8."""
-    try:
-        import pyamg
-    except ImportError as error:
-        raise LCPError(
-            "this benchmark needs pyamg; install it with: pip install -r tests/benchmarks/requirements.txt"
-        ) from error
     problem, residuals = scene.problem, list[float]()
     built = pyamg.ruge_stuben_solver(sp.csr_matrix(problem.csr), **PYAMG[hierarchy])
     accelerator = "cg" if scene.is_symmetric else "bicgstab"

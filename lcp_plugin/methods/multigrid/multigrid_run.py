@@ -59,8 +59,8 @@ class MultigridRun:
         self.grid = finest
         self.tells_residual = np.array_equal(problem.residual_scale, problem.diagonal)
         self.truncation = Truncation(hierarchy)
-        self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.extends else 1
-        jumps = hierarchy.extends and finest.spread > JUMPS
+        self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.has_jumps else 1
+        jumps = hierarchy.has_jumps and finest.spread > JUMPS
         self.gain = ROUND_GAIN_AT_JUMPS if jumps else ROUND_GAIN
         self.has_tried_rounds = not self.is_symmetric
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]

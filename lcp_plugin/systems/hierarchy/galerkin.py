@@ -16,170 +16,59 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ...core.checks import Arrays, FloatVector
-from ...core.kernels.compilation import inline, kernel, uintp
+from ...core.kernels.compilation import kernel, uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
-from .grids import SMALLEST_PIECE, joined
+from .grids import Operator, pivots
 
-Indices = NDArray[Any]
-
+SMALLEST_PIECE = 16384  # rows
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
 
 
-def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
-    """Return the transpose in CSR; its rows are sorted."""
-    by_column = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, columns)).tocsc()
-    return by_column.indptr, by_column.indices, by_column.data
-
-
-@inline
-def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
-    """Sort by insertion: the rows are short."""
-    one = uintp(1)
-    for a in range(begin + one, end):
-        column = indices[a]
-        place = a
-        while place > begin and indices[place - one] > column:
-            indices[place] = indices[place - one]
-            place -= one  # type: ignore[assignment]
-        indices[place] = column
-
-
-def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
+def count_products(matrix: Operator, prolongation: Operator) -> float:
     """Return the number of products of three entries in PᵀMP."""
-    size = np.diff(p_indptr).astype(
-        np.float64
-    )  # not of integers, of which more than 64 bits may take
-
-    def piece(first: int, end: int) -> float:
-        met = size[indices[indptr[first] : indptr[end]]]
-        return float(np.dot(np.repeat(size[first:end], np.diff(indptr[first : end + 1])), met))
-
-    rows = indptr.size - 1
-    return sum(
-        piece(first, min(first + SMALLEST_PIECE, rows)) for first in range(0, rows, SMALLEST_PIECE)
-    )
+    sizes = np.diff(prolongation.indptr).astype(np.float64)  # integers could overflow
+    return float(sizes @ (_pattern(matrix, sizes.size) @ sizes))
 
 
-def galerkin_product(
-    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int
-) -> Arrays:
-    """Return R M P in CSR with sorted rows and every diagonal entry stored; R has at most as many rows as P columns."""
-    n = restriction[0].size - 1
-    longest = int(np.diff(prolongation[0]).max(initial=1))
-    operands = *matrix, *prolongation, *restriction, longest
-    return joined(
-        share(
-            lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE
-        )
-    )
+def product(
+    matrix: Operator, prolongation: Operator, restriction: Operator, columns: int
+) -> Operator:
+    """Return R M P with sorted rows, for a P that injects the coarse unknowns and M with a stored diagonal.
 
-
-def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, end: int) -> Arrays:
-    """Return the rows [first, end) of the n of R M P, which do not depend on where pieces begin."""
-    indptr, indices = operands[:2]
-    width, rows = operands[3].size - 1, end - first
-    capacity = indices.size * rows // max(n, 1) + rows if first else indices.size + n
-    c_indptr = np.zeros(rows + 1, indptr.dtype)
-    c_indices, c_data = np.empty(capacity, indices.dtype), np.empty(capacity)
-    space = *_row_space(width, indices.dtype), *_row_space(columns, indices.dtype)[::2]
-    row = _product_rows(*operands, first, first, end, *space, c_indptr, c_indices, c_data)
-    while row < end:  # the capacity did not suffice
-        size, capacity = int(c_indptr[row - first]), capacity + capacity // 2 + max(n, columns)
-        c_indices, c_data = _enlarged(c_indices, size, capacity), _enlarged(c_data, size, capacity)
-        row = _product_rows(*operands, first, row, end, *space, c_indptr, c_indices, c_data)
-    return c_indptr, c_indices, c_data
-
-
-def _row_space(width: int, dtype: Any) -> tuple[Indices, Indices, FloatVector]:
-    """Return workspace for a row of `width` columns: positions (zero if absent), column numbers, sums."""
-    return np.zeros(width, dtype), np.empty(width, dtype), np.empty(width)
-
-
-def _enlarged(values: Any, size: int, capacity: int) -> Any:
-    larger = np.empty(capacity, values.dtype)
-    larger[:size] = values[:size]
-    return larger
-
-
-@kernel
-def _product_rows(  # type: ignore[no-untyped-def]
-    indptr,
-    indices,
-    data,
-    p_indptr,
-    p_indices,
-    p_data,
-    r_indptr,
-    r_indices,
-    r_data,
-    longest,
-    first,
-    next_row,
-    end,
-    fine_place,
-    fine,
-    fine_sums,
-    place,
-    sums,
-    c_indptr,
-    c_indices,
-    c_data,
-):
-    """Compute the rows [first, end) of R M P from `next_row` on; return the first that may not fit, or `end`.
-
-    A row of R M is computed first, because it adds up all couplings to a fine unknown before the product with P.
+    An entry that cancels is stored, because it may not cancel in the truncated product.
     """
-    one = uintp(1)
-    capacity = uintp(c_indices.size)
-    size = uintp(c_indptr[next_row - first])
-    for row in range(uintp(next_row), uintp(end)):
-        begin, own = size, row - uintp(first)
-        count = uintp(0)
-        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
-            i = uintp(r_indices[a])
-            weight = r_data[a]
-            for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                k = uintp(indices[b])
-                at = uintp(fine_place[k])
-                if at == 0:
-                    fine[count] = k
-                    fine_sums[count] = weight * data[b]
-                    count += one
-                    fine_place[k] = count
-                else:
-                    fine_sums[at - one] += weight * data[b]
-        for f in range(count):
-            fine_place[uintp(fine[f])] = 0
-        if capacity - size < min(one + count * uintp(longest), uintp(place.size)):
-            return row
-        c_indices[size] = row
-        sums[0] = 0.0
-        size += one
-        place[row] = 1
-        for f in range(count):
-            k = uintp(fine[f])
-            value = fine_sums[f]
-            for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
-                column = uintp(p_indices[c])
-                at = uintp(place[column])
-                if at == 0:
-                    c_indices[size] = column
-                    sums[size - begin] = value * p_data[c]
-                    size += one
-                    place[column] = size - begin
-                else:
-                    sums[at - one] += value * p_data[c]
-        _sort_row(c_indices, begin, size)
-        for c in range(begin, size):
-            column = uintp(c_indices[c])
-            c_data[c] = sums[uintp(place[column]) - one]
-            place[column] = 0
-        c_indptr[own + one] = size
-    return uintp(end)
+    width = prolongation.indptr.size - 1
+    pattern = (
+        _pattern(restriction, matrix.indptr.size - 1)
+        @ _pattern(matrix, width)
+        @ _pattern(prolongation, columns)
+    )
+    pattern.sort_indices()
+    entries = Operator(pattern.indptr, pattern.indices, np.zeros(pattern.nnz))
+    split, inverse = pivots(entries, SMALLEST_PIVOT)
+    values = np.empty(pattern.nnz)
+    update_product(
+        *matrix.arrays,
+        np.ones(width, np.bool_),
+        np.ones(width, np.bool_),
+        *prolongation.arrays,
+        *restriction.arrays,
+        *entries.arrays[:2],
+        values,
+        split,
+        inverse.copy(),
+        *(np.zeros(columns, np.bool_) for _ in range(3)),
+    )
+    return Operator(pattern.indptr, pattern.indices, values)
+
+
+def _pattern(operator: Operator, columns: int) -> sp.csr_array:
+    """Return the pattern of a matrix, bool: its products do not cancel."""
+    ones = np.ones(operator.indices.size, np.bool_)
+    shape = operator.indptr.size - 1, columns
+    return sp.csr_array((ones, operator.indices, operator.indptr), shape=shape)
 
 
 def mark_rows(*operands: Any) -> None:
@@ -210,7 +99,9 @@ def update_product(*operands: Any) -> tuple[float, int]:
     )
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        space = *_row_space(is_interpolated.size, indices.dtype), np.empty(c_is_free.size)
+        width = is_interpolated.size
+        fine_place, fine = np.zeros(width, indices.dtype), np.empty(width, indices.dtype)
+        space = fine_place, fine, np.empty(width), np.empty(c_is_free.size)
         counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
         return counts
 
@@ -246,7 +137,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
     first,
     end,
 ):
-    """Update rows in the order of `_product_rows`: if all unknowns are free, the result is the coarse matrix exactly.
+    """Compute the changed coarse rows. A row of R M is computed before its product with P: it adds up couplings.
 
     A coarse unknown is fixed if all of its fine unknowns are fixed or held, or if its pivot is not positive.
     """

@@ -2,23 +2,19 @@
 
 Threads share a grid by blocks of rows: rows of block k have no entries in block k + 2. A forward sweep takes the even
 blocks first and then the odd blocks, a backward sweep the reverse. The matrix determines the order of this Gauss–Seidel
-sweep, independent of the threads. Threads write the rows of a new matrix in chunks, which are joined.
+sweep, independent of the threads.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector
-from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
-
-ALIKE = np.zeros(0)
-ALIKE.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +40,11 @@ class Operator:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Transfer from a grid to the next coarser grid: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, mask of coarse unknowns.
-
-    `scaling` is the scaling of the fine unknowns, empty if all unknowns have one scale.
-    """
+    """Transfer to the next coarser grid: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, mask of coarse unknowns."""
 
     prolongation: Operator
     restriction: Operator
     is_coarse: NDArray[np.bool_]
-    scaling: FloatVector = field(default_factory=lambda: ALIKE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +101,15 @@ class Hierarchy:
         Matrix entries touched to build them.
     is_helpful : bool
         False if coarser grids would cost too much: then there is only the finest.
-    extends : bool
-        Whether interpolation reaches through fine unknowns: couplings jump from edge to edge.
+    has_jumps : bool
+        Whether many fine unknowns would lack a coarse neighbor: couplings jump from edge to edge.
     """
 
     grids: tuple[Grid, ...]
     transfers: tuple[Transfer, ...]
     work: float
     is_helpful: bool
-    extends: bool = False
+    has_jumps: bool = False
 
 
 MOST_BLOCKS = 16
@@ -160,54 +152,6 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
     edges = np.linspace(0, rows, count + 1).astype(np.int64)
     edges.flags.writeable = False
     return RowBlocks(edges, reach)
-
-
-SMALLEST_PIECE = 16384  # rows
-
-
-def joined(pieces: list[Arrays]) -> Arrays:
-    """Return the CSR rows of consecutive chunks; the first chunk may have space for the rest behind its rows."""
-    sizes = [int(indptr[-1]) for indptr, _, _ in pieces]
-    ends = np.cumsum(sizes, dtype=pieces[0][0].dtype)
-    further = [piece[0][1:] + before for piece, before in zip(pieces[1:], ends, strict=False)]
-    indptr = np.concatenate([pieces[0][0], *further]) if further else pieces[0][0]
-    indices, data = (
-        _appended([piece[k] for piece in pieces], sizes, int(ends[-1])) for k in (1, 2)
-    )
-    return indptr, indices, data
-
-
-def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
-    """Return the first `sizes` entries of all parts, in the memory of the first part if it suffices."""
-    if parts[0].size < total:
-        return np.concatenate([part[:size] for part, size in zip(parts, sizes, strict=True)])
-    end = sizes[0]
-    for part, size in zip(parts[1:], sizes[1:], strict=True):
-        parts[0][end : end + size] = part[:size]
-        end += size
-    return parts[0][:total]
-
-
-def rows_from_kernel(
-    kernel: Any, operands: tuple[Any, ...], more: int, smallest: int
-) -> tuple[Arrays, int]:
-    """Return the rows of P that a kernel writes (space: rows of M plus `more` per row), and its other result."""
-    indptr, indices = operands[:2]
-    n = indptr.size - 1
-
-    def piece(first: int, end: int) -> tuple[Arrays, int]:
-        last = end if first else n  # memory that nothing is written to was never touched
-        capacity = int(indptr[last] - indptr[first]) + more * (last - first)
-        rows = (
-            np.empty(end - first + 1, indptr.dtype),
-            np.empty(capacity, indices.dtype),
-            np.empty(capacity),
-        )
-        _, counts = kernel(*operands, first, end, *rows)
-        return rows, counts
-
-    pieces, counts = zip(*share(piece, n, smallest), strict=True)
-    return joined(list(pieces)), sum(counts)
 
 
 def pivots(matrix: Operator, smallest: float) -> tuple[NDArray[Any], FloatVector]:

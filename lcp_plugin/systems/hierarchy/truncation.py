@@ -136,7 +136,6 @@ class Truncation:
                 level.touched,
                 level.is_interpolated,
                 level.free_changed,
-                transfer.scaling,
                 transfer.is_coarse,
             ):
                 level.held = np.flatnonzero(level.is_free & ~level.is_interpolated)

@@ -1,10 +1,6 @@
-"""Vector operations of Krylov steps, transfers between two grids, and the scaling of the unknowns.
+"""Vector operations of Krylov steps, and transfers between two grids.
 
-Sums are split into the same chunks for any number of threads. The scaling makes a smooth error (one that sweeps reduce
-slowly) locally constant, because interpolation reproduces constants. Constants are smooth if rows of M sum to about
-zero. For D M D, or M with scaled columns, the smooth vectors are v > 0 with M v about zero. A few sweeps on M v = 0
-find such a vector from a start close to it. Two starts are tried: the unscaled matrix, and the scaling that brings the
-diagonal of V M V, or of M V, to 1.
+Sums are split into the same chunks for any number of threads.
 
 `inverse` contains 1/diagonal, and 0 for a fixed unknown. A fine unknown is called held if seven eighths of its
 couplings lead to fixed unknowns. A held unknown is not interpolated, because P would let it follow its free coarse
@@ -101,71 +97,6 @@ def span(vector: FloatVector) -> float:
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
 
-LACKING = (
-    0.1  # of the diagonal entry: a row with a sum below minus this share speaks against the scaling
-)
-NOTEWORTHY_LACKING = 0.02  # share of such rows above which a scaling is tried
-GAINED = 0.5  # a scaling is kept if it reduces the number of such rows at least by this ratio
-FARTHEST = 2.0**400  # largest ratio of the units of two unknowns: their squares are divisors
-TRIAL_SWEEPS, SWEEPS = 3, 12  # forward and backward: to choose the start, and from the start
-
-
-def scaling_of_unknowns(matrix: Any, lacking: float) -> tuple[FloatVector | None, float]:
-    """Return v > 0, shape (n,), and the matrix entries touched; None instead of v if no scaling helps.
-
-    Parameters
-    ----------
-    matrix : csr_array, shape (n, n)
-        Matrix with a positive diagonal.
-    lacking : float
-        Number of rows that sum to less than zero.
-    """
-    n = matrix.indptr.size - 1
-    if not lacking > NOTEWORTHY_LACKING * n:
-        return None, 0.0
-    arrays, diagonal = (matrix.indptr, matrix.indices, matrix.data), matrix.diagonal()
-    best, least, touched = None, GAINED * lacking, 0.0
-    with np.errstate(all="ignore"):
-        for v in (np.ones(n), 1.0 / np.sqrt(diagonal), 1.0 / diagonal):
-            left = smooth_scaling(*arrays, v, TRIAL_SWEEPS)
-            touched += (2.0 * TRIAL_SWEEPS + 1.0) * matrix.data.size
-            if left <= least and _is_scaling(v):
-                best, least = v, left
-        if best is not None:
-            smooth_scaling(*arrays, best, SWEEPS)
-            touched += (2.0 * SWEEPS + 1.0) * matrix.data.size
-    return best if best is not None and _is_scaling(best) else None, touched
-
-
-def _is_scaling(v: FloatVector) -> bool:
-    return bool(v.min() >= 1.0 / FARTHEST and v.max() <= FARTHEST)
-
-
-@kernel
-def smooth_scaling(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-def]
-    """Overwrite v by symmetric Gauss–Seidel sweeps for M v = 0; return how many rows sum to less than zero.
-
-    Positive couplings are lumped, so that v stays positive.
-    """
-    one, n = uintp(1), uintp(v.size)
-    for sweep in range(2 * sweeps + 1):
-        lacking = 0.0
-        for step in range(n):
-            i = n - one - step if sweep % 2 == 1 else step
-            diagonal, negative = 0.0, 0.0
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                j = uintp(indices[k])
-                if j == i or data[k] > 0.0:
-                    diagonal += data[k] * v[j]
-                else:
-                    negative -= data[k] * v[j]
-            if diagonal < (1.0 - LACKING) * negative:
-                lacking += 1.0
-            if negative > 0.0 and sweep < 2 * sweeps:
-                v[i] *= negative / diagonal
-    return lacking
-
-
 HELD = (
     0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
 )
@@ -244,7 +175,6 @@ def _find_held(  # type: ignore[no-untyped-def]
     touched,
     is_interpolated,
     is_changed,
-    scaling,
     is_coarse,
     first,
     end,
@@ -264,15 +194,14 @@ def _find_held(  # type: ignore[no-untyped-def]
             before, left, pivot_before, pivot = 0.0, 0.0, 0.0, 0.0
             for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
                 j = uintp(indices[k])
-                unit = scaling[j] if scaling.size > 0 else 1.0
                 if j == i or whole[k] > 0.0:
-                    pivot_before += unit * whole[k]
+                    pivot_before += whole[k]
                 else:
-                    before -= unit * whole[k]
+                    before -= whole[k]
                 if j == i or values[k] > 0.0:
-                    pivot += unit * values[k]
+                    pivot += values[k]
                 elif is_free[j]:
-                    left -= unit * values[k]
+                    left -= values[k]
             is_held = (
                 pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
             )

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import FloatVector, checked_vector
+from ...core.checks import FloatVector, checked_start
 from ...core.deadline import Clock, time_limit
-from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
+from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
@@ -129,7 +129,7 @@ def solve_cones(
     log = Log(problem, settings, checked_callback(callback), Clock())
     with np.errstate(all="ignore"):
         stack = ConeStack.of(problem)
-        z = None if z0 is None else stack.snap(stack.pattern.wide(_start(problem, z0)[None]))
+        z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
         run = ConeRun(problem, stack, log, z)
         with threads_for(settings.threads), time_limit(settings.max_seconds - log.clock.read()):
             run.solve(chosen)
@@ -489,13 +489,6 @@ def _checked_algorithm(algorithm: Any) -> str | ConeAlgorithm:
             f"{', '.join(METHODS)}, or an object of lcp_plugin.problems.cones.methods"
         )
     return name if name == "auto" else METHODS[name]()
-
-
-def _start(problem: Blocks, z0: ArrayLike) -> FloatVector:
-    try:
-        return checked_vector(z0, "z0", problem.n, may_be_number=problem.n == 1)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
 
 
 def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm) -> ConeResult:

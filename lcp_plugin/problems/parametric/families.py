@@ -254,7 +254,7 @@ class Family:
 
     def extract_unknowns(self, result: Any) -> FloatVector:
         """Return the unknowns of the complementarity problem from a result of `solve`."""
-        raise NotImplementedError
+        return np.asarray(result.x)
 
     def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return the solution at θ from the unknowns of the complementarity problem."""
@@ -297,10 +297,6 @@ class ComplementarityFamily(Family):
         bounds = {name: moved[name] for name in BOUNDS if name in moved}
         problem: LCP = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
         return problem
-
-    def extract_unknowns(self, result: Any) -> FloatVector:
-        """Return z."""
-        return np.asarray(result.z)
 
     def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return z at θ, with w."""
@@ -452,10 +448,6 @@ class LeastSquaresFamily(Family):
         return Staircases.from_penalty(
             GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink
         )
-
-    def extract_unknowns(self, result: Any) -> FloatVector:
-        """Return x."""
-        return np.asarray(result.x)
 
     def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return x at θ."""

@@ -92,24 +92,14 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(GUARANTEED, "the problem has no rows")
     try:
         facts = algorithm.facts(problem)
+        theorem = algorithm.theorem(problem, analyze(problem)) if facts is None else None
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
-    if facts is None:
-        return _of_a_direct_method(problem, algorithm)
-    found = _full(problem, facts)
-    return replace(found, facts=facts, problem=problem)
-
-
-def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
-    try:
-        theorem = algorithm.theorem(problem, analyze(problem))
-    except (UnsuitableMatrix, UnsuitableProblem) as error:
-        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
-    if theorem is None:
-        return Guarantee(
-            NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem"
-        )
-    return Guarantee(GUARANTEED, theorem)
+    if facts is not None:
+        return replace(_full(problem, facts), facts=facts, problem=problem)
+    if theorem is not None:
+        return Guarantee(GUARANTEED, theorem)
+    return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
 
 
 def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
@@ -124,7 +114,10 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     paper = _paper_says(problem, facts)
     proof = _row_proof(problem, facts)
     if proof is not None:
-        return _guaranteed(problem, facts, proof, paper)
+        is_automatic = facts.relaxation is None and facts.family == PROJECTED_RELAXATION
+        rate, v = (None, None) if is_automatic else proof
+        speaks_of = "x" if facts.family == MODULUS else "z"
+        return Guarantee(GUARANTEED, theorem_of(facts), rate, v, paper=paper, speaks_of=speaks_of)
     if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
         found = _by_theorem_4_1(problem, facts)
         if found is not None:
@@ -134,25 +127,6 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
         return Guarantee(GUARANTEED, theorem)
     remedy = _remedy(problem, facts)
     return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
-
-
-def _guaranteed(
-    problem: LCP, facts: IterationFacts, proof: Contraction, paper: str = ""
-) -> Guarantee:
-    theorem = theorem_of(facts)
-    if facts.relaxation is None and facts.family == PROJECTED_RELAXATION:
-        return Guarantee(GUARANTEED, theorem)
-    v = proof.v.copy()
-    v.flags.writeable = False
-    speaks_of = "x" if facts.family == MODULUS else "z"
-    return Guarantee(
-        GUARANTEED,
-        theorem,
-        proof.rate,
-        v if proof.rate is not None else None,
-        paper=paper,
-        speaks_of=speaks_of,
-    )
 
 
 def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:

@@ -34,12 +34,12 @@ scale of the residual, so that no unit of a row can overflow them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, read_only
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import (
@@ -157,12 +157,8 @@ def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
     return passes["forward" if facts.family == PROJECTED_SPLITTING else facts.sweep]
 
 
-@dataclass(frozen=True, eq=False)
-class Contraction:
-    """A proof that one iteration contracts in ‖·‖_v; `rate` is None if it rounds to 1."""
-
-    rate: float | None
-    v: FloatVector = field(repr=False)
+#: A rate, None if it rounds to 1, and the weights v of ‖·‖_v, None without a rate.
+Contraction = tuple[float | None, FloatVector | None]
 
 
 def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contraction | None:
@@ -188,9 +184,9 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contract
         return None
     rates = [rate_of(gap) for gap in found]
     rate = None if None in rates else math.prod(rate for rate in rates if rate is not None)
-    if rate is not None and len(rates) > 1:
-        rate = float(np.nextafter(rate, 2.0))
-    return Contraction(rate, v)
+    if rate is None:
+        return None, None
+    return (float(np.nextafter(rate, 2.0)) if len(rates) > 1 else rate), read_only(v.copy())
 
 
 # --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------

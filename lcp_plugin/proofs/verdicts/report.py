@@ -238,13 +238,6 @@ def is_negative(matrix: Matrix) -> bool:
     return matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
 
 
-@fact
-def is_negated_m_matrix(matrix: Matrix) -> bool:
-    """Return whether −M is proved to be a nonsingular M-matrix."""
-    has_signs = is_negative(matrix) and int((matrix.csr.data < 0.0).sum()) == matrix.n
-    return has_signs and h_verdict(matrix).is_h is True
-
-
 def sign_remark(matrix: Matrix) -> str:
     """Return the remark about a negative diagonal, '' unless all diagonal entries are negative.
 
@@ -259,7 +252,8 @@ def sign_remark(matrix: Matrix) -> str:
         return ""
     known = ""
     if h_verdict(matrix).is_h:
-        kind = "M-matrix" if is_negated_m_matrix(matrix) else "H₊-matrix"
+        is_m = int((matrix.csr.data < 0.0).sum()) == matrix.n
+        kind = "M-matrix" if is_m else "H₊-matrix"
         known = f", and −M is {'a positive definite' if symmetric(matrix).value else 'an'} {kind}"
     return f"every diagonal entry of M is negative (M[0, 0] = {matrix.diagonal[0]}){known}: is its sign right?"
 

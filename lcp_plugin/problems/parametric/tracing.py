@@ -156,18 +156,15 @@ class _Trace:
             self.path.starts += 1
             if result.has_no_solution or result.x is None:
                 return None
-            follower = self._follower(t, self.family.extract_unknowns(result) / self.units)
+            z = self.family.extract_unknowns(result) / self.units
+            moving, q = np.flatnonzero(z), self.problem.q[0] + t * self.problem.q[1]
+            w = q + z[moving] @ self.problem.columns.many(moving)
+            follower = Follower(self.problem, t, z, w)
             if follower.motion is not None:
                 return follower
             if t == self.end:
                 return None
         return None
-
-    def _follower(self, t: float, z: FloatVector) -> Follower:
-        """Return a path follower that starts near a solution."""
-        moving = np.flatnonzero(z)
-        q = self.problem.q[0] + t * self.problem.q[1]
-        return Follower(self.problem, t, z, q + z[moving] @ self.problem.columns.many(moving))
 
     def _reach_back(self, follower: Follower) -> None:
         """Extend the new segment back to the end of the last segment.

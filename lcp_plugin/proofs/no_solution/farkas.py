@@ -51,11 +51,6 @@ class FarkasAnswer:
     optimum: float
     multipliers: FloatVector
 
-    @property
-    def is_contradiction(self) -> bool:
-        """True if the constraints seem inconsistent."""
-        return self.optimum <= -CONTRADICTION
-
 
 @dataclass(frozen=True, eq=False)
 class FarkasProgram:
@@ -149,12 +144,16 @@ class FarkasProgram:
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
 
     def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
-        """Yield vectors near the answer, then near others that leave slack."""
-        yield from self.candidates(self._form.vector(answer.multipliers))
-        for slacks in self._slacks:
+        """Yield vectors near the answer, then near others that leave slack: in all one-sided bounds, then in each."""
+        form = self._form
+        yield from self.candidates(form.vector(answer.multipliers))
+        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
+        shares = np.append(np.zeros(form.m), is_open)[form.place]
+        own = sp.eye_array(form.cost.size, format="csr")
+        for slacks in (sp.csr_array(shares[:, None]), own) if shares.any() else (own,):
             moved = self._with_slack(answer, slacks)
             if moved is not None:
-                yield from self.candidates(self._form.vector(moved))
+                yield from self.candidates(form.vector(moved))
 
     def _with_slack(self, answer: FarkasAnswer, slacks: sp.csr_array) -> FloatVector | None:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
@@ -175,15 +174,6 @@ class FarkasProgram:
             self.pivots,
         )
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
-
-    @cached_property
-    def _slacks(self) -> list[sp.csr_array]:
-        """Matrices from slacks to multipliers: a slack for all one-sided bounds, then separate."""
-        form = self._form
-        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
-        shares = np.append(np.zeros(form.m), is_open)[form.place]
-        own = sp.eye_array(form.cost.size, format="csr")
-        return [sp.csr_array(shares[:, None]), own] if shares.any() else [own]
 
     @cached_property
     def _form(self) -> _StandardForm:
@@ -345,7 +335,7 @@ def best_proof(
         tried.append(unit)
         farkas = FarkasProgram(stated(unit), unit, pivots)
         answer = farkas.solve()
-        if answer is None or not answer.is_contradiction:
+        if answer is None or answer.optimum > -CONTRADICTION:  # they seem consistent
             continue
         proof = None if exactly else proven(farkas.polished(answer))
         if proof is None or not proof.excludes(ENOUGH):

@@ -1,7 +1,7 @@
 """Exact solutions of small problems in rational arithmetic; shared by tests and campaigns.
 
 A guess of the active set comes from floating point, its linear system is solved in fractions, and every inequality is
-verified in fractions. Only where no guess passes are all active sets tried.
+verified in fractions. Only where no guess passes an exact search decides.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from collection.truth import ExactData, decide
 
 from lcp_plugin import LCP
 
@@ -23,11 +24,10 @@ NEWTON_STEPS = 30
 
 
 class Exact(NamedTuple):
-    """z* and w* = M z* + q, one fraction a row, and whether enumeration was necessary."""
+    """z* and w* = M z* + q, one fraction a row."""
 
     z: tuple[Fraction, ...]
     w: tuple[Fraction, ...]
-    was_enumerated: bool
 
 
 def exact_solution(problem: LCP) -> Exact:
@@ -37,12 +37,11 @@ def exact_solution(problem: LCP) -> Exact:
     for states in _guesses(problem):
         solved = _verified(problem, M, q, states)
         if solved is not None:
-            return Exact(*solved, False)
-    for states in itertools.product(*_choices(problem)):
-        solved = _verified(problem, M, q, states)
-        if solved is not None:
-            return Exact(*solved, True)
-    raise ValueError(f"no active set of {problem!r} gives a solution")
+            return Exact(*solved)
+    z = decide(problem).z
+    if z is None:
+        raise ValueError(f"no active set of {problem!r} gives a solution")
+    return Exact(z, tuple(ExactData(problem).slack(z)))
 
 
 def exact_rows(matrix: Any) -> list[list[Fraction]]:
@@ -104,16 +103,6 @@ def principal_minors(A: Sequence[Sequence[Fraction]]) -> list[Fraction]:
     """Return the determinants of all principal submatrices, the smallest first."""
     sets = (rows for k in range(1, len(A) + 1) for rows in itertools.combinations(range(len(A)), k))
     return [determinant([[A[i][j] for j in rows] for i in rows]) for rows in sets]
-
-
-def _choices(problem: LCP) -> list[tuple[int, ...]]:
-    choices = []
-    for low, high in zip(problem.lower, problem.upper, strict=True):
-        ends = ((LOWER,) if math.isfinite(low) else ()) + (
-            (UPPER,) if math.isfinite(high) and high != low else ()
-        )
-        choices.append(ends if low == high else (FREE, *ends))
-    return choices
 
 
 def _guesses(problem: LCP) -> Iterator[States]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from collection.judgement import false_claim
+from collection.judgement import false_claim, shortfall
 from collection.truth import SOLVABLE, ExactData, decide
 from exact import Exact
 from relations import EXACT, bits, scaled
@@ -100,24 +100,27 @@ def is_within(problem: LCP, z: np.ndarray, tolerance: float) -> bool:
 
 def violated(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Any) -> bool:
     """Return whether a bound of the error of z fails, or a row is classified wrongly."""
-    solution = Exact(exact, tuple(ExactData(problem).slack(exact)), True)
+    solution = Exact(exact, tuple(ExactData(problem).slack(exact)))
     return error_bounds.violations(problem, z, solution, bound) != (0, 0)
 
 
 def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:
     """Yield false statuses of each algorithm on a problem whose solvability is known."""
     for name in algorithms:
-        _, status, complaint = small_lcps.judged(problem, name, TOLERANCE, truth)
-        if complaint == "false SOLVED" and is_within(
-            problem, solve(problem, name, tolerance=TOLERANCE).z, TOLERANCE
-        ):
+        try:
+            result = solve(problem, name, tolerance=TOLERANCE)
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            if name == "auto":
+                yield Finding(CRASH, f"auto refuses: {error}")
+            continue
+        complaint = false_claim(problem, truth, result, TOLERANCE)
+        if complaint == "false SOLVED" and is_within(problem, result.z, TOLERANCE):
             yield Finding(NEAR, f"{name}: {truth}, but not within the tolerance")
         elif complaint:
-            is_crash = status in ("raised", "refused")
-            yield Finding(CRASH if is_crash else SOLVED if "SOLVED" in complaint or "lie" in complaint else CLAIM,
-                          f"{name}: {complaint}")  # fmt: skip
-        elif name == "auto" and status != "right":
-            yield Finding(OPEN, f"auto: {truth}, {status}")
+            what = SOLVED if "SOLVED" in complaint or "lie" in complaint else CLAIM
+            yield Finding(what, f"{name}: {complaint}")
+        elif name == "auto" and (text := shortfall(problem, truth, result)):
+            yield Finding(OPEN, f"auto: {text}")
 
 
 def small(rng: Generator, kind: str) -> Found:

@@ -1,20 +1,12 @@
-"""Random small problems of all kinds, the truth by an exact search that knows nothing of the solver.
-
-Prints for each kind how many
-problems are solvable, infeasible, or feasible without a solution, and what became of them.9 % of the solvable
-are solved.
-"""
+"""Random small problems of all kinds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from collection.judgement import false_claim, shortfall
-from collection.truth import decide
 
-from lcp_plugin import LCP, solve
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin import LCP
 
 Matrix = np.ndarray
 Generator = np.random.Generator
@@ -238,22 +230,3 @@ def planted_offset(M: Matrix, lower: Matrix, upper: Matrix, rng: Generator) -> M
     """Return q of a problem with a solution of small integers, without rounding."""
     z, w = planted_point(lower, upper, rng)
     return w - M @ z
-
-
-# --- The truth ------------------------------------------------------------------------------------------------------
-
-
-def judged(problem: LCP, algorithm: str, tolerance: float, truth: str = "") -> tuple[str, str, str]:
-    """Return the truth, the status, and what is false about it; a truth that is known need not be searched for."""
-    truth = truth or decide(problem).verdict
-    try:
-        result = solve(problem, algorithm, tolerance=tolerance)
-    except (UnsuitableMatrix, UnsuitableProblem) as error:
-        return truth, "refused", "" if algorithm != "auto" else str(error)
-    except Exception as error:  # whatever is raised here is a finding, and the campaign goes on
-        return truth, "raised", f"{type(error).__name__}: {error}"
-    complaint = false_claim(problem, truth, result, tolerance)
-    status = (
-        "right" if not complaint and not shortfall(problem, truth, result) else result.status.name
-    )
-    return truth, status, complaint

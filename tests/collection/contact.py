@@ -18,7 +18,6 @@ LOTSTEDT = (
     "Lötstedt, Mechanical systems of rigid bodies subject to unilateral constraints, SIAM J. Appl. Math. 42 (1982), "
     "doi:10.1137/0142022"
 )
-MONOTONE = "M positive semidefinite and linearly feasible: Cottle 1968"
 
 Matrix = NDArray[np.float64]
 GRID = 2.0**-23  # 1.2e-7: rounding to it keeps all data exact in double precision

@@ -280,44 +280,6 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
     assert [len(one) for one in march(problem, forcing[:, :0], propagator)] == [0] * 6
 
 
-def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, list[sp.csr_array]]:
-    """American puts of one strike, each with a volatility of its own: problems, payoff, Crank–Nicolson propagators."""
-    x = np.linspace(-1.0, 1.0, n)
-    payoff = np.maximum(1.0 - np.exp(x), 0.0)
-    halves = [
-        sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (s**2 * n**2 / 8 / k)
-        for s in np.linspace(0.15, 0.4, count)
-    ]
-    problems = [LCP(sp.csr_array(sp.eye_array(n) + A), np.zeros(n), lower=payoff) for A in halves]
-    return problems, payoff, [sp.csr_array(A - sp.eye_array(n)) for A in halves]
-
-
-def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
-    """Patterns that differ, wide bands, dense ones, several propagators of one M: each march is that alone."""
-    rng, n = np.random.default_rng(4), 25
-    problems, _, propagators = volatilities(n, 10, 3)
-    tied = LCP(
-        sp.csr_array(problems[0].csr + sp.diags_array([1.0, 1.0], offsets=[-4, 4], shape=(n, n))),
-        np.zeros(n),
-    )
-    full = LCP(problems[1].csr.toarray() + 0.01, np.zeros(n), lower=-1.0)
-    several = [problems[0], tied, problems[1], full, problems[2], LCP(2.0 * np.eye(n), np.zeros(n))]
-    forcing, states = rng.normal(size=(5, n)), rng.normal(size=(6, n))
-    for one, z0, ours in zip(several, states, march(several, forcing, z0=states), strict=True):
-        theirs = march(one, forcing, z0=z0)
-        assert ours.all_solved
-        np.testing.assert_allclose(ours.z[-1], theirs.z[-1], rtol=0, atol=1e-7)
-    for given in (
-        propagators,
-        [C.toarray() for C in propagators],
-        np.stack([C.toarray() for C in propagators]),
-    ):
-        for C, ours in zip(propagators, march(problems[0], forcing, given), strict=True):
-            assert np.array_equal(ours.z[-1], march(problems[0], forcing, C).z[-1])
-    for c, ours in zip((-1.0, -0.5), march(problems[0], forcing, [-1.0, -0.5]), strict=True):
-        assert np.array_equal(ours.z[-1], march(problems[0], forcing, c).z[-1])
-
-
 def test_what_marches_of_several_matrices_refuse() -> None:
     """Different sizes, different numbers of marches and other classes raise errors at once."""
     one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
@@ -357,8 +319,6 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
 SMALL = {
     "heston": lambda: marches.heston(60, 24, 6)[0],
     "basket": lambda: marches.basket(40, 6),
-    "parabolic": lambda: marches.parabolic(48, 6),
-    "contact": lambda: marches.contact(48, 6),
 }
 
 

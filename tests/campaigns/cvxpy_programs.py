@@ -357,10 +357,8 @@ def verdict(case: Case, ours: Opinion, theirs: list[Opinion]) -> str:
     return "not judged"
 
 
-def judged(
-    seed: int, k: int, *, second_solve: bool = False
-) -> tuple[str, Case, Opinion, list[Opinion]]:
-    """Return the outcome of case k of a seed, the case and the opinions."""
+def judged(seed: int, k: int) -> tuple[str, Case, Opinion, list[Opinion]]:
+    """Return the outcome of case k of a seed, the case and the opinions, ours on a fresh problem."""
 
     def drawn() -> Case:
         with warnings.catch_warnings():
@@ -368,7 +366,5 @@ def judged(
             return program(np.random.default_rng([seed, k]))
 
     case = drawn()
-    theirs = others(case.problem) if second_solve else []
-    ours = opinion(case.problem, QPSolver)
-    theirs = theirs or others(drawn().problem)
+    ours, theirs = opinion(case.problem, QPSolver), others(drawn().problem)
     return verdict(case, ours, theirs), case, ours, theirs

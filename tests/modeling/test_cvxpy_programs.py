@@ -29,7 +29,7 @@ def hinge_loss() -> Any:
 
 def test_a_contradiction_with_rounded_coefficients_is_proved() -> None:
     """Nine multipliers that vanish together up to rounding only: the proof takes more of them."""
-    assert cvxpy_programs.judged(9, 338, second_solve=False)[0] == "agreed"
+    assert cvxpy_programs.judged(9, 338)[0] == "agreed"
 
 
 @pytest.mark.parametrize("first", [None, cp.CLARABEL, cp.SCS], ids=str)

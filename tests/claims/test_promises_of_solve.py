@@ -76,6 +76,8 @@ def is_not_changed_by_watching(sample: Sample) -> None:
     options: list[dict[str, Any]] = [{"max_seconds": 60.0}]
     if sample.kind in WATCHED:
         options += [{"verbose": True}, {"record": True}, {"callback": lambda sample, x: None}]
+    if sample.kind == "QuadraticProgram":
+        options.append({"z0": np.ones(sample.problem.n)})
     for option in options:
         assert outcome(solved(sample, **option)) == first, option
 

@@ -49,6 +49,10 @@ BAD: dict[str, tuple[Any, str]] = {
     "μ < 0": (lambda: FC(*ONE[:2], -0.1), r"friction\[0\] = -0.1"),
     "two coefficients": (lambda: FC(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
     "b is NaN": (lambda: FC(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
+    "b has other columns": (
+        lambda: FC(np.eye(3), [[-1, 0, 0]], 0.5, dimension=2),
+        "b has 3 columns and dimension is 2",
+    ),
     "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
     "no tuples": (lambda: CP(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
     "a name": (lambda: CP(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),

@@ -593,3 +593,10 @@ def test_a_cost_is_that_of_its_x() -> None:
         for row, right in zip(A, b, strict=True)
     ]
     assert result.cost == pytest.approx(float(sum(one * one for one in off) / 2), rel=1e-7)
+
+
+def test_a_vandermonde_matrix_is_solved() -> None:
+    """An exact fit with powers up to 11 on [0, 1] is SOLVED, to the accuracy of the condition."""
+    A = np.vander(np.linspace(0.0, 1.0, 120), 12)
+    result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
+    np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)

@@ -109,3 +109,12 @@ def test_what_an_engine_says_of_a_program_without_its_zero_rows_is_read_as_of_th
         [[2.0]], [0.0], G=[[-1.0], [2.0], [0.0], [1.0]], h=[-2.00000002, 10, -6e-9, 1.99999998]
     )
     assert not solve(program).is_solved
+
+
+@pytest.mark.parametrize("tilt", [0.0, 2.0**-52, 1e-15])
+def test_nearly_parallel_rows_within_the_tolerance_are_met(tilt: float) -> None:
+    """The rows x + y ≤ 1 and (1 + tilt) x + y ≥ 1 + 1e-9: the least ½‖x‖² + x + y is at (1/2, 1/2)."""
+    rows = [[1.0, 1.0], [-1.0 - tilt, -1.0]]
+    result = solve(QuadraticProgram(np.eye(2), np.ones(2), rows, [1.0, -1.0 - 1e-9]))
+    assert result.is_solved or result.status is Status.INFEASIBLE
+    assert result.proof is not None or result.x == pytest.approx([0.5, 0.5], abs=1e-6)

@@ -21,6 +21,7 @@ from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
         ([-1e-6], {"lower": -1.0}),
         ([-1.0], {"G": [[-1e6]], "h": [1e6]}),
         ([-1e12, 0.0], {"A": [[1.0, -1.0]], "b": [0.0]}),
+        ([1.0, 1e-10], {"A": [[1.0, 0.0]], "b": [1.0]}),
         *(([-1.0, 0.0], {"A": [[s, -s]], "b": [0.0]}) for s in (1e-12, 1e-9, 1e-6, 1e6, 1e9, 1e12)),
     ],
 )

@@ -27,16 +27,8 @@ class ComponentsOnRanks:
 
     def __init__(self, problem: RowsOnRanks) -> None:
         self.halo = halo = problem.halo
-        own, width = problem.own, problem.own + halo.foreign
-        square = sp.csr_array(
-            (
-                problem.rows.data,
-                problem.rows.indices,
-                np.pad(problem.rows.indptr, (0, halo.foreign), "edge"),
-            ),
-            shape=(width, width),
-        )
-        count, local = csgraph.connected_components(square, directed=False)
+        own = problem.own
+        count, local = csgraph.connected_components(_square(problem), directed=False)
         before, total = halo.places(count)
         names = local + before
         theirs = halo.whole(names[:own].astype(np.float64))[own:].astype(np.int64)

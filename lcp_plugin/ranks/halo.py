@@ -133,10 +133,6 @@ class Halo(Ranks):
 
     # --- a coarser grid ----------------------------------------------------------------------------------
 
-    def coarser(self, own: int) -> Halo:
-        """Return the ranks of a grid with `own` unknowns on this rank."""
-        return Halo(self.comm, own)
-
     def outside(self, columns: Integers) -> Integers:
         """Return the unknowns, global indices, that belong to other ranks, ascending."""
         return np.unique(columns[self.is_foreign(columns)]).astype(np.int64)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
 from ..core.kernels.compilation import inline, kernel, uintp
-from ..systems.factors import Factor, dense_lu
 from ..systems.hierarchy import galerkin, sweeps, vectors
 from ..systems.hierarchy.grids import Operator, RowBlocks, Transfer, blocks_of, pivots
 from ..systems.hierarchy.levels import (
@@ -29,7 +28,6 @@ from ..systems.hierarchy.levels import (
 from .halo import NOBODY, Halo
 
 COARSEST_SWEEPS = 10  # there and back
-FACTORISED_UP_TO = 150
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
@@ -175,7 +173,7 @@ def _interpolation(
         mend_seams(*grid.matrix.arrays, strength, n, halo.ghosts > halo.first, choice)
         halo.fetch_flags(choice)
     is_coarse = read_only(choice[:n] == 1)
-    below = halo.coarser(int(np.count_nonzero(is_coarse)))
+    below = Halo(halo.comm, int(np.count_nonzero(is_coarse)))
     if below.n == 0:
         return None
     P = sp.csr_array(direct_interpolation(M, strong, choice))
@@ -295,12 +293,10 @@ class TruncationOnRanks:
             TruncatedGridOnRanks(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)
         ]
         self.work = 0.0
-        self._factor: Factor | None = None
 
     @np.errstate(divide="ignore")
     def update(self) -> None:
         """Carry changes of `is_free`, marked in `free_changed`, from the finest to all grids."""
-        self._factor = None
         top = self.grids[0]
         np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
         top.row_changed[:] = False
@@ -389,21 +385,9 @@ class TruncationOnRanks:
         residual[held] = kept
 
     def _solve_coarsest(self, level: TruncatedGridOnRanks) -> None:
-        n, halo = level.grid.n, level.grid.halo
-        if halo.is_empty and halo.size == 1 and n <= FACTORISED_UP_TO:
-            if self._factor is None:
-                indptr, indices, _ = level.grid.matrix.arrays
-                dense = sp.csr_array((level.values, indices, indptr), shape=(n, n)).toarray()
-                is_fixed = level.inverse == 0.0
-                dense[is_fixed, :] = dense[:, is_fixed] = 0.0
-                dense[is_fixed, is_fixed] = 1.0
-                self._factor = dense_lu(dense)
-            if self._factor is not None:
-                level.x[:] = self._factor.solve(np.where(level.inverse != 0.0, level.b, 0.0))
-                return
         level.x[:] = 0.0
         for sweep in range(2 * COARSEST_SWEEPS + 1):
-            halo.fetch(level.x)
+            level.grid.halo.fetch(level.x)
             sweeps.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 1, level.b, level.x
             )

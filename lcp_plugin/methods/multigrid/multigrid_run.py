@@ -100,14 +100,13 @@ class MultigridRun:
         than cycles can, and keeps the correct part of the start.
         """
         fine = self.problems[0]
-        own = z
         if is_cold:
             z[:] = 0.0
             self._add_coarse_problems(fine.q, fine.lower, fine.upper)
         else:
             fine.sweep(z, backward=False)
             fine.sweep(z, backward=True)
-            self._add_coarse_problems(self.problem.slack(own), fine.lower - own, fine.upper - own)
+            self._add_coarse_problems(self.problem.slack(z), fine.lower - z, fine.upper - z)
             self.work += 3.0 * fine.entries
         coarsest, last = self.problems[-1], len(self.problems) - 1
         answer = np.zeros_like(coarsest.residual)
@@ -206,7 +205,7 @@ class MultigridRun:
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine = self.truncation.grids[k], self.problems[k]
-        own_largest, own_changed = sweeps.free_rows(
+        largest, changed = sweeps.free_rows(
             fine.grid.rows,
             fine.vectors,
             z,
@@ -215,7 +214,6 @@ class MultigridRun:
             fine.residual,
         )
         self.work += fine.entries
-        largest, changed = own_largest, own_changed
         if changed:
             self.truncation.update()
         return largest, changed
@@ -234,7 +232,7 @@ class MultigridRun:
         before = None
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
-            np.copyto(before, z[: before.size])
+            np.copyto(before, z)
         cut = vectors.prolong(transfer, below.x, top.is_interpolated, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
@@ -247,14 +245,13 @@ class MultigridRun:
     def _shorten(self, before: FloatVector, z: FloatVector) -> None:
         """Halve the step from `before` to z until the energy does not rise; undo the step if halving fails."""
         fine = self.problems[0]
-        n, product, step = before.size, self.truncation.vector(), z.copy()
-        step[:n] -= before
-        unit = power_of_two(span(step[:n]))
+        product, step = self.truncation.vector(), z - before
+        unit = power_of_two(span(step))
         step /= unit
-        sweeps.free_product(fine.grid.rows, np.ones(n), step, product)
+        sweeps.free_product(fine.grid.rows, np.ones(z.size), step, product)
         # w = −residual on the free rows; the others did not move
-        slope = -dot(step[:n], fine.residual[:n] / unit)
-        curvature = dot(step[:n], product)
+        slope = -dot(step, fine.residual / unit)
+        curvature = dot(step, product)
         self.work += self.entries
         size = 1.0
         for _ in range(HALVINGS):
@@ -264,7 +261,7 @@ class MultigridRun:
         else:
             size = 0.0
         if size < 1.0:
-            np.copyto(z[:n], before + size * unit * step[:n])
+            np.copyto(z, before + size * unit * step)
         self.truncation.spare.append(product)
 
     def _krylov(self, z: FloatVector, *, is_settled: bool) -> Iterator[Step]:
@@ -273,11 +270,7 @@ class MultigridRun:
         The result, clipped to the bounds, determines the next free rows, until no row changes (primal–dual active
         sets). A single V-cycle cannot replace this method if few contacts carry much load.
         """
-        fine, part, origin = (
-            self.problems[0],
-            z,
-            self.truncation.vector(),
-        )
+        fine, origin = self.problems[0], self.truncation.vector()
         most, gain = (
             (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV,
             KRYLOV_GAIN,
@@ -288,11 +281,11 @@ class MultigridRun:
         for rounds_left in range(self.rounds - 1, -1, -1):
             correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
             left = begun = correction.largest()
-            np.copyto(origin, part)
+            np.copyto(origin, z)
             for step in range(most):
                 if not correction.step():
                     break
-                correction.apply_within(origin, fine.lower, fine.upper, part)
+                correction.apply_within(origin, fine.lower, fine.upper, z)
                 left = correction.largest()
                 if left <= gain * begun or step == most - 1:
                     break

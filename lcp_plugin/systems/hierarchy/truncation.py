@@ -248,8 +248,7 @@ class KrylovCorrection:
         self.unit: float = power_of_two(span(residual))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
-        is_weighted = not is_symmetric
-        self._weight = (inverse / span(inverse)) ** 2 if is_weighted else None
+        self._weight = None if is_symmetric else (inverse / span(inverse)) ** 2
         self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -286,11 +285,11 @@ class KrylovCorrection:
         sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
-            share = self._dot(self._against(old_p, old_product), product) / old_scale
+            share = dot(self._against(old_p, old_product), product) / old_scale
             add_both(-share, old_p, p, -share, old_product, product)
         against = self._against(p, product)
-        scale = self._dot(against, product)
-        length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
+        scale = dot(against, product)
+        length = dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             return False
         add_both(length, p, self._sum, -length, product, self.residual)
@@ -305,10 +304,5 @@ class KrylovCorrection:
             self.truncation.spare += [p, product]
         self.directions.clear()
 
-    def _dot(self, one: FloatVector, other: FloatVector) -> float:
-        return dot(one, other)
-
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
-        if self.is_symmetric:
-            return p
-        return product if self._weight is None else product * self._weight
+        return p if self._weight is None else product * self._weight

@@ -327,7 +327,7 @@ class LCP:
         return lcp_stated_by(problem)
 
     def to_cvxpy(self) -> Any:
-        """Return a ``ComplementarityProblem`` in one variable that states this problem."""
+        """Return a ``cvxpy.Problem`` in one variable that states this problem."""
         from ..modeling.registration import stated_in_cvxpy
 
         return stated_in_cvxpy(self)

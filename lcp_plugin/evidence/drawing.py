@@ -50,15 +50,7 @@ STYLE: Any = {
 HEIGHTS = "cividis"
 LABEL_SIZE = 7.0
 MARKERS = "osD^v<>phX*P"
-DASHES: tuple[Any, ...] = (
-    "-",
-    (0, (5, 1.6)),
-    (0, (1.2, 1.2)),
-    (0, (6, 1.5, 1.2, 1.5)),
-    (0, (3, 1, 1, 1, 1, 1)),
-    (0, (11, 2)),
-    (0, (2.5, 3)),
-)
+DASHES = ("-", "--", "-.", ":")
 JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.1  # width of a journal's column, and of its page
 HEIGHT_RATIO, MAX_COLUMNS = 0.78, 3

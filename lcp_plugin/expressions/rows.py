@@ -243,20 +243,6 @@ def assembled(
         matrix = as_matrix(block, parts[0].size)
         if matrix.shape[1] == count and first[key] == 0:
             return matrix, offset
-    if all(
-        len(part.blocks) <= 1 for part in parts
-    ):  # blocks with one source are concatenated without sorting their entries
-        stored = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))]
-        for part in parts:
-            if not part.blocks:
-                stored.append((*stored[0][:2], np.zeros(part.size, dtype=np.int64)))
-            for key, block in part.blocks.items():
-                matrix = as_matrix(block, part.size)
-                stored.append((matrix.data, matrix.indices + first[key], np.diff(matrix.indptr)))
-        data, columns, counts = (np.concatenate(part) for part in zip(*stored, strict=True))
-        matrix = sp.csr_array((data, columns, np.cumsum(counts)), shape=(offset.size, count))
-        matrix.sum_duplicates()
-        return matrix, offset
     start, entries = 0, [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
     for part in parts:
         rows = np.arange(start, start + part.size)
@@ -385,14 +371,7 @@ class Compiler:
             factor = constant if is_left else constant.T
             operator = sp.csr_array(factor if sp.issparse(factor) else np.atleast_2d(factor))
             copies = rows.shape[1 if is_left else 0] if len(rows.shape) == 2 else 1
-            if copies > 1 and not is_left and operator.shape[0] == 1:  # vᵀ ⊗ I
-                columns = operator.indices * copies + np.arange(copies)[:, None]
-                starts = np.arange(copies + 1) * operator.nnz
-                operator = sp.csr_array(
-                    (np.tile(operator.data, copies), columns.ravel(), starts),
-                    shape=(copies, rows.size),
-                )
-            elif copies > 1:
+            if copies > 1:
                 identity = sp.eye_array(copies)
                 operator = sp.kron(
                     *((identity, operator) if is_left else (operator, identity)), format="csr"
@@ -441,14 +420,6 @@ def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
     ]
     batch = np.broadcast_shapes(shapes[0][:-2], shapes[1][:-2])
     count, depth = math.prod(batch), shapes[0][-1]
-    if (
-        not batch and left.places is None and right.places is None
-    ):  # two full matrices: nothing to look up
-        height, width = shapes[0][0], shapes[1][1]
-        at_left = np.repeat(np.arange(height * depth), width)
-        column, row = np.divmod(at_left, max(height, 1))
-        other_column = np.tile(np.arange(width), height * depth)
-        return at_left, column + depth * other_column, row + height * other_column
     found = []
     for rows, shape in zip((left, right), shapes, strict=True):
         whole = batch + shape[-2:]

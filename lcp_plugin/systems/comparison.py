@@ -20,7 +20,7 @@ from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import ROUNDED, mismatch
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
-from .factors import diagonal_pivot_factor, factor_fits, solver_of
+from .factors import dense_lu, diagonal_pivot_factor, factor_fits
 from .graph import strong_blocks, within_blocks
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Solver = Callable[[FloatVector], FloatVector]
 
+DENSE_UP_TO = 300  # rows; a dense LU of these is faster than a sparse one
 DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
 KRYLOV_STEPS = 60
 
@@ -74,7 +75,11 @@ class ComparisonMatrix:
     @cached_property
     def direct_solver(self) -> Solver | None:
         """Rhs ↦ matrix⁻¹ rhs by a factorization; None if the matrix is singular or too large."""
-        return solver_of(self.matrix) if factor_fits(self.matrix) else None
+        if not factor_fits(self.matrix):
+            return None
+        is_small = self.matrix.shape[0] <= DENSE_UP_TO
+        factor = dense_lu(self.matrix.toarray()) if is_small else diagonal_pivot_factor(self.matrix)
+        return None if factor is None else factor.solve
 
     def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
         """Return an approximate solution, shape (n,), or None if no method applies.

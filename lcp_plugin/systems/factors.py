@@ -25,7 +25,6 @@ from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPER
 from .equilibration import power_of_two
 
 DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
-DENSE_UP_TO_ON_DIAGONAL = 300  # the same if pivots are to come from the diagonal
 DENSE_ABOVE_DENSITY = 0.25
 LARGEST_DENSE = 3000
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
@@ -81,7 +80,6 @@ def factorise(
     matrix: Any,
     *,
     is_symmetric: bool = False,
-    has_symmetric_pattern: bool = False,
     bandwidth: tuple[int, int] | None = None,
 ) -> Factor | None:
     """Return a factor of a square matrix, or None if a pivot is exactly zero or the entries overflow.
@@ -93,8 +91,6 @@ def factorise(
     is_symmetric : bool
         The matrix is symmetric up to rounding. If it is dense, Cholesky is tried first. If it is sparse, the order is
         computed from the pattern of A + Aᵀ, also used for unsymmetric matrices whose pattern is mostly symmetric.
-    has_symmetric_pattern : bool
-        Every entry of a sparse matrix has a mirror entry. The work is estimated, by equal columns.
     bandwidth : (int, int), optional
         Numbers of sub- and superdiagonals of a sparse matrix, if known.
     """
@@ -106,7 +102,7 @@ def factorise(
         return _dense(matrix.toarray(), is_symmetric)
     if bandwidth is not None and sum(bandwidth) <= BANDED_UP_TO:
         return _banded_lu(matrix, *bandwidth)
-    return _sparse_lu(matrix, is_symmetric, has_symmetric_pattern)
+    return _sparse_lu(matrix, is_symmetric)
 
 
 def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
@@ -124,17 +120,17 @@ def lapack() -> Any:
     return found
 
 
-def positive_triangle(matrix: FloatVector, *, overwrite: bool = False) -> FloatVector | None:
+def positive_triangle(matrix: FloatVector) -> FloatVector | None:
     """Return the triangle of Cholesky's factor, as LAPACK has it; None if the matrix is not positive definite."""
     require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
     # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
-    factor, info = lapack().dpotrf(matrix.T, lower=1, clean=0, overwrite_a=overwrite)
+    factor, info = lapack().dpotrf(matrix.T, lower=1, clean=0)
     return factor if info == 0 else None
 
 
-def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
+def cholesky(matrix: FloatVector) -> Factor | None:
     """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None if A is not positive definite."""
-    factor, n = positive_triangle(matrix, overwrite=overwrite), matrix.shape[0]
+    factor, n = positive_triangle(matrix), matrix.shape[0]
     if factor is None:
         return None
 
@@ -144,44 +140,37 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
 
 
-def dense_lu(
-    matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False
-) -> Factor | None:
+def dense_lu(matrix: FloatVector) -> Factor | None:
     """Return the LU factor of a dense matrix with partial pivoting, or None if a pivot is zero.
 
-    LAPACK factorizes Aᵀ without a copy, or A with `by_columns`. An empty matrix is regular, for example on the coarsest
-    grid of a rank without rows. LAPACK would report an illegal value for it.
+    LAPACK factorizes Aᵀ, which needs no transposed copy. An empty matrix is regular, for example on the coarsest grid
+    of a rank without rows. LAPACK would report an illegal value for it.
     """
-    from scipy.linalg import lapack
-
     n = matrix.shape[0]
     if n == 0:
         return Factor("LU", np.copy, np.copy, 0.0, 0.0)
-    array = matrix if by_columns else matrix.T
     require_seconds(n**3 / 1.5 / DENSE_OPERATIONS)
-    factor, pivots, info = lapack.dgetrf(array, overwrite_a=overwrite)
+    factor, pivots, info = lapack().dgetrf(matrix.T)
     if info != 0:
         return None
 
     def solver(trans: int) -> Callable[[Any], Any]:
-        return lambda right: lapack.dgetrs(factor, pivots, right, trans=trans)[0]
+        return lambda right: lapack().dgetrs(factor, pivots, right, trans=trans)[0]
 
-    return Factor("LU", solver(not by_columns), solver(by_columns), n**3 / 3.0, float(n * n))
+    return Factor("LU", solver(1), solver(0), n**3 / 3.0, float(n * n))
 
 
 def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
-    from scipy.linalg import lapack
-
     n = matrix.shape[0]
     band = np.zeros((2 * below + above + 1, n), order="F")
     band[below + above + row_numbers(matrix) - matrix.indices, matrix.indices] = matrix.data
     require_seconds(2.0 * n * below * (below + above + 1) / SPARSE_OPERATIONS)
-    factor, pivots, info = lapack.dgbtrf(band, below, above, overwrite_ab=1)
+    factor, pivots, info = lapack().dgbtrf(band, below, above, overwrite_ab=1)
     if info != 0:
         return None
 
     def solver(trans: int) -> Callable[[Any], Any]:
-        return lambda right: lapack.dgbtrs(factor, below, above, right, pivots, trans=trans)[0]
+        return lambda right: lapack().dgbtrs(factor, below, above, right, pivots, trans=trans)[0]
 
     return Factor(
         "banded LU",
@@ -192,12 +181,10 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     )
 
 
-def _sparse_lu(
-    matrix: sp.csr_array, is_symmetric: bool, has_symmetric_pattern: bool
-) -> Factor | None:
+def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
     if not np.isfinite(matrix.data).all():
         return None
-    in_one_order = is_symmetric or _suits_one_order(matrix, has_symmetric_pattern)
+    in_one_order = is_symmetric or _suits_one_order(matrix)
     options = (
         {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER
         if in_one_order
@@ -213,28 +200,22 @@ def _sparse_lu(
     def solver(trans: str) -> Callable[[Any], Any]:
         return lambda right: factor.solve(right, trans=trans)
 
-    work = 0.25 * factor.nnz**2 / matrix.shape[0] if has_symmetric_pattern else sparse_work(factor)
+    # Each pivot multiplies its column of L with its row of U.
+    columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
+    rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
+    work = float(columns_of_lower @ rows_of_upper)
     return Factor("sparse LU", solver("T"), solver("N"), work, float(factor.nnz))
 
 
-def _suits_one_order(matrix: sp.csr_array, has_symmetric_pattern: bool) -> bool:
+def _suits_one_order(matrix: sp.csr_array) -> bool:
     """Return whether one order of rows and columns is best, as on grids with a wind: half the fill, or less.
 
     The diagonal entries are large enough for pivots, and most entries have a mirror entry.
     """
     if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
         return False
-    if has_symmetric_pattern:
-        return True
     pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
     return bool(pattern.multiply(pattern.T).nnz >= SYMMETRIC_SHARE * matrix.nnz)
-
-
-def sparse_work(factor: Any) -> float:
-    """Return the multiplications that a factorization by SuperLU took."""
-    columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
-    rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
-    return float(columns_of_lower @ rows_of_upper)
 
 
 def sparse_lu(matrix: Any, **options: Any) -> Any:
@@ -289,24 +270,6 @@ def diagonal_pivot_factor(matrix: Any) -> Any | None:
         return sparse_lu(matrix, diag_pivot_thresh=0.0, **IN_ONE_ORDER)
     except RuntimeError:
         return None
-
-
-def solver_of(
-    matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL
-) -> Callable[[Any], Any] | None:
-    """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal if it is large, or None if it is singular.
-
-    Parameters
-    ----------
-    matrix : ndarray or CSR array, shape (n, n)
-    dense_up_to : int
-        Rows up to which a sparse matrix is factorised as a dense one, with partial pivoting.
-    """
-    if not sp.issparse(matrix) or matrix.shape[0] <= dense_up_to:
-        factor: Any = dense_lu(matrix.toarray() if sp.issparse(matrix) else matrix, by_columns=True)
-    else:
-        factor = diagonal_pivot_factor(matrix)
-    return None if factor is None else factor.solve
 
 
 def positive_factor(matrix: Any) -> PositiveFactor | None:

@@ -252,11 +252,7 @@ class FreeSystem:
         is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
         if not self._is_badly_scaled:
             return factorise(block, is_symmetric=is_symmetric, bandwidth=band)
-        is_symmetric = is_symmetric and bool((block.diagonal() > 0.0).all())
-        if is_symmetric:
-            by = unit_diagonal(block.diagonal())
-        else:
-            by = equilibrating_exponents(sp.csr_array(block), EQUILIBRATING_PASSES)
+        by, is_symmetric = self._exponents(block)
         balanced = factorise(scale_matrix(block, by), is_symmetric=is_symmetric, bandwidth=band)
         if balanced is None:
             return None
@@ -269,6 +265,13 @@ class FreeSystem:
             ),
         )
 
+    def _exponents(self, block: Any) -> tuple[Exponents, bool]:
+        """Return powers of two that bring entries near 1, and whether the scaled block is symmetric."""
+        diagonal = block.diagonal()
+        if is_nearly_symmetric(self.matrix) and bool((diagonal > 0.0).all()):
+            return unit_diagonal(diagonal), True
+        return equilibrating_exponents(sp.csr_array(block), EQUILIBRATING_PASSES), False
+
     def _cancels(self, factor: Factor) -> bool:
         """Return whether terms much larger than their sum cancel in a solution, as close to a singular block.
 
@@ -276,11 +279,7 @@ class FreeSystem:
         """
         if not self.rows.size or not self._cancels_beside(self._scale, factor):
             return False
-        diagonal = self.block.diagonal()
-        if is_nearly_symmetric(self.matrix) and bool((diagonal > 0.0).all()):
-            rows = unit_diagonal(diagonal).row
-        else:
-            rows = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES).row
+        rows = self._exponents(self.block)[0].row
         return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
 
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:

@@ -281,17 +281,6 @@ def absolute(matrix: Matrix) -> Any:
     return abs(matrix.array)
 
 
-def is_within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
-    """Return whether two measures are within the tolerance; a NaN is not.
-
-    Examples
-    --------
-    >>> is_within(np.array([1e-9, 1e-9, np.nan]), np.array([0.0, 1e-3, 0.0]), 1e-8)
-    array([ True, False, False])
-    """
-    return (relative_residual <= tolerance) & (term_residual <= tolerance)
-
-
 def scaled_residual(
     problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
 ) -> FloatVector:

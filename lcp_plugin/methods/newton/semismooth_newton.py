@@ -277,15 +277,9 @@ def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> FloatVector | N
     return direction if np.isfinite(direction).all() else None
 
 
-def phi_jacobian(
-    problem: LCP, phi: LinearizedPhi, shift: float, scale: FloatVector | None = None
-) -> Any:
-    """Return the Jacobian of Φ in that scale plus shift times the identity, dense or CSR as M is."""
-    M = problem.M
-    rows, diagonal = (
-        phi.by_w / (problem.residual_scale if scale is None else scale),
-        phi.by_z + shift,
-    )
+def phi_jacobian(problem: LCP, phi: LinearizedPhi, shift: float) -> Any:
+    """Return the Jacobian of Φ plus shift times the identity, dense or CSR as M is."""
+    M, rows, diagonal = problem.M, phi.by_w / problem.residual_scale, phi.by_z + shift
     if sp.issparse(M):
         return sp.csr_array(sp.diags_array(rows) @ M + sp.diags_array(diagonal))
     jacobian = M * rows[:, None]

@@ -37,7 +37,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import is_within
 from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, TINY
@@ -108,7 +107,7 @@ class Optimality:
 
     def meets(self, tolerance: float) -> bool:
         """Return whether x is SOLVED."""
-        return bool(is_within(self.value, 0.0, tolerance))
+        return bool(self.value <= tolerance)
 
     @property
     def order(self) -> tuple[float, float]:

@@ -206,7 +206,7 @@ def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
         (["nothing"], r"no such file: nothing\.nl"),
         (["m", "-AMPL", "tolrance=1e-9"], r"unknown keyword 'tolrance'; did you mean 'tolerance'\?"),
         (["m", "-AMPL", "tolerance=tiny"], "tolerance needs a number, got 'tiny'"),
-
+        (["-o"], "no stub is given"),
         (["m", "-AMPL", "max_iterations=1.5"], "max_iterations needs an integer"),
          (["m", "-AMPL", "timing=1"], "unknown keyword 'timing'"),
         (["m", "-AMPL", "=3"], "key=value is needed, got '=3'"),

@@ -29,8 +29,6 @@ T = TypeVar("T")
 class Ranks:
     """Processes of a communicator of mpi4py, and collective decisions; None is the whole job."""
 
-    first = 0
-
     def __init__(self, comm: Any) -> None:
         self.comm = MPI.COMM_WORLD if comm is None else comm
         if not isinstance(self.comm, MPI.Comm):
@@ -79,15 +77,13 @@ class Ranks:
         """Return whether a flag is true on at least one rank, in at least one entry."""
         return self.all_largest(float(np.any(is_so)))[0] > 0.0
 
-    def together(self, attempt: Callable[[], T], *, names_rank: bool = True) -> T:
+    def together(self, attempt: Callable[[], T]) -> T:
         """Return the value of `attempt` on each rank; if it fails on one rank, no rank continues.
 
         Parameters
         ----------
         attempt : callable
             Without arguments; must not wait for other ranks.
-        names_rank : bool
-            Whether an error begins with the rank that failed.
 
         Raises
         ------
@@ -111,13 +107,11 @@ class Ranks:
         rank, (kind, message) = next(
             (rank, one) for rank, one in enumerate(failures) if one is not None
         )
-        raise kind(
-            f"rank {rank}: {message}" if names_rank and self.size > 1 else message
-        ) from raised
+        raise kind(f"rank {rank}: {message}" if self.size > 1 else message) from raised
 
     def from_first(self, attempt: Callable[[], T]) -> T:
         """Call `attempt` on rank 0; return its value, or raise its error, on every rank."""
-        value = self.together(lambda: attempt() if self.rank == 0 else None, names_rank=False)
+        value = self.together(lambda: attempt() if self.rank == 0 else None)
         result: T = self.comm.bcast(value, root=0)
         return result
 

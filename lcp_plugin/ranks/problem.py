@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import secrets
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -175,18 +176,13 @@ class RowsOnRanks:
         self.halo.comm.Gatherv(own, (whole, np.diff(self.halo.starts)), root=0)
         return whole
 
-    @property
+    @cached_property
+    @np.errstate(all="ignore")
     def is_symmetric(self) -> bool:
         """True if xᵀM y = yᵀM x for x and y of arbitrary entries, up to rounding.
 
         That happens by chance with probability 0; a wrong answer would cost speed only.
         """
-        if not hasattr(self, "_is_symmetric"):
-            self._is_symmetric = self._has_symmetric_products()
-        return self._is_symmetric
-
-    @np.errstate(all="ignore")
-    def _has_symmetric_products(self) -> bool:
         unit = 1.0 / np.sqrt(np.abs(self.residual_scale))
         random = np.random.default_rng([2, self.halo.rank])
         x, y = (unit * random.uniform(-1.0, 1.0, self.own) for _ in range(2))
@@ -303,13 +299,8 @@ def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
 
 
 def _heads(source: Path, ranks: Ranks) -> list[Head]:
-    """Return the headers of all chunks, each read by one rank, in order and checked."""
-    paths = ranks.from_first(lambda: _complete(source))
-    own = ranks.together(lambda: [_head(path) for path in paths[ranks.rank :: ranks.size]])
-    heads = sorted(
-        (head for part in ranks.comm.allgather(own) for head in part),
-        key=lambda head: head.path.name,
-    )
+    """Return the headers of all chunks, in order and checked."""
+    heads = ranks.together(lambda: [_head(path) for path in _complete(source)])
     first_row, columns, name = 0, heads[0].columns, heads[0].save
     for head in heads:
         if (head.columns, head.save) != (columns, name):

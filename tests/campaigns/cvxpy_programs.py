@@ -2,8 +2,7 @@
 
 A program is a sum of atoms of affine expressions of several variables, with constraints. One in eight is made
 infeasible, and one in eight may be unbounded. The references are Clarabel and SCS (OSQP if SCS fails). If the
-results differ, the point with the smaller violation and the better value counts as right. With ``--second-solve``
-the same Problem object is solved by Clarabel first, and then by QPSolver.
+results differ, the point with the smaller violation and the better value counts as right.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain, product
+from itertools import chain, islice, product
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -165,7 +165,8 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
     for one in chain([point], polish_steps(statement, point, rounds)):
         yield one
         clean = quiet(one)
-        for x, y in product((clean.x, zero), (clean.y, none)):
+        pairs = product((clean.x, zero), (clean.y, none))
+        for x, y in islice(pairs, int(clean is one), None):  # the first may be the point again
             yield one._replace(x=x, y=y)
 
 

@@ -159,7 +159,7 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (
         dict(A=A, b=[1.0, 2.0]),
         UnreadableFile,
-        r"p\.npz states no \w+: b must be a vector of length 1, got shape",
+        r"p\.npz states no \w+: b must be a vector of length 1, an entry per row of A",
     ),
 ]
 

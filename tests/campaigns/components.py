@@ -300,7 +300,8 @@ def misnamed(case: Case, z: Any, certificate: Any, residual: Any) -> Iterator[st
     worst, labels = certificate.worst_index, case.data.components
     residuals, references = case.data.residual(z), references_of_rows(case.at_zero, labels)
     own = max(r for r, label in zip(residuals, labels, strict=True) if label == labels[worst])
-    if own < residual * references[worst] * Fraction(999, 1000):
+    acting = np.broadcast_to(certificate.references[1], len(labels))[worst]  # of rows that act at z
+    if own < residual * min(references[worst], Fraction(float(acting))) * Fraction(999, 1000):
         yield f"the worst component is not that of row {worst}"
 
 

@@ -78,7 +78,7 @@ def build_hierarchy(
         work += PASSES_TO_COARSEN * grid.entries
         R = P.T.tocsr()
         if scales_rows:
-            with np.errstate(over="ignore"):
+            with np.errstate(all="ignore"):
                 R.data *= grid.inverse[R.indices]
         if not (is_coarse.any() and np.isfinite(P.data).all() and np.isfinite(R.data).all()):
             break

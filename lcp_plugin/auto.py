@@ -49,10 +49,10 @@ from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal
 from .core.matrix.symmetry import is_nearly_symmetric
 from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
-from .core.solving.judge import End
 from .core.solving.result import Result, StageRecord
 from .core.solving.run import Callback, Run
 from .core.solving.stage import Stage
+from .core.solving.termination import TerminationReason
 from .core.splittings.projected_relaxation import PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import (
@@ -354,7 +354,7 @@ def run_on(
         except KeyboardInterrupt:
             if run.iteration < 0:  # no step is made yet
                 raise
-            return run.result(start, End.INTERRUPTED)
+            return run.result(start, TerminationReason.INTERRUPTED)
 
 
 def _result_of_rounds(
@@ -378,9 +378,9 @@ def _result_of_rounds(
 
 
 def _polish(problem: LCP, z: FloatVector, most: float) -> Any:
-    from .methods.newton.active_set import solve_case
+    from .methods.newton.active_set import polish_active_set
 
-    return solve_case(problem, z, most)
+    return polish_active_set(problem, z, most)
 
 
 def _header(matrix: Matrix) -> tuple[str, str]:

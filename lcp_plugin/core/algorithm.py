@@ -106,7 +106,7 @@ class Algorithm(ABC):
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
     is_monotone: ClassVar[bool] = True
-    ends_with_a_case: ClassVar[bool] = False  # where it is True, a run adds no last linear system
+    ends_on_active_set: ClassVar[bool] = False  # where it is True, a run adds no last linear system
     is_watched: ClassVar[bool] = False
 
     @abstractmethod

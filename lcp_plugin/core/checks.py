@@ -355,7 +355,9 @@ def checked_right_side(
     return right if says_something.all() else read_only(np.where(says_something, right, np.inf))
 
 
-def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+def replace_huge_bounds_by_inf(
+    lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return bounds, of any shape, with −∞ for a lower one of −1e20 or less, and ∞ for an upper one of 1e20 or more."""
     lower = np.where(lower <= -INFINITE_LIMIT, -np.inf, lower)
     return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))

@@ -18,8 +18,8 @@ from .checks import (
     finite_vector,
     read_only,
     real_vector,
+    replace_huge_bounds_by_inf,
     restore_state,
-    without_huge,
 )
 from .matrix.matrix import Matrix
 from .representation import describe_lcp
@@ -68,7 +68,7 @@ class LCP:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self.n = self.matrix.n
         self.q: FloatVector = finite_vector(q, "q", self.n)
-        self.lower, self.upper = without_huge(
+        self.lower, self.upper = replace_huge_bounds_by_inf(
             checked_bound(lower, "lower", self.n), checked_bound(upper, "upper", self.n)
         )
         check_order(self.lower, self.upper)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
 ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` shows them
     "daqp": "DAQP",
@@ -26,8 +26,8 @@ __all__ = [
     "Engine",
     "EngineAnswer",
     "EngineStatus",
-    "Limits",
     "ProgramData",
+    "SolverLimits",
     "engine_class",
 ]
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
 SAYS = {
     "Solved": EngineStatus.OPTIMAL,
@@ -37,7 +37,7 @@ class Clarabel(Engine):
     obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
     defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
 
-    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return Clarabel's point: equalities in the zero cone, rows and finite bounds in the nonnegative cone."""
         import clarabel
 

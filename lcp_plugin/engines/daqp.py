@@ -13,8 +13,8 @@ from .engine import (
     Engine,
     EngineAnswer,
     EngineStatus,
-    Limits,
     ProgramData,
+    SolverLimits,
 )
 
 EQUATION = 5  # of daqp's `sense`
@@ -44,10 +44,10 @@ class DAQP(Engine):
     reference: ClassVar[str] = "Arnström, Bemporad, Axehill 2022"
     obeys: ClassVar[str] = "max_seconds; verbose prints nothing; Ctrl-C waits for its end"
     steps: ClassVar[str] = "iter_limit"
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
 
-    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return daqp's point."""
         P, G, A = program.P, program.G, program.A
         if not isinstance(P, np.ndarray):

@@ -33,7 +33,7 @@ class ProgramData(NamedTuple):
     upper: FloatVector
 
 
-class Limits(NamedTuple):
+class SolverLimits(NamedTuple):
     """Time limit and verbosity of a run; `Engine.obeys` lists the limits that an engine supports.
 
     Attributes
@@ -86,7 +86,7 @@ class Engine(ABC):
         The options that differ from the engine's own defaults.
     steps : str
         Name of the engine's option for the largest number of steps.
-    ends_with_a_case : bool
+    ends_on_active_set : bool
         True for active set methods: the final point solves the linear system of its active set.
     is_for_linear_alone : bool
         True if the engine accepts linear programs only (no P).
@@ -99,7 +99,7 @@ class Engine(ABC):
     obeys: ClassVar[str]
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     steps: ClassVar[str] = "max_iter"
-    ends_with_a_case: ClassVar[bool] = False
+    ends_on_active_set: ClassVar[bool] = False
     is_for_linear_alone: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:
@@ -114,5 +114,5 @@ class Engine(ABC):
         return {**self.defaults, **self.options}
 
     @abstractmethod
-    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return the final point of the engine."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
 SAYS = {
     0: EngineStatus.OPTIMAL,
@@ -32,11 +32,11 @@ class HiGHS(Engine):
     reference: ClassVar[str] = "Huangfu, Hall 2018"
     obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
     steps: ClassVar[str] = "maxiter"
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
     is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
 
-    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return the vertex that HiGHS ends at."""
         from scipy.optimize import OptimizeWarning, linprog
 

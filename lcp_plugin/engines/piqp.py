@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from .engine import Engine, EngineAnswer, EngineStatus, Limits, ProgramData
+from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
 INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
 SAYS = {
@@ -38,7 +38,7 @@ class PIQP(Engine):
     )
     defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
 
-    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return PIQP's point."""
         import piqp
 

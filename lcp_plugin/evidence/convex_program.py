@@ -126,7 +126,7 @@ def _unit(problem: LCP, weight: FloatVector) -> float:
 # --- A convex solver through cvxpy ----------------------------------------------------------------------------
 
 
-class Reply(NamedTuple):
+class SolverOutput(NamedTuple):
     """cvxpy's status or the message of an exception, seconds with cvxpy's part, and z or None."""
 
     status: str
@@ -145,7 +145,9 @@ def solver_name(reference: Any) -> str:
     return name
 
 
-def solve_by(name: str, convex: ReferenceProgram, max_seconds: float, options: Any = ()) -> Reply:
+def solve_by(
+    name: str, convex: ReferenceProgram, max_seconds: float, options: Any = ()
+) -> SolverOutput:
     """Solve the program by a convex solver; an exception becomes the status."""
     import cvxpy as cp
 
@@ -160,7 +162,7 @@ def solve_by(name: str, convex: ReferenceProgram, max_seconds: float, options: A
         problem.solve(solver=name, **limit | dict(options))
     except Exception as error:  # solvers fail with exceptions of any class
         status = (str(error).splitlines() or [type(error).__name__])[0]
-        return Reply(status, time.perf_counter() - began, None)
+        return SolverOutput(status, time.perf_counter() - began, None)
     seconds = time.perf_counter() - began
     is_point = x.value is not None and np.isfinite(x.value).all()
-    return Reply(str(problem.status), seconds, convex.point(x.value) if is_point else None)
+    return SolverOutput(str(problem.status), seconds, convex.point(x.value) if is_point else None)

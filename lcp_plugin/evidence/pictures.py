@@ -11,7 +11,7 @@ import numpy as np
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.representation import format_count
-from ..core.solving.answer import Answer
+from ..core.solving.base_result import BaseResult
 from ..core.solving.result import Result
 from ..gallery.scene import Scene
 from ..problems.cones.frictional_contact import FrictionalContact
@@ -46,7 +46,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
 
     Parameters
     ----------
-    answer : Answer
+    answer : BaseResult
         Result of `solve`.
     axes : Axes, optional
         To draw the first panel into; by default the axes of a new figure of pyplot.
@@ -68,7 +68,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     ``answer.plot(shape=(50, 100)).figure.savefig("z.png")``; a mesh: ``ax.tripcolor(*points.T, triangles, answer.x)``.
     """
     require_matplotlib()
-    if not isinstance(answer, Answer):
+    if not isinstance(answer, BaseResult):
         raise InvalidOption(f"plot_answer needs an answer of solve, got {type(answer).__name__}")
     if answer.x is None:
         raise UnsuitableProblem(f"the result has no x to draw: {answer.status.name}")
@@ -87,7 +87,7 @@ def draw(
 
     Parameters
     ----------
-    answer : Answer
+    answer : BaseResult
     path : Path
         .png, .pdf or .svg.
     scene : Scene, optional

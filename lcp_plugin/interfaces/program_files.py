@@ -364,14 +364,14 @@ def _from_mps(source: Path) -> LoadedProgram:
     if not source.is_file():
         raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
 
-    class Silent(highspy.Highs):
+    class QuietHighs(highspy.Highs):
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""
 
         def enableCallbacks(self) -> None:
             self.setOptionValue("output_flag", False)
             super().enableCallbacks()  # type: ignore[no-untyped-call]
 
-    reader: Any = Silent()  # type: ignore[no-untyped-call]
+    reader: Any = QuietHighs()  # type: ignore[no-untyped-call]
     reader.setOptionValue("output_flag", False)
     with tempfile.TemporaryDirectory() as folder:  # HiGHS goes by the ending of the name
         copy = Path(folder) / f"program{'.lp' if source.suffix.lower() == '.lp' else '.mps'}"

@@ -18,7 +18,7 @@ from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
-from ..engines import Engine, Limits, ProgramData
+from ..engines import Engine, ProgramData, SolverLimits
 from ..engines.piqp import PIQP
 from ..engines.scaling import scale_program
 from ..systems.equilibration import power_of_two
@@ -68,7 +68,7 @@ class InteriorPoint(Algorithm):
     cost: ClassVar[str] = "one run of 10 to 30 factorizations"
     reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023, doi:10.1109/CDC49753.2023.10383915"
     is_monotone: ClassVar[bool] = False
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, and the point of PIQP after the solution of the system of its active set."""
@@ -185,7 +185,7 @@ class MonotoneProgram:
         sizes = _largest(given.c, given.h, given.b), _largest(given.P, given.G, given.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
         prepared = scale_program(given, np.full(given.c.size, unit))
-        point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
+        point = prepared.outward(engine.answer(prepared.statement, SolverLimits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
             z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.y) * self.size

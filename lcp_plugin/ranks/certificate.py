@@ -32,7 +32,7 @@ class ComponentsOnRanks:
         before, total = halo.places(count)
         names = local + before
         theirs = halo.whole(names[:own].astype(np.float64))[own:].astype(np.int64)
-        pairs = halo.everybodys(np.unique(np.stack([names[own:], theirs], axis=1), axis=0))
+        pairs = halo.allgather_rows(np.unique(np.stack([names[own:], theirs], axis=1), axis=0))
         pattern = sp.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(total, total))
         self.count, joined = csgraph.connected_components(pattern, directed=False)
         self.labels = joined[names[:own]]

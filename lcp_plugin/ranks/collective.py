@@ -44,7 +44,7 @@ class Ranks:
         self.comm.Allgather(own, of_all)
         return of_all
 
-    def everybodys(self, own: NDArray[Any]) -> NDArray[Any]:
+    def allgather_rows(self, own: NDArray[Any]) -> NDArray[Any]:
         """Return the rows of all ranks' tables one after the other, shape (all, columns), on every rank."""
         return np.concatenate(self.comm.allgather(own))
 

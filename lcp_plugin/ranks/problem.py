@@ -27,7 +27,7 @@ from ..core.checks import (
     finite_vector,
     read_only,
     real_vector,
-    without_huge,
+    replace_huge_bounds_by_inf,
 )
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
@@ -77,7 +77,7 @@ class RowsOnRanks:
     ) -> None:
         self.rows, self.halo, self.n, self.own = rows, halo, halo.n, halo.own
         self.q = finite_vector(q, "q", self.own)
-        self.lower, self.upper = without_huge(
+        self.lower, self.upper = replace_huge_bounds_by_inf(
             checked_bound(lower, "lower", self.own), checked_bound(upper, "upper", self.own)
         )
         check_order(self.lower, self.upper)

@@ -21,7 +21,7 @@ from .matrices import (
     vectors,
 )
 from .problems import (
-    Answer,
+    BaseResult,
     columns_of,
     complementary_rows,
     exact_offset,
@@ -36,11 +36,11 @@ class QPAnswer(NamedTuple):
     if this is not active. `x` is the only minimum if P is positive definite; `objective` is always the least value.
     """
 
-    x: Answer
-    inequality: Answer
-    equality: Answer
-    lower: Answer
-    upper: Answer
+    x: BaseResult
+    inequality: BaseResult
+    equality: BaseResult
+    lower: BaseResult
+    upper: BaseResult
     objective: Fraction
 
 

@@ -15,8 +15,8 @@ from lcp_plugin.engines import (
     Engine,
     EngineAnswer,
     EngineStatus,
-    Limits,
     ProgramData,
+    SolverLimits,
     engine_class,
 )
 from lcp_plugin.problems.programs.engine_calls import GIVEN, run_engine
@@ -171,7 +171,7 @@ def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
         name, solves, cost, reference = "liar", "nothing", "nothing", "nobody"
         value = 1.0
 
-        def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
+        def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
             n, m, p = program.c.size, program.h.size, program.b.size
             return EngineAnswer(np.full(n, self.value), np.zeros(m + p), 1, EngineStatus.OPTIMAL)
 

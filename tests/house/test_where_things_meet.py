@@ -51,7 +51,7 @@ from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.problem_classes import class_of
 from lcp_plugin.core.settings import OF_SOLVE
-from lcp_plugin.core.solving.answer import Answer
+from lcp_plugin.core.solving.base_result import BaseResult
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.study import error_against_time, study
 from lcp_plugin.interfaces.nl import read_nl, write_nl
@@ -118,7 +118,7 @@ KINDS = {
 
 def confirm(answer: Any, sample: Sample) -> None:
     """Check all attributes of a result of its class, and that the solution is right."""
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, BaseResult)
     assert answer.status in sample.ends, answer
     assert answer.is_solved == (answer.status is Status.SOLVED)
     assert answer.has_no_solution == (
@@ -283,7 +283,7 @@ def by_cvxpy(sample: Sample, folder: Path) -> None:
         problem.solve(method="LCP")
     assert problem.status in {CVXPY_STATUS[status] for status in sample.ends}
     answer = problem.solver_stats.extra_stats
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, BaseResult)
     assert answer.status in sample.ends
     if sample.x is not None:
         values = np.concatenate([np.ravel(one.value) for one in problem.variables()])

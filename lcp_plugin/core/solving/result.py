@@ -13,28 +13,28 @@ from ..errors import UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
 from ..settings import Status
-from .answer import NEXT, Answer
+from .base_result import NEXT, BaseResult
 
 if TYPE_CHECKING:
     from ...proofs.bounds.error_bounds import ErrorBound
     from ...proofs.guarantees.theorems import Guarantee
 
 
-class BoundOrReason(NamedTuple):
+class ErrorBoundOutcome(NamedTuple):
     """A bound of the error, or None and the reason."""
 
     bound: ErrorBound | None = None
     reason: str = ""
 
 
-def bound_or_reason(problem: LCP, z: FloatVector) -> BoundOrReason:
+def bound_or_reason(problem: LCP, z: FloatVector) -> ErrorBoundOutcome:
     """Return a bound of |z − z*|, or the reason why there is none."""
     from ...proofs.bounds.error_bounds import error_bound
 
     try:
-        return BoundOrReason(error_bound(problem, z))
+        return ErrorBoundOutcome(error_bound(problem, z))
     except UnsuitableMatrix as error:
-        return BoundOrReason(None, str(error))
+        return ErrorBoundOutcome(None, str(error))
 
 
 class StageRecord(NamedTuple):
@@ -85,7 +85,7 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(Answer):
+class Result(BaseResult):
     """Result of a linear complementarity problem, with its residuals and the record of the run.
 
     Attributes
@@ -131,7 +131,9 @@ class Result(Answer):
     begun: str = ""
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
     # The error bound, or the function that computes it on first access.
-    _bound: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
+    _bound: ErrorBoundOutcome | Callable[[], ErrorBoundOutcome] = field(
+        default=ErrorBoundOutcome(), repr=False
+    )
     _advice: Mapping[Status, str] = field(
         default_factory=dict, repr=False
     )  # advice of a status that replaces its default
@@ -152,7 +154,7 @@ class Result(Answer):
         return self._bound_or_reason.reason
 
     @cached_property
-    def _bound_or_reason(self) -> BoundOrReason:
+    def _bound_or_reason(self) -> ErrorBoundOutcome:
         return self._bound() if callable(self._bound) else self._bound
 
     @cached_property

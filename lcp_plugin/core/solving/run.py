@@ -21,16 +21,16 @@ from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_of_run
-from .judge import FAILED, End, Judge
-from .result import BoundOrReason, Result, Sample, bound_or_reason
+from .result import ErrorBoundOutcome, Result, Sample, bound_or_reason
 from .run_log import Header, RunLog
 from .stage import Stage
+from .termination import FAILED, TerminationReason, TerminationTest
 
 Callback = Callable[[Sample, FloatVector], Any]
 
 Polish = Callable[[LCP, FloatVector, float], Any]
 
-ENDS_ON_ACTIVE_SET = (End.CONVERGED, End.AT_FLOOR, *FAILED)
+ENDS_ON_ACTIVE_SET = (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED)
 DIVERGED_BEYOND = 1e8  # relative to the residual of the start and of z°
 SHARE_OF_POLISH, CALLS = 0.1, 20.0  # of the work of a solved run; passes for the calls around it
 
@@ -47,7 +47,7 @@ class Run:
     callback : callable or None
     clock : Clock
         Running.
-    judge : Judge, optional
+    judge : TerminationTest, optional
         Judge of the original problem if it differs from the problem of the methods: a nonlinear problem, for which the
         methods take the linearization at the start.
     header : callable, optional
@@ -63,13 +63,13 @@ class Run:
         settings: Settings,
         callback: Callback | None,
         clock: Clock,
-        judge: Judge | None = None,
+        judge: TerminationTest | None = None,
         header: Header | None = None,
         polish: Polish | None = None,
     ) -> None:
         self.problem, self.chosen, self.settings = problem, chosen, settings
         self.callback, self.clock = callback, clock
-        self.judge, self.polish = judge or Judge(problem, settings), polish
+        self.judge, self.polish = judge or TerminationTest(problem, settings), polish
         self.stages: list[Stage] = []
         self.samples: list[Sample] = []
         self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
@@ -80,10 +80,10 @@ class Run:
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
         self._next_sample = 0
 
-    def follow_all(self, plan: Iterable[Stage], start: FloatVector) -> End:
+    def follow_all(self, plan: Iterable[Stage], start: FloatVector) -> TerminationReason:
         """Follow the stages until a stage ends the run, within the remaining time; return the reason for the end."""
         left = self.settings.max_seconds - self.clock.read()
-        start, end = self.judge.snap_start(start), End.NOTHING_LEFT
+        start, end = self.judge.snap_start(start), TerminationReason.NOTHING_LEFT
         try:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
                 for stage in plan:
@@ -91,30 +91,34 @@ class Run:
                     if end not in FAILED:
                         break
         except OutOfTimeError:
-            return End.TIME_LIMIT
+            return TerminationReason.TIME_LIMIT
         return end
 
-    def follow(self, stage: Stage, start: FloatVector) -> End:
+    def follow(self, stage: Stage, start: FloatVector) -> TerminationReason:
         """Take the steps of a method until the run, the budget of the stage or the method ends."""
         if self.log is not None:
             self.log.begin(stage)
         if self.stages:
             self.stages[-1].z = None
         self.stages.append(stage)
-        end: End | None = None
+        end: TerminationReason | None = None
         for step in self._steps_of(stage, start):
             end = self._observe(stage, step)
             if end is None and stage.is_over is not None and stage.is_over(stage):
-                end = End.OVER_BUDGET
+                end = TerminationReason.OVER_BUDGET
             if end is not None:
                 break
         self.clock.read()  # a method may end by itself because time is over
         is_late = self.clock.elapsed >= self.settings.max_seconds
-        end = end or (End.TIME_LIMIT if is_late else End.NOTHING_LEFT)
-        if end is End.OVER_BUDGET:
+        end = end or (TerminationReason.TIME_LIMIT if is_late else TerminationReason.NOTHING_LEFT)
+        if end is TerminationReason.OVER_BUDGET:
             return end
         self._measure_last()
-        return End.AT_FLOOR if end in FAILED and self.judge.is_at_floor(self.best) else end
+        return (
+            TerminationReason.AT_FLOOR
+            if end in FAILED and self.judge.is_at_floor(self.best)
+            else end
+        )
 
     def _steps_of(self, stage: Stage, start: FloatVector) -> Iterator[Step]:
         """Yield the steps; none if a method of auto does not take this problem."""
@@ -124,7 +128,7 @@ class Run:
             if len(self.stages) == 1 or stage.iterations > 0:
                 raise
 
-    def _observe(self, stage: Stage, step: Any) -> End | None:
+    def _observe(self, stage: Stage, step: Any) -> TerminationReason | None:
         """Record one step; return why the run ends with it, or None."""
         if not isinstance(step, Step):  # of an algorithm from outside
             raise InvalidOption(
@@ -139,12 +143,12 @@ class Run:
         residual = self._measure(stage, step, is_first)
         end = self._end_of(stage, step, residual)
         if self._report(stage, step, residual, is_last=end is not None):
-            end = end or End.INTERRUPTED
+            end = end or TerminationReason.INTERRUPTED
         if end is not None or step.proof is None:
             return end
         if self.judge.accept_proof(step.proof):
-            return End.NO_SOLUTION
-        return End.AT_FLOOR if self.judge.misses_by_rounding(self.best) else None
+            return TerminationReason.NO_SOLUTION
+        return TerminationReason.AT_FLOOR if self.judge.misses_by_rounding(self.best) else None
 
     def _measure(self, stage: Stage, step: Step, is_first: bool) -> float | None:
         """Return the residual of a step if it is known or due, proved if it may be small enough; keep the best z."""
@@ -180,33 +184,33 @@ class Run:
         if self.unmeasured is not None:
             self._offer(self.unmeasured, self.judge.measure(self.unmeasured))
 
-    def _end_of(self, stage: Stage, step: Step, residual: float | None) -> End | None:
+    def _end_of(self, stage: Stage, step: Step, residual: float | None) -> TerminationReason | None:
         """Return the reason that the run ends with this step, or None."""
         algorithm, settings, judge = stage.algorithm, self.settings, self.judge
         if residual is not None:
-            power = 1.0 if algorithm.ends_with_a_case else POWER
+            power = 1.0 if algorithm.ends_on_active_set else POWER
             if judge.meets_tolerance(step.z, residual, self.iteration, power):
                 self._offer(step.z, residual, is_taken=True)
-                return End.CONVERGED
+                return TerminationReason.CONVERGED
             is_lost = algorithm.is_monotone and stage.is_rising()
             if is_lost or not math.isfinite(residual):
                 beyond = DIVERGED_BEYOND * max(1.0, self.start_residual)
                 if not residual <= beyond:
-                    return End.DIVERGED
+                    return TerminationReason.DIVERGED
         elif step.increment is not None and not math.isfinite(step.increment):
-            return End.DIVERGED
+            return TerminationReason.DIVERGED
         if self.iteration >= settings.max_iterations:
-            return End.STEP_LIMIT
+            return TerminationReason.STEP_LIMIT
         if self.clock.elapsed >= settings.max_seconds:
-            return End.TIME_LIMIT
+            return TerminationReason.TIME_LIMIT
         if residual is None:
             return None
         if stage.is_flat() and judge.is_at_floor(self.best):
-            return End.AT_FLOOR
+            return TerminationReason.AT_FLOOR
         left = settings.max_iterations - self.iteration
         is_watched = algorithm.is_monotone or algorithm.is_watched
         if is_watched and stage.is_stalled(self.problem.n, judge.goal, left):
-            return End.STALLED
+            return TerminationReason.STALLED
         return None
 
     def _report(self, stage: Stage, step: Step, residual: float | None, *, is_last: bool) -> bool:
@@ -233,7 +237,7 @@ class Run:
 
     # --- the end ----------------------------------------------------------------------------------------
 
-    def conclude(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
+    def conclude(self, start: FloatVector, end: TerminationReason) -> tuple[Certificate, Status]:
         """Return the certificate of the best iterate, polished, and the status."""
         judge = self.judge
         self._measure_last()
@@ -243,7 +247,7 @@ class Run:
         has_active_set = end in ENDS_ON_ACTIVE_SET or judge.is_solved_by(certificate)
         if (
             last is not None
-            and not last.algorithm.ends_with_a_case
+            and not last.algorithm.ends_on_active_set
             and has_active_set
             and isinstance(judge.asked, LCP)
         ):
@@ -271,7 +275,7 @@ class Run:
         polished = np.clip(found.z, problem.lower, problem.upper)
         return judge.better_of(certificate, judge.certificate_of(polished))
 
-    def result(self, start: FloatVector, end: End) -> Result:
+    def result(self, start: FloatVector, end: TerminationReason) -> Result:
         """Return the result, whose status the certificate names."""
         settings = self.settings
         certificate, status = self.conclude(start, end)
@@ -298,7 +302,7 @@ class Run:
             _asked=self.chosen,
             _bound=partial(bound_or_reason, self.problem, certificate.z)
             if settings.error_bound and self.stages
-            else BoundOrReason(),
+            else ErrorBoundOutcome(),
             _advice=self._advice(status),
         )
         if self.log is not None:

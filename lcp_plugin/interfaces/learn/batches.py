@@ -18,7 +18,7 @@ from ...problems.sensitivity.contact_batch_derivative import ContactBatchDerivat
 
 
 @dataclass(eq=False)
-class Wishes:
+class LayerOptions:
     """Options of one call of a layer, and its derivative once it is found.
 
     Attributes
@@ -72,13 +72,13 @@ def is_one(M: Any) -> bool:
 
 
 def solved(
-    wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = None
+    wishes: LayerOptions, M: Any, q: Any, lower: Any, upper: Any, z0: Any = None
 ) -> tuple[BatchDerivative, Any]:
     """Return the derivative of all solutions, and the axes of the batch.
 
     Parameters
     ----------
-    wishes : Wishes
+    wishes : LayerOptions
     M : array, shape (…, n, n), or None for ``wishes.M``
     q, lower, upper, z0 : array, shape (…, n)
 
@@ -128,13 +128,13 @@ def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[An
 
 
 def contacts_solved(
-    wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = None
+    wishes: LayerOptions, W: Any, b: Any, friction: Any, z0: Any = None
 ) -> ContactBatchDerivative:
     """Return the derivative of a batch of contact problems.
 
     Parameters
     ----------
-    wishes : Wishes
+    wishes : LayerOptions
         Options of FrictionalContact and of solve_batch.
     W, b, friction, z0 : array, shapes (B, n, n), (B, n), (B, k), (B, n)
 

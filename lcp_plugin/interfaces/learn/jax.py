@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
 from .batches import (
-    Wishes,
+    LayerOptions,
     common_axes,
     contact_gradients,
     contacts_solved,
@@ -81,7 +81,11 @@ def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: 
             'lcp_layer works in double precision; begin the program with jax.config.update("jax_enable_x64", True)'
         )
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
-    wishes, M = (Wishes(options, M), None) if sp.issparse(M) else (Wishes(options), _array(M, "M"))
+    wishes, M = (
+        (LayerOptions(options, M), None)
+        if sp.issparse(M)
+        else (LayerOptions(options), _array(M, "M"))
+    )
     axes = common_axes(*(() if array is None else array.shape for array in (M, q, lower, upper)))
     n = q.shape[-1]
     if M is not None and M.shape[-2:] != (n, n):
@@ -138,7 +142,7 @@ def contact_layer(W: Any, b: Any, friction: Any, **options: Any) -> jax.Array:
     axes = np.broadcast_shapes(W.shape[:-2], b.shape[:-1], friction.shape[:-1])
     own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
     z: jax.Array = _impulses(
-        *(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), Wishes(options)
+        *(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), LayerOptions(options)
     )
     return z
 
@@ -170,7 +174,7 @@ def _like(*arrays: Any) -> tuple[Any, ...]:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(3,))
-def _impulses(W: Any, b: Any, friction: Any, wishes: Wishes) -> Any:
+def _impulses(W: Any, b: Any, friction: Any, wishes: LayerOptions) -> Any:
     return _called(
         lambda *data: np.array(contacts_solved(wishes, *data).batch.z),
         _like(b)[0],
@@ -181,12 +185,12 @@ def _impulses(W: Any, b: Any, friction: Any, wishes: Wishes) -> Any:
     )
 
 
-def _impulses_forward(W: Any, b: Any, friction: Any, wishes: Wishes) -> tuple[Any, Any]:
+def _impulses_forward(W: Any, b: Any, friction: Any, wishes: LayerOptions) -> tuple[Any, Any]:
     z = _impulses(W, b, friction, wishes)
     return z, (W, b, friction, z)
 
 
-def _impulses_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
+def _impulses_backward(wishes: LayerOptions, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
     def differentiate(W: Any, b: Any, friction: Any, z: Any, g: Any) -> tuple[Any, ...]:
         return contact_gradients(contacts_solved(wishes, W, b, friction, z), (), g)  # starts at z
 
@@ -198,7 +202,7 @@ _impulses.defvjp(_impulses_forward, _impulses_backward)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(4,))
-def _solution(M: Any, q: Any, lower: Any, upper: Any, wishes: Wishes) -> Any:
+def _solution(M: Any, q: Any, lower: Any, upper: Any, wishes: LayerOptions) -> Any:
     def solve(*data: Any) -> Any:
         return np.array(solved(wishes, *_with_matrix(wishes, data))[0].z)
 
@@ -206,13 +210,13 @@ def _solution(M: Any, q: Any, lower: Any, upper: Any, wishes: Wishes) -> Any:
 
 
 def _solution_forward(
-    M: Any, q: Any, lower: Any, upper: Any, wishes: Wishes
+    M: Any, q: Any, lower: Any, upper: Any, wishes: LayerOptions
 ) -> tuple[Any, tuple[Any, ...]]:
     z = _solution(M, q, lower, upper, wishes)
     return z, (M, q, lower, upper, z)
 
 
-def _solution_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
+def _solution_backward(wishes: LayerOptions, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
     def differentiate(*data: Any) -> tuple[Any, ...]:
         *stated, g = data
         found, axes = solved(wishes, *_with_matrix(wishes, stated))  # starts at z
@@ -230,7 +234,7 @@ def _solution_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[A
 _solution.defvjp(_solution_forward, _solution_backward)
 
 
-def _with_matrix(wishes: Wishes, data: Any) -> list[Any]:
+def _with_matrix(wishes: LayerOptions, data: Any) -> list[Any]:
     """Return the data, with None instead of M if M is a constant."""
     M, *vectors = data
     return [M if wishes.M is None else None, *vectors]

@@ -18,7 +18,7 @@ except ImportError:
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
 from .batches import (
-    Wishes,
+    LayerOptions,
     common_axes,
     contact_gradients,
     contacts_solved,
@@ -76,7 +76,11 @@ def lcp_layer(
     [[-0.5, 0.0], [0.0, -0.5]]
     """
     q, lower, upper = _tensor(q, "q"), _tensor(lower, "lower"), _tensor(upper, "upper")
-    wishes, M = (Wishes(options, M), None) if sp.issparse(M) else (Wishes(options), _tensor(M, "M"))
+    wishes, M = (
+        (LayerOptions(options, M), None)
+        if sp.issparse(M)
+        else (LayerOptions(options), _tensor(M, "M"))
+    )
     axes = common_axes(
         *(() if tensor is None else tuple(tensor.shape) for tensor in (M, q, lower, upper))
     )
@@ -137,14 +141,14 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
         W = W.expand(len(b), *W.shape)
     if friction.ndim == 1:
         friction = friction.expand(len(b), *friction.shape)
-    return _Impulses.apply(W, b, friction, start, Wishes(options))
+    return _Impulses.apply(W, b, friction, start, LayerOptions(options))
 
 
 class _Impulses(torch.autograd.Function):  # type: ignore[misc]
     """Impulses z of a batch of contact problems."""
 
     @staticmethod
-    def forward(W: Any, b: Any, friction: Any, start: Any, run: Wishes) -> Any:
+    def forward(W: Any, b: Any, friction: Any, start: Any, run: LayerOptions) -> Any:
         """Solve."""
         run.found = contacts_solved(run, _numpy(W), _numpy(b), _numpy(friction), start)
         return torch.from_numpy(run.found.batch.z.copy())
@@ -168,7 +172,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
     """Solutions z; M of shape (n, n), or (…, n, n) with as many axes in front as the vectors, or None."""
 
     @staticmethod
-    def forward(M: Any, q: Any, lower: Any, upper: Any, run: Wishes) -> Any:
+    def forward(M: Any, q: Any, lower: Any, upper: Any, run: LayerOptions) -> Any:
         """Solve."""
         run.found, axes = solved(run, *map(_numpy, (M, q, lower, upper)))
         return torch.from_numpy(run.found.z.reshape(*axes, q.shape[-1]).copy())
@@ -195,7 +199,7 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
     """Gradients by a function of batches.py at a solution z; a derivative of them is rejected."""
 
     @staticmethod
-    def forward(function: Callable[..., Any], run: Wishes, z: Any, g: Any) -> tuple[Any, ...]:
+    def forward(function: Callable[..., Any], run: LayerOptions, z: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients."""
         return tuple(map(torch.from_numpy, function(run.found, tuple(z.shape[:-1]), _numpy(g))))
 

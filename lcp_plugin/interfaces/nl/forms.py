@@ -24,8 +24,8 @@ NO_NUMBERS = (
 WRONG_KIND = f"a bound's kind is 0 to {PARTNER}"
 
 
-class Fault(ValueError):
-    """Fault of a file, with its line or byte."""
+class NLSyntaxError(ValueError):
+    """Error in a file, with its line or byte."""
 
     def __init__(self, place: int, what: str) -> None:
         super().__init__(what)
@@ -38,11 +38,13 @@ class _Form:
     name = b""
 
     def fail(self, what: str) -> NoReturn:
-        """Raise a Fault at the last item read."""
-        raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
+        """Raise NLSyntaxError at the last item read."""
+        raise NLSyntaxError(
+            self.at, what if self.at < len(self.data) else "the file ends within a segment"
+        )
 
 
-class Text(_Form):
+class TextFormReader(_Form):
     """The segments of a text file; blank lines at its end do not count, and comments begin with #.
 
     Attributes
@@ -102,8 +104,8 @@ class Text(_Form):
             self.fail(NO_NUMBERS)
 
 
-class Binary(_Form):
-    """The segments of a binary file, read as `Text` is.
+class BinaryFormReader(_Form):
+    """The segments of a binary file, read as `TextFormReader` is.
 
     Parameters
     ----------
@@ -159,6 +161,6 @@ class Binary(_Form):
         """Return the start of a given number of bytes, and move on by it."""
         begin, left = self._next, len(self.data) - self._next
         if not 0 <= length <= left:
-            raise Fault(begin, f"{length} bytes are needed here, and {left} follow")
+            raise NLSyntaxError(begin, f"{length} bytes are needed here, and {left} follow")
         self._next = begin + length
         return begin

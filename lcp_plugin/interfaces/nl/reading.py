@@ -31,7 +31,7 @@ from .content import (
     Token,
     Trees,
 )
-from .forms import NO_NUMBERS, Binary, Fault, Text
+from .forms import NO_NUMBERS, BinaryFormReader, NLSyntaxError, TextFormReader
 
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
@@ -93,13 +93,13 @@ def read_content(path: str | PathLike[str]) -> NLContent:
         reader = _Reader(data)
         reader.read_segments()
         return reader.content(source)
-    except Fault as fault:
+    except NLSyntaxError as fault:
         raise UnreadableFile(
             f"cannot read {source}, {_place(data, fault)}: {fault}; the file is damaged, or no .nl file: write it again"
         ) from fault
 
 
-def _place(data: bytes, fault: Fault) -> str:
+def _place(data: bytes, fault: NLSyntaxError) -> str:
     """Return the position of a fault: the line and its text, or the byte."""
     begin = fault.place
     line = data.count(b"\n", 0, begin) + 1
@@ -115,13 +115,13 @@ def _place(data: bytes, fault: Fault) -> str:
 def _header(data: bytes) -> tuple[SimpleNamespace, int]:
     """Return the numbers of the head by name, and the start of the segments."""
     if data[:1] not in (b"g", b"b"):
-        raise Fault(0, "an .nl file begins with g (text) or b (binary)")
+        raise NLSyntaxError(0, "an .nl file begins with g (text) or b (binary)")
     lines, begin = [b""], 0
     header = SimpleNamespace(is_binary=data[:1] == b"b", places=[0])  # of its lines, from 1 on
     for _ in range(LINES):
         end = data.find(b"\n", begin, begin + MOST_LINE_BYTES)
         if end < 0:
-            raise Fault(begin, f"an .nl file begins with {LINES} short lines of numbers")
+            raise NLSyntaxError(begin, f"an .nl file begins with {LINES} short lines of numbers")
         lines.append(data[begin:end])
         header.places.append(begin)
         begin = end + 1
@@ -130,7 +130,7 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
         _read_head_line(header, number, names, lines[number], len(data) - begin)
     if header.is_binary and header.arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
         what = f"its numbers are of the arithmetic {header.arithmetic}, and 1 or 2 (IEEE) is needed"
-        raise Fault(header.places[6], f"{what}; write the file as text")
+        raise NLSyntaxError(header.places[6], f"{what}; write the file as text")
     if header.logical_rows:
         raise UnsupportedModel(
             f"the model has {header.logical_rows} logical constraints; none are taken"
@@ -150,7 +150,9 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     except ValueError:
         count = -1
     if not 0 <= count <= MOST_OPTIONS:
-        raise Fault(0, f"behind its letter stand up to {MOST_OPTIONS} integers, and how many")
+        raise NLSyntaxError(
+            0, f"behind its letter stand up to {MOST_OPTIONS} integers, and how many"
+        )
     return (count, *given, *[0] * (count - len(given))), tolerance
 
 
@@ -163,12 +165,12 @@ def _read_head_line(
     is_whole = b"".join(words).isdigit() and max(map(len, words)) <= MOST_DIGITS
     if len(words) < int(needed) or not is_whole:
         what = f"{needed} integers or more are needed: {' '.join(called)}"
-        raise Fault(header.places[number], what)
+        raise NLSyntaxError(header.places[number], what)
     numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
     for name, value in zip(called, numbers, strict=True):
         if name[-1] == "*" and value > length:  # before anything is allocated
             what = f"{value} {name[:-1]} are announced, and {length} bytes follow"
-            raise Fault(header.places[number], what)
+            raise NLSyntaxError(header.places[number], what)
         setattr(header, name.rstrip("*"), value)
 
 
@@ -200,8 +202,10 @@ class _Reader:
     def __init__(self, data: bytes) -> None:
         self.header, begin = _header(data)
         order = ">" if self.header.arithmetic == BIG_ENDIAN else "<"
-        self.source: Text | Binary = (
-            Binary(data, begin, order) if self.header.is_binary else Text(data, begin)
+        self.source: TextFormReader | BinaryFormReader = (
+            BinaryFormReader(data, begin, order)
+            if self.header.is_binary
+            else TextFormReader(data, begin)
         )
         rows, objectives, defined = (self.header.rows, self.header.objectives, self.header.defined)
         self.owners = {  # number of possible owners of a segment
@@ -414,7 +418,7 @@ class _Reader:
         ):
             if announced != given:
                 said = f"{announced} {what} are announced, {given} are there"
-                raise Fault(header.places[line], said)
+                raise NLSyntaxError(header.places[line], said)
 
     def _trees(self, letter: str, count: int) -> Trees:
         """Return a tree for each owner in order; the number 0 for an owner without a tree."""
@@ -439,7 +443,7 @@ class _Reader:
         ):
             if count > end or end > n:
                 what = f"{count} integer variables are announced where there are {min(end, n)}"
-                raise Fault(header.places[7], what)
+                raise NLSyntaxError(header.places[7], what)
             is_integer[end - count : end] = True
         return is_integer
 

@@ -65,7 +65,7 @@ class Banded(Algorithm):
         "Cryer 1983, doi:10.1145/357456.357458; Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6"
     )
     is_monotone: ClassVar[bool] = False
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on M-matrices."""

@@ -70,7 +70,7 @@ class Lemke(Algorithm):
         "Lemke 1965, doi:10.1287/mnsc.11.7.681; Cao, Ferris 1996, doi:10.1287/moor.21.2.484"
     )
     is_monotone: ClassVar[bool] = False
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
 
     max_pivots: int | None = None
     restarts: int | None = None

@@ -121,7 +121,7 @@ def solve_active_set(
 
 
 @np.errstate(all="ignore")
-def solve_case(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
+def polish_active_set(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
     """Return the solution of the linear system of the active set of z.
 
     The result is None if the block is singular, so that z is not unique, or if a factorization would take more passes
@@ -129,7 +129,7 @@ def solve_case(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolut
 
     Examples
     --------
-    >>> solve_case(LCP([[2, 1], [1, 2]], [-5, 1]), np.array([2.4, 0.1]), 100.0).z
+    >>> polish_active_set(LCP([[2, 1], [1, 2]], [-5, 1]), np.array([2.4, 0.1]), 100.0).z
     array([2.5, 0. ])
     """
     at_lower, at_upper = classify(problem, z, problem.slack(z))

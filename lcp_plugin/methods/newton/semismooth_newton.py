@@ -73,7 +73,7 @@ class Newton(Algorithm):
         "doi:10.1007/BF02592192"
     )
     is_monotone: ClassVar[bool] = False
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the best z so far after each factorization; end if no further step is possible."""

@@ -21,8 +21,8 @@ from .simplex import Effort
 
 __all__ = [
     "Effort",
-    "GaveUp",
     "NoSolution",
+    "SearchLimitReached",
     "Solution",
     "Solutions",
     "all_solutions",
@@ -114,7 +114,7 @@ class Solutions:
 
 
 @dataclass(frozen=True)
-class GaveUp:
+class SearchLimitReached:
     """The search ended at its limit of nodes without a decision."""
 
     nodes: int
@@ -122,7 +122,7 @@ class GaveUp:
 
 def search(
     problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES
-) -> Solutions | NoSolution | GaveUp:
+) -> Solutions | NoSolution | SearchLimitReached:
     """Return a solution (or all), the proof that there is none, or that the limit was too low.
 
     Parameters
@@ -154,7 +154,7 @@ def search(
             return outcome
         if effort.cases > limit:
             break
-    return GaveUp(limit)
+    return SearchLimitReached(limit)
 
 
 def explore(
@@ -224,7 +224,7 @@ def all_solutions(
     z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
     """
     outcome = search(problem, first_only=False, max_nodes=max_nodes)
-    if isinstance(outcome, GaveUp):
+    if isinstance(outcome, SearchLimitReached):
         raise UnsuitableProblem(
             f"the search did not end within max_nodes={max_nodes} pieces; raise max_nodes, or compute one "
             "solution with solve(problem)"

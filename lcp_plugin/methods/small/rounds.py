@@ -48,7 +48,7 @@ class Rounds(Algorithm):
 
     name: ClassVar[str] = "rounds"
     is_monotone: ClassVar[bool] = False
-    ends_with_a_case: ClassVar[bool] = True
+    ends_on_active_set: ClassVar[bool] = True
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, the point at which the rounds end, and the ends of the paths."""

@@ -13,7 +13,7 @@ from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.settings import Settings, Status
-from ...core.solving.answer import Answer
+from ...core.solving.base_result import BaseResult
 from ...core.solving.result import Result
 from ..many.answers import AnswerSequence
 from ..many.chunks import run_in_chunks
@@ -223,11 +223,11 @@ class BatchAnswers(AnswerSequence[Any]):
     def __len__(self) -> int:
         return len(self.status)
 
-    def at(self, k: int) -> Answer:
+    def at(self, k: int) -> BaseResult:
         """Return result k, or raise the error of its problem."""
         if k in self.errors:
             raise self.errors[k]
-        found: Answer = self._run.result_of(k)
+        found: BaseResult = self._run.result_of(k)
         return found
 
     @cached_property

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...auto import takes_rounds
-from ...core.checks import checked_start, read_only, real_array, without_huge
+from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...methods.small.rounds import CHUNK, SMALL_DENSE, as_dense, is_small, solve_stack
@@ -181,7 +181,7 @@ class Stacked:
             )
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         rows = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
-        rows["lower"], rows["upper"] = without_huge(rows["lower"], rows["upper"])
+        rows["lower"], rows["upper"] = replace_huge_bounds_by_inf(rows["lower"], rows["upper"])
         counts = {name: len(one) for name, one in rows.items() if np.ndim(named[name]) == 2}
         if self.M.ndim == 3:
             counts["M"] = len(self.M)

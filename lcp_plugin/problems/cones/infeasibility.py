@@ -33,7 +33,7 @@ MARGIN = 1e-3  # reduction of the margin, for the rounding error of its sums
 
 
 @dataclass(frozen=True, eq=False)
-class NoImpulse:
+class ContactInfeasibility:
     """Certificate of infeasibility y, as defined above.
 
     Attributes
@@ -103,7 +103,7 @@ class NoImpulse:
         )
 
 
-def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
+def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     """Return a proof of infeasibility, or None if Clarabel finds no certificate that verifies."""
     program, n = ConvexProgram(problem), problem.n
     engine, cones, places = program.clarabel, list(program.cones), [np.zeros(0, np.int64)]
@@ -126,8 +126,8 @@ def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
     size = np.abs(y).max(initial=0.0)
     for grain in (DIGITS, 2.0**-8, 0.25):
         rounded = np.round(y / (size * grain)) if size > 0.0 else y
-        proof = NoImpulse(problem, rounded)
+        proof = ContactInfeasibility(problem, rounded)
         if rounded.any() and proof.verify():
             return proof
-    proof = NoImpulse(problem, y)
+    proof = ContactInfeasibility(problem, y)
     return proof if y.any() and proof.verify() else None

@@ -21,7 +21,7 @@ from ..contact import ContactMotion, motion_of
 from .certificate import ConeCertificate, Measures, measure_points
 from .data import Blocks
 from .frictional_contact import FrictionalContact
-from .infeasibility import NoImpulse, infeasibility_proof
+from .infeasibility import ContactInfeasibility, infeasibility_proof
 from .methods import (
     METHODS,
     NEWTON_STEPS,
@@ -291,7 +291,7 @@ class ConeRun:
         self.start = stack.origin if z is None else z
         self.best, self.residual = self.start, np.inf
         self.status, self.swept = Status.STALLED, self.start
-        self.proof: NoImpulse | None = None
+        self.proof: ContactInfeasibility | None = None
         self.measures: Measures | None = None
 
     def solve(self, chosen: str | ConeAlgorithm) -> None:
@@ -469,7 +469,7 @@ class ConeRun:
             if run.proof is not None and (self.proof is None or run.status is Status.INFEASIBLE):
                 y = np.zeros(pattern.n)
                 y[rows] = run.proof.y
-                self.proof = NoImpulse(self.problem, y)
+                self.proof = ContactInfeasibility(self.problem, y)
             if run.status in (Status.INTERRUPTED, Status.MAX_SECONDS, Status.MAX_ITERATIONS):
                 break
         self.measures = measure_points(

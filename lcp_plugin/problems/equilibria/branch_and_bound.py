@@ -32,7 +32,7 @@ from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
 from .relaxations import Node, Relaxations
-from .result import CONTRADICTED, ENDS, EquilibriumResult, Outside
+from .result import CONTRADICTED, ENDS, EquilibriumResult, ExternalBound
 
 MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementary
 SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
@@ -153,7 +153,7 @@ class BranchAndBound:
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
         self.local = LocalSearch(self.relaxations)
-        self.outside: Outside | None = None
+        self.outside: ExternalBound | None = None
         self._outside_value = math.inf  # of SCIP's point, until it is confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
@@ -235,20 +235,20 @@ class BranchAndBound:
 
         def report_progress(value: float, bound: float, nodes: int) -> bool:
             self.nodes, self._outside_value = before + nodes, value
-            self.outside = Outside("", bound)
+            self.outside = ExternalBound("", bound)
             return ends()
 
         found = engine(
             self.problem, tolerance=self.tolerance, max_nodes=self.max_nodes, ends=report_progress
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
-        self.outside = Outside(found.status, found.bound)
+        self.outside = ExternalBound(found.status, found.bound)
         if found.x is not None:
             self.local.confirm(
                 found.x, found.value + self.tolerance * self.problem.objective_size(found.x)
             )
         if self.local.value < found.bound - self.allowed:
-            self.outside = Outside(CONTRADICTED, -math.inf)
+            self.outside = ExternalBound(CONTRADICTED, -math.inf)
         return ENDS.get(found.status)
 
     def _is_closed(self) -> bool:

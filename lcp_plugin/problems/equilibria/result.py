@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.settings import Status
-from ...core.solving.answer import NEXT, Answer
+from ...core.solving.base_result import NEXT, BaseResult
 from ..programs.no_minimum import QPUnboundedness
 from ..programs.program import QuadraticProgram
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
@@ -52,7 +52,7 @@ SAID = {
 }
 
 
-class Outside(NamedTuple):
+class ExternalBound(NamedTuple):
     """Last status and bound of another solver."""
 
     status: str
@@ -60,7 +60,7 @@ class Outside(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EquilibriumResult(Answer):
+class EquilibriumResult(BaseResult):
     """The best solution found, and a lower bound of the objective over all solutions.
 
     Attributes
@@ -93,7 +93,7 @@ class EquilibriumResult(Answer):
         Nodes of the search, which `verify` checks.
     descent : pair or None
         The piece that is unbounded below, and the proof of it.
-    outside : Outside or None
+    outside : ExternalBound or None
         SCIP's last status and bound, if SCIP ran.
     """
 
@@ -109,7 +109,7 @@ class EquilibriumResult(Answer):
     tolerance: float = field(repr=False)
     tree: tuple[Node, ...] = field(repr=False)
     descent: tuple[Cases, QPUnboundedness] | None = field(default=None, repr=False)
-    outside: Outside | None = field(default=None, repr=False)
+    outside: ExternalBound | None = field(default=None, repr=False)
 
     @property
     def gap(self) -> float:

@@ -21,7 +21,7 @@ from ...core.checks import FloatVector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
-from ...engines import EngineAnswer, Limits, ProgramData
+from ...engines import EngineAnswer, ProgramData, SolverLimits
 from ...engines.piqp import PIQP
 from ...engines.polish import polish_steps
 from .data import ScaledLeastSquares
@@ -188,7 +188,7 @@ class Split(NamedTuple):
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     """Return the program, and PIQP's point."""
     program = ProgramData(*statement)
-    return program, PIQP(eps_abs=EPS, eps_rel=EPS).answer(program, Limits(seconds_left()))
+    return program, PIQP(eps_abs=EPS, eps_rel=EPS).answer(program, SolverLimits(seconds_left()))
 
 
 def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import FloatVector, read_only, restore_state
 from ...core.deadline import Clock, OutOfTimeError, is_over, time_limit
 from ...core.settings import Settings, Status
-from ...core.solving.answer import NEXT, Answer
+from ...core.solving.base_result import NEXT, BaseResult
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
@@ -222,7 +222,7 @@ def _require_time() -> None:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LeastSquaresResult(Answer):
+class LeastSquaresResult(BaseResult):
     """Result of a least-squares problem; attributes are named as in scipy, except `status`.
 
     Attributes

@@ -16,10 +16,10 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result
 from ...core.solving.run import Callback, Run
 from ...core.solving.stage import Stage
+from ...core.solving.termination import TerminationReason, TerminationTest
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearization, Linearizations, NonlinearProblem
 from .josephy_newton import JosephyNewton
@@ -144,7 +144,7 @@ def solve_nonlinear(
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
             end = run.follow_all([Stage(newton, TANGENTS)], start)
         except KeyboardInterrupt:
-            end = End.INTERRUPTED
+            end = TerminationReason.INTERRUPTED
         return replace(run.result(start, end), begun=begun)
 
 
@@ -176,8 +176,8 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
         raise InvalidOption(str(error)) from error
 
 
-class NonlinearJudge(Judge):
-    """Termination test that measures F; see :class:`Judge`."""
+class NonlinearJudge(TerminationTest):
+    """Termination test that measures F; see :class:`TerminationTest`."""
 
     words = {  # noqa: RUF012 - read only
         Status.SOLVED: "the residual is within the tolerance, as measured on F",

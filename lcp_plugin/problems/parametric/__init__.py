@@ -9,6 +9,6 @@ affine.
 | `tracing` | :func:`lcp_plugin.trace` |
 | `path` | the returned :class:`Path` |
 | `families` | per problem class: data that may move, complementarity problem at θ, inverse mapping |
-| `staircases` | complementarity problem with data affine in θ; rows may have a kink |
+| `monotone_graphs` | complementarity problem with data affine in θ; rows may have a kink |
 | `following` | path following from breakpoint to breakpoint |
 """

@@ -26,7 +26,7 @@ from ..programs.convexity import refuse_nonconvex
 from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
-from .staircases import Columns, GramColumns, Staircases
+from .monotone_graphs import Columns, GramColumns, MonotoneGraphs
 
 LARGEST = 6000  # rows, of which a dense factorization is made
 MET = 1e-12  # of their terms: rounding error by which equal bounds may cross
@@ -248,9 +248,9 @@ class Family:
         """Return the result of `solve` at θ."""
         return solve(self.at(theta), tolerance=self.settings.tolerance)
 
-    def staircases(self) -> Staircases:
+    def monotone_graphs(self) -> MonotoneGraphs:
         """Return the parametric complementarity problem in the form that is followed."""
-        return Staircases.from_bounds(Columns(self.conditions.M), *self.rows())
+        return MonotoneGraphs.from_bounds(Columns(self.conditions.M), *self.rows())
 
     def extract_unknowns(self, result: Any) -> FloatVector:
         """Return the unknowns of the complementarity problem from a result of `solve`."""
@@ -432,7 +432,7 @@ class LeastSquaresFamily(Family):
         problem: BoundedLeastSquares = self.problem.with_vectors(**moved)
         return problem
 
-    def staircases(self) -> Staircases:
+    def monotone_graphs(self) -> MonotoneGraphs:
         """Return the normal equations with penalties as a parametric complementarity problem."""
         problem, root = self.problem, self.problem.root_weights
         b, l1, lower, upper = map(self.pair, self.MOVES)
@@ -445,7 +445,7 @@ class LeastSquaresFamily(Family):
             )
         q = -np.array([problem.apply_transpose(problem.apply_weights(part)) for part in b])
         q += np.where(self._has_kink, 0.0, np.where(self._negative, -l1, l1))
-        return Staircases.from_penalty(
+        return MonotoneGraphs.from_penalty(
             GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink
         )
 

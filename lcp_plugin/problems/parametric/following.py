@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 
 from ...core.checks import FloatVector
 from ...core.matrix.structure import IntVector
-from .staircases import Staircases
+from .monotone_graphs import MonotoneGraphs
 
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
@@ -97,7 +97,7 @@ class Follower:
 
     Parameters
     ----------
-    problem : Staircases
+    problem : MonotoneGraphs
     t : float
     z, w : ndarray, shape (n,)
         A solution at t, to some accuracy.
@@ -112,7 +112,7 @@ class Follower:
         None if no steps near the solution are consistent.
     """
 
-    def __init__(self, problem: Staircases, t: float, z: FloatVector, w: FloatVector) -> None:
+    def __init__(self, problem: MonotoneGraphs, t: float, z: FloatVector, w: FloatVector) -> None:
         self.problem, self.t, self.begin, self.n = problem, t, t, problem.n
         self.steps = problem.steps_of(t, z, w)
         self._columns: dict[int, FloatVector] = {}

@@ -11,8 +11,8 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption
 from .families import Family, Piece, family_of
 from .following import Follower, Segment
+from .monotone_graphs import MonotoneGraphs
 from .path import Path
-from .staircases import Staircases
 
 BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is restarted
 AT_END = 1e-6  # of a stretch: how much a piece may fall short of it
@@ -116,9 +116,9 @@ class _Trace:
     def __init__(self, family: Family, start: float, stop: float) -> None:
         self.family, self.path = family, Path(family, start, stop)
         self.toward, self.span = (1.0 if stop >= start else -1.0), abs(stop - start)
-        stated = family.staircases()
+        stated = family.monotone_graphs()
         self.units = stated.columns.units()
-        self.problem: Staircases = stated.rescale(self.units).begun_at(start, self.toward)
+        self.problem: MonotoneGraphs = stated.rescale(self.units).begun_at(start, self.toward)
         share, self.path.crossed = family.find_crossing()
         self.end, self.reached = self.span * share, 0.0
 

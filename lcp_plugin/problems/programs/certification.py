@@ -24,7 +24,7 @@ from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.matrix.matrix import largest_in_rows
 from ...core.problem_classes import class_of, refusal
 from ...core.rounding import compensated_product
-from ...core.solving.answer import Answer
+from ...core.solving.base_result import BaseResult
 from ...proofs.bounds.curvature import constrained_curvature
 from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures
@@ -138,7 +138,7 @@ def certify(
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
-            if class_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
+            if class_of(problem) is not None or isinstance(problem, (BaseResult, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption(
@@ -373,8 +373,8 @@ class ProgramProofs:
             lower = self.lower(x, given[:m], given[m : m + p], value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, given, tolerance, size[0])
         points = self.upper(x, exactly=False, by_own=False)
-        found = Proved(value, violation, lower, points, tolerance, size)
-        is_enough = found.is_proved() and not found.may_have_bought()
+        found = ProvenBounds(value, violation, lower, points, tolerance, size)
+        is_enough = found.is_proved() and not found.violation_may_lower_objective()
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
             if (own := self.own_solution) is not None:
@@ -386,7 +386,10 @@ class ProgramProofs:
                     size = max(size[0], least), max(size[1], least)
             points = self.upper(x, exactly=False) or self.upper(x, exactly=not violation.is_missed)
             found = replace(found, lower=lower, points=points, size=size)
-            if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
+            if (
+                found.violation_may_lower_objective()
+                and not replace(found, lower=self.own_lower).is_proved()
+            ):
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought
         return found.certification(self, x, complaint)
@@ -452,7 +455,7 @@ def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
 
 
 @dataclass(frozen=True, eq=False)
-class Proved:
+class ProvenBounds:
     """Proved numbers from which the verdict on a point follows.
 
     Attributes
@@ -506,7 +509,7 @@ class Proved:
             self.tolerance * self.size[0] / OUTWARD, LARGEST
         )
 
-    def may_have_bought(self) -> bool:
+    def violation_may_lower_objective(self) -> bool:
         """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
 
         Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.

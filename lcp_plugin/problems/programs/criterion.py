@@ -48,7 +48,7 @@ LEAST_NORM_STEPS, LEAST_NORM_TO = 60, 1e-3
 TINY = 2.0**-1000
 
 
-class Errors(NamedTuple):
+class KKTErrors(NamedTuple):
     """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
 
     `is_excused` is True if a row is violated relative to its terms, but only by rounding of large unknowns.
@@ -74,7 +74,7 @@ class Errors(NamedTuple):
         x: FloatVector,
         y: FloatVector,
         tolerance: float = PROGRAM_TOLERANCE,
-    ) -> Errors:
+    ) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
         primal, gap, is_excused = measures(program, x, y, tolerance)
         return cls(float(primal.max(initial=0.0)), float(gap.max(initial=0.0)), is_excused)
@@ -82,7 +82,7 @@ class Errors(NamedTuple):
 
 def errors_of_each(
     together: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
-) -> Errors:
+) -> KKTErrors:
     """Return bounds of the errors, shape (B,), of B programs joined into one, at the rows of x, shape (B, n).
 
     Sums are plain. If they do not decide a program, test this program on its own.
@@ -91,7 +91,7 @@ def errors_of_each(
     is_finite: Any = np.isfinite(x).all(axis=1)
     at = np.where(is_finite[:, np.newaxis], x, 0.0).ravel()
     with np.errstate(all="ignore"):
-        point = Point(together, at, np.nan_to_num(y), is_exact=False)
+        point = PrimalDualPoint(together, at, np.nan_to_num(y), is_exact=False)
         primal, gap = point.row_errors(), point.gaps(has_units=False)
         if not (gap <= tolerance).all():
             gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
@@ -100,7 +100,7 @@ def errors_of_each(
     gaps = gap[together.matrices.components.of_unknown].reshape(count, n)
     worst = (np.concatenate(parts, axis=1).max(axis=1, initial=0.0), gaps.max(axis=1, initial=0.0))
     primal, gap = (np.where(is_finite & (one >= 0.0), one, np.inf) for one in worst)
-    return Errors(primal, gap)
+    return KKTErrors(primal, gap)
 
 
 @np.errstate(all="ignore")
@@ -119,7 +119,7 @@ def measures(
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         every = np.full(y.size + x.size, np.inf)
         return every, np.full(program.matrices.components.number, np.inf), False
-    point = Point(program, x, y, is_exact=False)
+    point = PrimalDualPoint(program, x, y, is_exact=False)
     primal, gap = point.row_errors(), np.full(1, np.inf)
     if (primal <= ROWS).all():
         if np.isfinite(point.room).all():
@@ -128,13 +128,13 @@ def measures(
             gap = np.minimum(gap, point.gaps(has_units=True))
         if (gap <= tolerance).all():
             return primal, gap, False
-    point = Point(program, x, y, is_exact=True)
+    point = PrimalDualPoint(program, x, y, is_exact=True)
     primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
     primal, gap = (np.where(np.isnan(one), np.inf, one) for one in (primal, gap))
     return primal, gap, bool((point.over > ROWS * point.own).any())
 
 
-class Point:
+class PrimalDualPoint:
     """Point with all terms of its two measures.
 
     Parameters
@@ -400,7 +400,7 @@ class Point:
 @np.errstate(all="ignore")
 def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> float:
     """Return the size that a value at x has at least, 1e-8 of the rows' terms with the multipliers y."""
-    point = Point(program, x, y, is_exact=True)
+    point = PrimalDualPoint(program, x, y, is_exact=True)
     of_y = np.minimum(point.of_y, point._least_norm)
     return LEAST_SIZE * float(of_y @ point.terms_of_rows)
 
@@ -408,7 +408,7 @@ def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> flo
 @np.errstate(all="ignore")
 def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
     """Return the violation of each row that counts as rounding at x."""
-    point = Point(program, x, np.zeros(program.constraints.right.size), is_exact=True)
+    point = PrimalDualPoint(program, x, np.zeros(program.constraints.right.size), is_exact=True)
     return EXCUSED * point.reached
 
 

@@ -17,8 +17,8 @@ from ...engines import (
     Engine,
     EngineAnswer,
     EngineStatus,
-    Limits,
     ProgramData,
+    SolverLimits,
     engine_class,
 )
 from ...engines.polish import ROUNDS, polish_steps
@@ -27,7 +27,7 @@ from ...engines.scaling import (
     with_sides_about_one,
     without_far_limits,
 )
-from .criterion import Errors
+from .criterion import KKTErrors
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 from .solution import QPSolution
@@ -58,7 +58,7 @@ class EngineRun(NamedTuple):
     ----------
     solution : QPSolution
         Best of the engine's points: original, cleaned or polished.
-    errors : Errors
+    errors : KKTErrors
         Two measures of the solution.
     says : EngineStatus
         Status that the engine reports for its last point.
@@ -66,7 +66,7 @@ class EngineRun(NamedTuple):
     """
 
     solution: QPSolution
-    errors: Errors
+    errors: KKTErrors
     says: EngineStatus
     stage: StageRecord
 
@@ -119,7 +119,7 @@ def run_engine(
         )
     reduced = FoldedRows.of(program).reduced
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
-    errors = Errors(np.inf, np.inf)
+    errors = KKTErrors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # a point that overflows fails the test
         (P, G, A), one = reduced.matrices.arrays, reduced
         given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
@@ -132,7 +132,7 @@ def run_engine(
             for near in candidates(asked, point, rounds):
                 back = near if scaled is None else scaled.outward(near)
                 x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
-                found = Errors.of(reduced, x, back.y, tolerance)
+                found = KKTErrors.of(reduced, x, back.y, tolerance)
                 is_better = found.largest < errors.largest or found.meet(tolerance)
                 if is_better and not (errors.meet(tolerance) and found.is_excused):
                     best, errors = (x, back.y), found
@@ -199,7 +199,7 @@ def _scale_statement(
 def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:
     """Return the point of an engine."""
     try:
-        return engine.answer(statement, Limits(seconds_left(), is_verbose))
+        return engine.answer(statement, SolverLimits(seconds_left(), is_verbose))
     except Exception as error:  # an external solver may raise any error for an option
         own = TOLERANCES.get(engine.name, ())
         asked = {name: value for name, value in engine.options.items() if name not in own}

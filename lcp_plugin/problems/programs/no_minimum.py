@@ -38,12 +38,12 @@ from ...proofs.exact.rational import (
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, best_proof, linear_program
 from ...proofs.no_solution.free_motion import (
     is_at_rest,
-    is_far_out,
+    is_minimizer_beyond_radius,
     moved_unknowns,
 )
 from ...proofs.no_solution.linear_constraints import (
     DECISIVE,
-    Contradiction,
+    FarkasCertificate,
     LinearConstraints,
     exact_dot,
 )
@@ -102,8 +102,8 @@ class QPInfeasibility:
         )
 
     @cached_property
-    def _found(self) -> Contradiction:
-        return Contradiction(
+    def _found(self) -> FarkasCertificate:
+        return FarkasCertificate(
             self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y}
         )
 
@@ -208,7 +208,7 @@ class QPUnboundedness:
         found, program = self._found, self.program
         return (
             self._is_rounding
-            and is_far_out(program.P, program.c, self.direction, found.left)
+            and is_minimizer_beyond_radius(program.P, program.c, self.direction, found.left)
             and found.has_signs
             and found.size > 0
             and self._is_wide
@@ -234,10 +234,10 @@ class QPUnboundedness:
         return is_at_rest(self.program.P, self.direction)
 
     @cached_property
-    def _found(self) -> Contradiction:
+    def _found(self) -> FarkasCertificate:
         """Direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds require, y ≥ 0."""
         conditions = stationarity(self.program, sp.csr_array(self.program.P))
-        return Contradiction(conditions, {i: d for i, d in enumerate(self.direction) if d})
+        return FarkasCertificate(conditions, {i: d for i, d in enumerate(self.direction) if d})
 
     @cached_property
     def is_exact(self) -> bool:
@@ -426,7 +426,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     """Return multipliers of all rows and bounds: multipliers of bounds cancel the residual; verify the result."""
     m, p, n, _ = program.constraints.sizes
     multipliers = [ZERO] * (m + p + 2 * n)
-    found = Contradiction(program.constraints.within_bounds, y)
+    found = FarkasCertificate(program.constraints.within_bounds, y)
     for i, value in y.items():
         multipliers[i] = value
     for j, value in found.product.items():  # an infinite bound cancels nothing

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidProblem
-from .criterion import PROGRAM_TOLERANCE, Errors, checked_tolerance
+from .criterion import PROGRAM_TOLERANCE, KKTErrors, checked_tolerance
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
@@ -177,15 +177,15 @@ class QPSolution:
         return float(self.errors.gap)
 
     @cached_property
-    def errors(self) -> Errors:
+    def errors(self) -> KKTErrors:
         """Both measures."""
         return self.errors_for(0.0)
 
-    def errors_for(self, tolerance: float) -> Errors:
+    def errors_for(self, tolerance: float) -> KKTErrors:
         """Return both measures, or bounds of them if these meet the tolerance already."""
         folded = FoldedRows.of(self.program)
         y = self.multipliers[: self.program.constraints.right.size][folded.left]
-        return Errors.of(folded.reduced, self.x, y, tolerance)
+        return KKTErrors.of(folded.reduced, self.x, y, tolerance)
 
     def __str__(self) -> str:
         lines = [f"{'objective':<16} {self.objective:.9g}"]

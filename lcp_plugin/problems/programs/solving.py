@@ -22,21 +22,21 @@ from ...core.errors import (
     UnsupportedModel,
 )
 from ...core.settings import OF_SOLVE, Settings, Status, checked_callback
-from ...core.solving.answer import NEXT, Answer
+from ...core.solving.base_result import NEXT, BaseResult
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ...core.solving.run_log import say
 from ...engines import ENGINES, Engine, EngineStatus, engine_class
 from ...methods.interior_point import InteriorPoint
 from .conversion import optimality_conditions
 from .convexity import refuse_nonconvex
-from .criterion import PROGRAM_TOLERANCE, ROWS, Errors
+from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors
 from .engine_calls import NO_MINIMUM, EngineRun, attempts, nearest, run_engine
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import VECTORS, QuadraticProgram
 from .reductions import FoldedRows
 from .solution import QPSolution
 
-NEARLY = Errors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
+NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 FEW = (
     300  # unknowns and rows of a program whose LCP is tried where no external solver has a solution
@@ -60,7 +60,7 @@ ADVICE = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class QuadraticProgramResult(Answer):
+class QuadraticProgramResult(BaseResult):
     """Result of a quadratic program, tested on the unscaled program.
 
     Attributes

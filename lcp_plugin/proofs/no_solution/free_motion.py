@@ -41,7 +41,7 @@ def moved_unknowns(d: Any) -> str:
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 
 
-def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
+def is_minimizer_beyond_radius(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
     """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
@@ -58,8 +58,10 @@ def is_far_out(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
     --------
     >>> springs = np.array([[4.0, -4.0, 0.0], [-4.0, 5.0, -1.0], [0.0, -1.0, 1.0]])
     >>> load = np.array([6.0, 0.0, 0.0])
-    >>> is_far_out(springs, load, [1, 1, 1], {2: 1e-10}), is_far_out(springs, load, [1, 1, 1], {2: 1e-7})
-    (True, False)
+    >>> is_minimizer_beyond_radius(springs, load, [1, 1, 1], {2: 1e-10})
+    True
+    >>> is_minimizer_beyond_radius(springs, load, [1, 1, 1], {2: 1e-7})
+    False
     """
     d = np.array([float(value) for value in direction])
     sizes, diagonal = np.abs(d), P.diagonal()

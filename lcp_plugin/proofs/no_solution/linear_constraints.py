@@ -127,7 +127,7 @@ def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
 
 
 @dataclass(frozen=True, eq=False)
-class Contradiction:
+class FarkasCertificate:
     """Inconsistency of linear constraints, proved by a Farkas vector y in exact arithmetic.
 
     y_i > 0 takes w_i ≥ 0 for granted, y_i < 0 takes w_i ≤ 0, and yᵀw = qᵀy + (Mᵀy)ᵀx for every x. If its supremum

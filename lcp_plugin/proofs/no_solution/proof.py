@@ -25,7 +25,7 @@ from ...core.matrix.symmetry import is_nearly_symmetric
 from ...core.settings import Status
 from ..exact.rational import ZERO, Rational, integer_matrix, rounded_down
 from .free_motion import is_at_rest, moved_unknowns
-from .linear_constraints import Contradiction
+from .linear_constraints import FarkasCertificate
 
 SAFE_RANGE = (1e-290, 1e290)
 LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
@@ -151,10 +151,12 @@ class Choices(NamedTuple):
             else (lower, upper)
         )
 
-    def contradiction(self, y: Mapping[int, Rational]) -> Contradiction:
+    def contradiction(self, y: Mapping[int, Rational]) -> FarkasCertificate:
         """Return the Farkas certificate of a vector, by row, if its signs are right."""
         rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
-        return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
+        return FarkasCertificate(
+            self, {i: Fraction(value) for i, value in y.items() if value}, rows
+        )
 
     def closed_by(self, y: Mapping[int, Rational]) -> Margins | None:
         """Return the margins of the piece by a Farkas vector; None if it does not prove that the piece is empty.

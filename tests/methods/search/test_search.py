@@ -12,7 +12,7 @@ from campaigns.games import game, missed, wrong_equilibria
 from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
-from lcp_plugin.methods.search import GaveUp, all_solutions, search
+from lcp_plugin.methods.search import SearchLimitReached, all_solutions, search
 from lcp_plugin.methods.search.simplex import QUANTUM
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.proofs.exact.rational import is_exact_solution
@@ -172,7 +172,7 @@ def test_boxes_free_and_fixed_rows_take_part() -> None:
 def test_limits_end_the_search_honestly() -> None:
     """Too few nodes decide nothing; a problem that is too large raises an error with its size."""
     problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
-    assert search(problem, first_only=False, max_nodes=3) == GaveUp(3)
+    assert search(problem, first_only=False, max_nodes=3) == SearchLimitReached(3)
     with pytest.raises(UnsuitableProblem, match="max_nodes=3"):
         all_solutions(problem, max_nodes=3)
     with pytest.raises(UnsuitableProblem, match=r"got 30 and n = 30"):

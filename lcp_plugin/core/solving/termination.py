@@ -35,8 +35,8 @@ ASKED_AGAIN = 5  # after a fifth of the steps up to now
 ALIKE = 1.0 + 1e-9  # references so near are one
 
 
-class End(Enum):
-    """Why the steps of a run ended; :meth:`Judge.verdict` derives the status from it and from the best z."""
+class TerminationReason(Enum):
+    """Why the steps of a run ended; :meth:`TerminationTest.verdict` derives the status from it and from the best z."""
 
     CONVERGED = "the judge was content with a step"
     NO_SOLUTION = "a step proved that there is no solution"
@@ -51,20 +51,20 @@ class End(Enum):
 
 
 FAILED = (
-    End.STALLED,
-    End.DIVERGED,
-    End.OVER_BUDGET,
-    End.NOTHING_LEFT,
+    TerminationReason.STALLED,
+    TerminationReason.DIVERGED,
+    TerminationReason.OVER_BUDGET,
+    TerminationReason.NOTHING_LEFT,
 )  # another algorithm may do better
 STATUS_OF = {
-    End.STEP_LIMIT: Status.MAX_ITERATIONS,
-    End.TIME_LIMIT: Status.MAX_SECONDS,
-    End.INTERRUPTED: Status.INTERRUPTED,
-    End.DIVERGED: Status.DIVERGED,
+    TerminationReason.STEP_LIMIT: Status.MAX_ITERATIONS,
+    TerminationReason.TIME_LIMIT: Status.MAX_SECONDS,
+    TerminationReason.INTERRUPTED: Status.INTERRUPTED,
+    TerminationReason.DIVERGED: Status.DIVERGED,
 }  # of a z that nothing is shown of; of any other end it is STALLED
 
 
-class Judge:
+class TerminationTest:
     """Measures and certifies the points of a run on the user's data, and determines its status; this class is for LCPs.
 
     Every other problem class has its own judge with the methods that :class:`~lcp_plugin.core.solving.run.Run` calls:
@@ -197,7 +197,7 @@ class Judge:
             self.proof = proof
         return bool(excludes)
 
-    def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
+    def final(self, z: FloatVector, end: TerminationReason, last: Algorithm | None) -> Certificate:
         """Return the certificate of the result: z, or z finished by the last algorithm if that is not worse."""
         certificate = self.certificate_of(z)
         if not (certificate.is_linearised or self.is_solved_by(certificate)):
@@ -205,7 +205,7 @@ class Judge:
                 self.problem, z
             )  # the best iterate; SOLVED refers to the projected point
             certificate = certificate if self.is_solved_by(plain) else plain
-        is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
+        is_cut_short = end in (TerminationReason.INTERRUPTED, TerminationReason.TIME_LIMIT)
         if last is None or is_cut_short or not np.isfinite(z).all():
             return certificate
         finished = last.finish(self.problem, z)
@@ -227,19 +227,21 @@ class Judge:
         """Return whether the certificate passes the criterion."""
         return certificate.meets(self.settings)
 
-    def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
+    def verdict(
+        self, certificate: Certificate, end: TerminationReason, *, is_chain: bool
+    ) -> Status:
         """Return the status from the certificate or a proof, or else from the reason for the end of the run.
 
         If one step of several algorithms diverged, the best z need not have: that is STALLED.
         """
         if self.is_solved_by(certificate):
             return Status.SOLVED
-        if end is End.NO_SOLUTION:
+        if end is TerminationReason.NO_SOLUTION:
             return self.proof.status  # type: ignore[no-any-return]
         if certificate.is_limited_by_rounding or self.misses_by_rounding(certificate.z):
             return Status.PRECISION_LIMIT
         return (
             Status.STALLED
-            if end is End.DIVERGED and is_chain
+            if end is TerminationReason.DIVERGED and is_chain
             else STATUS_OF.get(end, Status.STALLED)
         )

@@ -15,7 +15,7 @@ from ..settings import PROVEN, Status
 NEXT = "; next: "  # between what happened and what to do
 
 
-class Answer:
+class BaseResult:
     """Base class of all results; the result of each problem class has further attributes.
 
     Attributes
@@ -177,7 +177,7 @@ class Answer:
     def __repr__(self) -> str:
         size = "" if self.x is None else f"n={len(self.x)}, "
         value = "" if self.objective is None else f"objective {self.objective:.9g}, "
-        return f"{type(self).__name__}({self.status.name}, {size}{value}{Answer._effort(self)})"
+        return f"{type(self).__name__}({self.status.name}, {size}{value}{BaseResult._effort(self)})"
 
     def __str__(self) -> str:
         return self.explain()

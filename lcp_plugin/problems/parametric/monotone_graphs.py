@@ -118,7 +118,7 @@ class GramColumns(Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Staircases:
+class MonotoneGraphs:
     """The problem at parameter t: constants and slopes, along the first axis of each array.
 
     Attributes
@@ -139,8 +139,8 @@ class Staircases:
     @classmethod
     def from_bounds(
         cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector
-    ) -> Staircases:
-        """Return the staircases of an LCP with q, lower and upper, shape (2, n) each."""
+    ) -> MonotoneGraphs:
+        """Return the monotone graphs of an LCP with q, lower and upper, shape (2, n) each."""
         n = columns.n
         corners, levels = np.zeros((2, CORNERS, n)), np.zeros((2, FIXED_LEVELS, n))
         corners[:, 0], corners[:, 1], corners[0, 2] = lower, upper, np.inf
@@ -156,8 +156,8 @@ class Staircases:
         upper: FloatVector,
         penalty: FloatVector,
         has_kink: NDArray[np.bool_],
-    ) -> Staircases:
-        """Return the staircases of bounds and of penalty · |z| in rows with a kink at 0.
+    ) -> MonotoneGraphs:
+        """Return the monotone graphs of bounds and of penalty · |z| in rows with a kink at 0.
 
         Penalties of other rows are part of q.
         """
@@ -167,11 +167,11 @@ class Staircases:
         levels[:, 1, has_kink], levels[:, 2, has_kink] = penalty[:, has_kink], -penalty[:, has_kink]
         return made
 
-    def rescale(self, units: FloatVector) -> Staircases:
+    def rescale(self, units: FloatVector) -> MonotoneGraphs:
         """Return the problem of z / d and d w, whose matrix is D M D."""
         if (units == 1.0).all():
             return self
-        return Staircases(
+        return MonotoneGraphs(
             self.columns.rescale(units), self.q * units, self.corners / units, self.levels * units
         )
 
@@ -180,9 +180,9 @@ class Staircases:
         """The number of rows."""
         return int(self.columns.n)
 
-    def begun_at(self, start: float, toward: float) -> Staircases:
+    def begun_at(self, start: float, toward: float) -> MonotoneGraphs:
         """Return the problem over t with θ = start + toward · t."""
-        return Staircases(
+        return MonotoneGraphs(
             self.columns,
             *(_change_parameter(one, start, toward) for one in (self.q, self.corners, self.levels)),
         )

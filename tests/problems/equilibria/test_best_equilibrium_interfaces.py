@@ -81,7 +81,7 @@ def test_what_is_not_convex_is_found() -> None:
 def test_a_yes_or_no_beside_pairs() -> None:
     """With x ≥ 2 b, b earns 3 b x: worth it, b is one, exactly; without pairs an integer is refused in words."""
     m = bard()
-    m.b = pe.Var(within=pe.BinaryFormReader)
+    m.b = pe.Var(within=pe.Binary)
     m.needs = pe.Constraint(expr=m.x >= 2 * m.b)
     m.cost.set_value(m.cost.expr - 3 * m.b * m.x)
     solver = pe.SolverFactory("lcp_plugin")

@@ -172,7 +172,7 @@ class _NewtonRun:
             if not point.is_defined or np.array_equal(x, here.x):
                 continue
             is_near = is_newton and not k and self._relative(point) <= allowed
-            if is_near or self._merit(point) <= least:
+            if is_near or self._merit(point) < least:  # ∞ gains nothing on ∞
                 return point
         return None
 

@@ -53,12 +53,9 @@ def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
     require(game in _GAMES, f"game must be one of {', '.join(_GAMES)}, got {game!r}")
     row_payoffs, column_payoffs, unique = _GAMES[game]
     problem = lcp_from_bimatrix_game(row_payoffs, column_payoffs)
-    exact = None if unique is None else _scaled(problem.csr.toarray(), *unique)
-    return Scene(
-        problem=problem,
-        exact=exact,
-        is_symmetric=bool(np.array_equal(problem.csr.toarray(), problem.csr.toarray().T)),
-    )
+    M = problem.csr.toarray()
+    exact = None if unique is None else _scaled(M, *unique)
+    return Scene(problem=problem, exact=exact, is_symmetric=np.array_equal(M, M.T))
 
 
 def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> FloatVector:
@@ -117,12 +114,9 @@ def market_equilibrium(
     loss = np.where(level == 0.0, generator.integers(1, 5, activities), 0.0)
     M = np.block([[D, A], [-A.T, np.zeros((activities, activities))]])
     exact = np.concatenate([price, level])
-    return Scene(
-        problem=LCP(M, np.concatenate([excess, loss]) - M @ exact),
-        exact=exact,
-        is_symmetric=activities == 0 and not np.triu(D, 1).any(),
-        is_h_plus=activities == 0 and not np.triu(D, 1).any(),
-    )
+    problem = LCP(M, np.concatenate([excess, loss]) - M @ exact)
+    is_diagonal = activities == 0 and not np.triu(D, 1).any()
+    return Scene(problem=problem, exact=exact, is_symmetric=is_diagonal, is_h_plus=is_diagonal)
 
 
 # --- Options ----------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.lcp import LCP
 from .scene import SYMMETRIC, Scene, require, scene_builder
-from .stencil import Field, balanced_matrix, nodes, stencil_matrix
+from .stencil import balanced_matrix, nodes, stencil_matrix
 
 
 @scene_builder
@@ -108,7 +108,9 @@ def elastic_plastic_torsion(
     load = twist * (np.sign(x) if mixed else 1.0) * (2.0 / (size + 1)) ** 2
     continuum = None
     if section == "disc" and not mixed:
-        continuum = np.where(distance > 0.0, _disc_solution(r, distance, twist), 0.0).ravel()
+        elastic_radius = 2.0 / twist  # plastic, u = 1 − r, from here on
+        core = 1.0 - elastic_radius + 0.25 * twist * (elastic_radius**2 - r**2)
+        continuum = np.where(r < elastic_radius, np.minimum(core, distance), distance).ravel()
     bound = distance.ravel()
     legs = (-1.0, -1.0)
     return Scene(
@@ -126,10 +128,3 @@ def elastic_plastic_torsion(
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
     )
-
-
-def _disc_solution(r: Field, distance: Field, twist: float) -> Field:
-    """Return the stress function of the disc without reversal; plastic, u = 1 − r, from r = 2/c on."""
-    elastic_radius = 2.0 / twist
-    core = 1.0 - elastic_radius + 0.25 * twist * (elastic_radius**2 - r**2)
-    return np.where(r < elastic_radius, np.minimum(core, distance), distance)

@@ -35,7 +35,7 @@ def paper_example_1(*, n: int = 100, delta: float = 4.0) -> Scene:
     ----------
     Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
     """
-    return _paper_scene(n, delta, lower=(-1.0, -1.0), upper=(-1.0, -1.0))
+    return _paper_scene(n, delta, below=-1.0, above=-1.0)
 
 
 @scene_builder
@@ -58,20 +58,18 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
     ----------
     Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
     """
-    return _paper_scene(n, delta, lower=(-1.5, -1.5), upper=(-0.5, -0.5))
+    return _paper_scene(n, delta, below=-1.5, above=-0.5)
 
 
-def _paper_scene(
-    n: int, delta: float, lower: tuple[float, float], upper: tuple[float, float]
-) -> Scene:
+def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
     side = _side(n)
-    M = stencil_matrix((side, side), 4.0 + delta, lower, upper)
+    M = stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
     exact = np.resize([1.0, 2.0], n)
     return Scene(
         problem=LCP(M, -(M @ exact)),
         exact=exact,
         start=np.resize([1.0, 0.0], n),
-        is_symmetric=lower == upper,
+        is_symmetric=below == above,
         is_h_plus=True,
         grid=(side, side),
         axis_labels=("row", "column"),

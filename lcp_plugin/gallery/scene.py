@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.certificates.row_residuals import is_at_bound
-from ..core.checks import FloatVector
+from ..core.checks import FloatVector, read_only
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 
@@ -104,9 +104,7 @@ class Scene:
                     raise InvalidProblem(
                         f"{fact} must have shape ({self.n},) like z, got {values.shape}"
                     )
-                view = values.view()
-                view.flags.writeable = False  # so that the reference is not changed by accident
-                object.__setattr__(self, fact, view)
+                object.__setattr__(self, fact, read_only(values))
         if self.exact is not None and self.active_share is None and self.n:
             share = float(np.mean(is_at_bound(self.problem, self.exact)))
             object.__setattr__(self, "active_share", share)

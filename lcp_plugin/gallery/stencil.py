@@ -57,15 +57,14 @@ def stencil_matrix(
     """
     n = math.prod(shape)
     strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
-    axes = range(len(shape))
     # The far neighbor below comes first, the far neighbor above last: each row is born sorted.
     offsets = [*(-stride for stride in strides), 0, *reversed(strides)]
     entries = np.empty((*shape, len(offsets)))
-    for leg, axis in enumerate(axes):
-        entries[..., leg] = below[axis]
-        entries[..., -1 - leg] = above[axis]
-        np.moveaxis(entries, axis, 0)[0, ..., leg] = 0.0
-        np.moveaxis(entries, axis, 0)[-1, ..., -1 - leg] = 0.0
+    for axis in range(len(shape)):
+        entries[..., axis] = below[axis]
+        entries[..., -1 - axis] = above[axis]
+        np.moveaxis(entries, axis, 0)[0, ..., axis] = 0.0
+        np.moveaxis(entries, axis, 0)[-1, ..., -1 - axis] = 0.0
     entries[..., len(shape)] = centre
 
     entries = entries.reshape(n, len(offsets))
@@ -87,9 +86,8 @@ def balanced_matrix(
 
 def stiff_cells(cells: Field) -> Legs:
     """Return the legs of −∇·(k∇u), k given on each cell of the mesh; an edge takes the mean of its two cells."""
-    across = (
-        cells[:, :-1] + cells[:, 1:]
-    ) / 2.0  # edges along the first axis, shape (size + 1, size)
+    # edges along the first axis have the shape (size + 1, size)
+    across = (cells[:, :-1] + cells[:, 1:]) / 2.0
     along = (cells[:-1, :] + cells[1:, :]) / 2.0
     return [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
 

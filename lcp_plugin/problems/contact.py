@@ -48,9 +48,8 @@ NOT_DEFINITE = (
     "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
     "do not move, or give W"
 )
-MOST_FRICTION = (
-    5.0  # of soft rubber it is some 2; what is larger is probably an angle or a percentage
-)
+# of soft rubber it is some 2; a larger one is probably an angle or a percentage
+MOST_FRICTION = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,9 +430,8 @@ def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
     off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
     contact = pair[are] // max(len(windows), 1)
     least = np.full(J.shape[0] // d, np.inf)
-    np.minimum.at(
-        least, contact, off
-    )  # one body in whose translations they are unit vectors is enough
+    # one body in whose translations they are unit vectors is enough
+    np.minimum.at(least, contact, off)
     wrong = np.flatnonzero((least > UNIT) & (least < np.inf))
     if wrong.size:
         c = int(wrong[0])

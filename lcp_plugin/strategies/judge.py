@@ -193,7 +193,16 @@ def check_solution(
     worst = max(range(problem.n), key=residuals.__getitem__, default=None)
     if worst is not None and residuals[worst] > allowed:
         return _named(problem, z, w, worst, allowed)
-    return _distance(problem, z, truth, error_tolerance)
+    if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
+        return ""
+    distance = max(
+        (abs(Fraction(value) - exact) for value, exact in zip(z.tolist(), truth, strict=True)),
+        default=0,
+    )
+    size = 1 + max(map(abs, truth), default=Fraction(0))
+    if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
+        return ""
+    return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
 def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any) -> str:
@@ -208,21 +217,6 @@ def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any
             return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but {place}"
     place = f"z[{i}] = {here:g} lies between its bounds"
     return f"z is not complementary: w[{i}] = {float(w[i]):g}, but {place}"
-
-
-def _distance(
-    problem: LCP, z: FloatVector, truth: BaseResult | None, error_tolerance: float
-) -> str:
-    if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
-        return ""
-    distance = max(
-        (abs(Fraction(value) - exact) for value, exact in zip(z.tolist(), truth, strict=True)),
-        default=0,
-    )
-    size = 1 + max(map(abs, truth), default=Fraction(0))
-    if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
-        return ""
-    return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
 def _shown(problem: LCP, truth: BaseResult | None, z: Any) -> str:

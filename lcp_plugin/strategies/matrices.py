@@ -87,19 +87,8 @@ def blocks(height: int, width: int, values: Numbers) -> st.SearchStrategy[Matrix
     return entries.map(lambda drawn: np.array(drawn, dtype=np.float64).reshape(height, width))
 
 
-def unit_lower(n: int, values: Numbers) -> st.SearchStrategy[Matrix]:
-    """Return a strategy for lower triangular matrices with ones on the diagonal."""
-    return blocks(n, n, values).map(lambda A: np.tril(A, -1) + np.eye(n))
-
-
-def reordered(A: Matrix, order: NDArray[np.intp]) -> Matrix:
-    """Return P A Pᵀ."""
-    return A[np.ix_(order, order)]
-
-
-Build = Callable[
-    [st.DrawFn, int, Numbers], Matrix
-]  # of a size, and of numbers of the requested density
+# of a size, and of numbers of the requested density
+Build = Callable[[st.DrawFn, int, Numbers], Matrix]
 
 
 def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStrategy[Any]]]:
@@ -176,8 +165,9 @@ def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> 
     array([[1.]])
     """
     rank = n - draw(st.integers(0, n))
-    order, L = draw(orders(n)), draw(unit_lower(n, values))[:, :rank]
-    return reordered(L @ L.T, order)
+    order, A = draw(orders(n)), draw(blocks(n, n, values))
+    L = (np.tril(A, -1) + np.eye(n))[order, :rank]
+    return L @ L.T
 
 
 @matrices()
@@ -298,7 +288,7 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     A = _definite(draw, n, values) + K.T - K
     A[cut:, :cut] = 0.0
     A[:cut, cut:] = draw(blocks(cut, n - cut, values))
-    return reordered(A, order)
+    return A[np.ix_(order, order)]
 
 
 @matrices(1)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
@@ -31,7 +32,6 @@ from .matrices import (
 )
 
 BaseResult = tuple[Fraction, ...]
-Rows = tuple[FloatVector, FloatVector, FloatVector, FloatVector]  # z, w, lower, upper
 DISTANCES = st.sampled_from([*range(1, LARGEST_ENTRY + 1), *(math.inf,) * LARGEST_ENTRY])
 INACTIVE, ACTIVE, DEGENERATE = range(3)
 #: Whether a row is at its lower and at its upper bound, and the sign of the slack in this case.
@@ -236,10 +236,9 @@ def complementary_rows(
     return size * (group == INACTIVE), size * (group == ACTIVE), 0, math.inf
 
 
-def columns_of(rows: Sequence[Any]) -> Rows:
-    """Return z, w, lower and upper of rows, each of shape (n,)."""
-    z, w, lower, upper = np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
-    return z, w, lower, upper
+def columns_of(rows: Sequence[Any]) -> NDArray[np.float64]:
+    """Return z, w, lower and upper of rows, shape (4, n)."""
+    return np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
 
 
 def exact_offset(matrix: Any, z: FloatVector, w: FloatVector) -> FloatVector:

@@ -20,13 +20,7 @@ from .matrices import (
     sizes,
     vectors,
 )
-from .problems import (
-    BaseResult,
-    columns_of,
-    complementary_rows,
-    exact_offset,
-    fractions_of,
-)
+from .problems import BaseResult, columns_of, complementary_rows, exact_offset, fractions_of
 
 
 class QPAnswer(NamedTuple):
@@ -83,11 +77,9 @@ def convex_qps(
     >>> answer.x, answer.objective
     ((Fraction(0, 1),), Fraction(0, 1))
     """
-    hessians = (
-        positive_definite_matrices() | positive_semidefinite_matrices()
-        if matrices is None
-        else matrices
-    )
+    hessians = matrices
+    if hessians is None:
+        hessians = positive_definite_matrices() | positive_semidefinite_matrices()
     inequality_count, equality_count = sizes(inequalities), sizes(equalities)
     variable, pair = complementary_rows(bounds, otherwise_free=True), complementary_rows()
 

@@ -82,20 +82,15 @@ class Banded(Algorithm):
         yield from without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        band = self._bands(problem)
-        work = 0.0
-        for z, residual in active_sets(problem, band, problem.q, z0):
-            yield Step(z, residual, work=work or 1.0)
-            work = (band.below + 2.0) * band.entries.size / max(problem.nonzeros, 1)
-
-    def _bands(self, problem: LCP) -> Bands:
-        band = bands(problem.matrix)
-        if band is None:
+        if (band := bands(problem.matrix)) is None:
             raise UnsuitableMatrix(
                 f"{self.name} needs a narrow band, but the band of M with n = {problem.n} is too wide to factorize; "
                 'try algorithm="auto"'
             )
-        return band
+        work = 0.0
+        for z, residual in active_sets(problem, band, problem.q, z0):
+            yield Step(z, residual, work=work or 1.0)
+            work = (band.below + 2.0) * band.entries.size / max(problem.nonzeros, 1)
 
 
 @fact
@@ -243,9 +238,8 @@ def solve_on_band(
         x, info = lapack.dgtsv(entries[0, 1:], entries[1], entries[2, :-1], right)[3:]
     else:
         above = len(entries) - 1 - band.below
-        columns = np.zeros(
-            (band.below + len(entries), n)
-        )  # LAPACK's layout, with room for its pivots
+        # the layout of LAPACK, with rows for its pivots
+        columns = np.zeros((band.below + len(entries), n))
         for k, row in enumerate(entries):
             offset = k - band.below
             first, last = max(offset, 0), n + min(offset, 0)

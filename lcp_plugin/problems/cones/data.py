@@ -165,10 +165,8 @@ class Blocks:
             np.ravel(real_array(q, f"{self.offset} must be a vector")), self.offset, self.n
         )
         other.rows = self.rows.with_q(given, lower=self.lower, upper=self.upper)
-        if self.bodies is not None:
-            other.bodies = self.bodies._replace(
-                velocities=None
-            )  # b does not determine the velocities of the bodies
+        if self.bodies is not None:  # b does not determine their velocities
+            other.bodies = self.bodies._replace(velocities=None)
         return other
 
     def save(self, path: str | PathLike[str]) -> None:

@@ -81,7 +81,7 @@ class StackDerivative(LinearizedSystem):
         return FreeSystem(Matrix(sp.csr_array(J)), np.ones(J.shape[0], np.bool_), by_factor=True)
 
     @cached_property
-    def is_degenerate(self) -> Array:
+    def degenerate(self) -> Array:
         """Blocks on the boundary of two modes, up to rounding error, shape (B, k)."""
         stack, shift = self.stack, ON_THE_EDGE * self._sizes
         with np.errstate(all="ignore"):
@@ -107,7 +107,7 @@ class StackDerivative(LinearizedSystem):
         wide = self.stack.pattern.wide
         dz, dw = wide(dz), wide(dw)
         size = length(np.abs(dz) + np.abs(dw) / self.stack.d[..., None])
-        moved = self.is_degenerate & (size > 0.0)
+        moved = self.degenerate & (size > 0.0)
         t = np.where(moved, ON_THE_EDGE * self._sizes / np.where(moved, size, 1.0), 0.0)[..., None]
         piece = copy(self)
         for known in ("system", "by_friction"):
@@ -200,7 +200,7 @@ class ConeDerivative:
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
         """Blocks on the boundary of two modes, where the derivative is not unique."""
-        return np.flatnonzero(self._of.is_degenerate[0])
+        return np.flatnonzero(self._of.degenerate[0])
 
     def jvp(
         self,

@@ -147,9 +147,8 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     inverse = factorize_matrix(J)
 
     def solve(right: Any) -> Any:
-        held = np.where(free[:, None], 0.0, right[0])[
-            None
-        ]  # of open blocks s is the right-hand side
+        # of open blocks s is the right-hand side
+        held = np.where(free[:, None], 0.0, right)
         known = right[0]
         if held.any():
             known = known - (by_w[0] @ pattern.times(held)[0][..., None])[..., 0]

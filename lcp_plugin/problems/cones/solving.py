@@ -51,7 +51,6 @@ WORST = (
     Status.SOLVED,
     Status.PRECISION_LIMIT,
     Status.STALLED,
-    Status.DIVERGED,
     Status.MAX_ITERATIONS,
     Status.MAX_SECONDS,
     Status.INFEASIBLE,

@@ -45,9 +45,8 @@ def factorize_matrix(J: Any) -> Factors:
 
     def solve(right: Any) -> Any:
         found = lu.solve(right)
-        if not np.abs(J @ found - right).max(initial=0.0) <= ACCURATE * np.abs(right).max(
-            initial=0.0
-        ):
+        most = ACCURATE * np.abs(right).max(initial=0.0)
+        if not np.abs(J @ found - right).max(initial=0.0) <= most:
             raise np.linalg.LinAlgError
         return found
 

@@ -8,6 +8,7 @@ bands a step runs :func:`~lcp_plugin.methods.banded.active_sets`, one march afte
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -41,11 +42,12 @@ class Marches:
             for name in ("lower", "upper", "nearest_to_zero", "residual_scale")
         )
         self.side = bounded_side(problems[0])
+        self.bands: list[Any] = [bands(one.matrix) for one in problems]
         if self.side:
             self.value = self.lower if self.side > 0 else self.upper
             self.none_held = np.zeros(self.value.shape, np.bool_)
             are_one = all(one.matrix is problems[0].matrix for one in problems)
-            self.entries = np.array([_entries(one) for one in problems[: 1 if are_one else None]])
+            self.entries = np.array([one.entries for one in self.bands[: 1 if are_one else None]])
 
     def steps(
         self, forcing: FloatVector, states: FloatVector
@@ -84,11 +86,10 @@ class Marches:
             found = solve_one_sided(self.entries, Q, self.side, self.value, self.none_held)[0]
             return None if found is None else np.clip(found, self.lower, self.upper, out=found)
         answers = []
-        for j, (problem, q) in enumerate(zip(self.problems, Q, strict=True)):
+        for j, (problem, band, q) in enumerate(zip(self.problems, self.bands, Q, strict=True)):
             reference = self._residual(of_nearest[j] + q, self.nearest[j], j)
             goal = 0.5 * self.tolerance * np.max(reference, initial=0.0)
-            band, start = bands(problem.matrix), np.clip(states[j], problem.lower, problem.upper)
-            assert band is not None
+            start = np.clip(states[j], problem.lower, problem.upper)
             rounds = active_sets(problem, band, q, start)
             answers.append(next((z for z, residual in rounds if residual <= goal), None))
             if answers[-1] is None:
@@ -158,9 +159,3 @@ def bounded_side(problem: LCP) -> int:
     if band is None or not band.is_tridiagonal_z:
         return 0
     return 1 if np.isinf(problem.upper).all() else -1 if np.isinf(problem.lower).all() else 0
-
-
-def _entries(problem: LCP) -> FloatVector:
-    band = bands(problem.matrix)
-    assert band is not None
-    return band.entries

@@ -196,16 +196,12 @@ class Derivative(LinearizedSystem):
         return np.flatnonzero(self._rows.degenerate)
 
     @cached_property
-    def _is_degenerate(self) -> bool:
-        return bool(self._rows.degenerate.any())
-
-    @cached_property
     def is_unique(self) -> bool:
         """True if the derivative exists, so that jvp is linear and vjp the only gradient.
 
         False if rows are degenerate, or if M is singular on the free rows, up to the rounding error of the data.
         """
-        return not (self._is_degenerate or self._system.is_singular)
+        return not (self._rows.degenerate.any() or self._system.is_singular)
 
     @cached_property
     def _system(self) -> FreeSystem:
@@ -276,7 +272,7 @@ class Derivative(LinearizedSystem):
         (False, array([0]), array([0.5]), array([0.]))
         """
         h, moved = self._change(dM, dq), self._moved(dlower, dupper)
-        if self._is_degenerate:
+        if self._rows.degenerate.any():
             return one_sided(self.problem, self._rows, h, moved)
         dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
         return dz

@@ -37,10 +37,15 @@ class BatchPart(LinearizedSystem):
     group : Group
     z : array, shape (k, n)
     is_solved : array of bool, shape (k,)
+
+    Attributes
+    ----------
+    points : array, shape (k, n)
+        The refined solutions.
     """
 
     def __init__(self, group: Group, z: Any, is_solved: Any) -> None:
-        self.group, self.items, self.z = group, group.items, z
+        self.group, self.items, self.points = group, group.items, z
         M, (q, lower, upper) = group.M, group.vectors("q", "lower", "upper")
         sizes = np.abs(M)
         largest = sizes.max(axis=2, initial=0.0)
@@ -84,11 +89,6 @@ class BatchPart(LinearizedSystem):
         self.is_plain = is_exact & is_clear.all(axis=1)
         self.is_plain &= self.blocks.is_regular | self.blocks.is_singular
 
-    @property
-    def points(self) -> Any:
-        """The refined solutions, shape (k, n)."""
-        return self.z
-
     def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
         """Return [dz], NaN if it is one-sided or a block is singular."""
         held = np.where(self.free, 0.0, np.where(self.is_upper, upper, lower))
@@ -98,7 +98,7 @@ class BatchPart(LinearizedSystem):
 
     def gradients(self, g: Any, by_w: Any) -> list[Any]:
         """Return the gradients by q, lower and upper, of least norm if blocks are singular."""
-        g, by_w = np.broadcast_to(g, self.z.shape), np.where(self.free, 0.0, by_w)
+        g, by_w = np.broadcast_to(g, self.free.shape), np.where(self.free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
         return [
             by_q,

@@ -40,22 +40,12 @@ class _Together(StackDerivative):
         """The refined impulses, shape (B, n)."""
         return self.stack.pattern.flat(self.z)
 
-    @property
-    def degenerate(self) -> Any:
-        """Degenerate contacts, on the boundary of two contact modes, shape (B, k)."""
-        return self.is_degenerate
-
     def changes(self, change: Any, slopes: Any) -> list[Any]:
         """Return [dz], a row per instance, for changes of W z + b and friction; NaN at a kink."""
         more = self.by_friction * np.repeat(slopes, self.stack.pattern.sizes, axis=1)
         dz = self.tangent(change, None, more)
-        dz[self.is_degenerate.any(axis=1)] = np.nan
+        dz[self.degenerate.any(axis=1)] = np.nan
         return [dz]
-
-    def rows_of_gradients(self, g: Any, by_w: Any) -> list[Any]:
-        """Return the gradients by b and by friction, a row per instance."""
-        by_q, _, by_friction = self.gradients(g, by_w)
-        return [by_q, by_friction]
 
     def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
         return self.system.solve(right, transposed=transposed)
@@ -206,9 +196,11 @@ class ContactBatchDerivative(ManyDerivatives):
             gradient = self[k].vjp(by_z[k, own], by_w[k, own])
             return gradient.q, gradient.friction
 
-        self._fill(
-            tables, lambda part: part.rows_of_gradients(by_z[part.items], by_w[part.items]), alone
-        )
+        def together(part: _Together) -> Any:
+            by_q, _, by_friction = part.gradients(by_z[part.items], by_w[part.items])
+            return by_q, by_friction
+
+        self._fill(tables, together, alone)
         self._forget_unasked(tables, g, gw)
         z, by_b = np.where(self._is_solved[:, np.newaxis], self.z, 0.0), tables[0]
         return BatchGradient(

@@ -133,9 +133,8 @@ def active_sets(
     lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
     is_fixed = lower == upper
 
-    @np.errstate(
-        over="ignore", invalid="ignore"
-    )  # at the edge of the number range ‖r(z)‖ is infinite
+    # at the edge of the number range ‖r(z)‖ is infinite
+    @np.errstate(over="ignore", invalid="ignore")
     def measured(z: FloatVector) -> tuple[FloatVector, NDArray[np.int8], float]:
         """Return w, the bounds that z − w/d reaches (−1, 0, 1) and ‖r(z)‖∞."""
         w = problem.matrix.array @ z + q

@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, read_only
+from ...core.checks import read_only
 from ...core.rounding import compensated_product
 from .data import Blocks
 from .stack import NOISE, OUT, WITHIN, Array, ConeStack, length
@@ -173,12 +173,6 @@ class ConeCertificate:
         self.problem, self.measures, pattern = problem, measures, measures.stack.pattern
         self.z = read_only(pattern.flat(measures.z)[0].copy())
         self.w = read_only(pattern.flat(measures.w)[0].copy())
-
-    @classmethod
-    def at(cls, problem: Blocks, z: FloatVector, tolerance: float = 1e-8) -> ConeCertificate:
-        """Return the certificate of a point of the cones, shape (n,)."""
-        stack = ConeStack.of(problem)
-        return cls(problem, measure_points(stack, stack.pattern.wide(np.array(z)[None]), tolerance))
 
     @property
     def relative_residual(self) -> float:

@@ -403,7 +403,7 @@ class ConeRun:
                 log.show(residual, lambda: self._shown(z))  # noqa: B023 - called at once
             if is_there:
                 break
-            if not (judges is False and residual <= self.goal):
+            if judges or not residual <= self.goal:
                 log.require_room()
         if judges:
             self.judge(self.best)

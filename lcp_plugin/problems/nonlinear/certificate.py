@@ -40,9 +40,8 @@ from ...core.lcp import LCP
 from ...core.matrix.matrix import largest_in_rows
 from .data import Linearization, NonlinearProblem
 
-NEARBY = (
-    2.0**-6
-)  # of the step to the projected point: a derivative that is wrong by a half explains no residual
+# of the step to the projected point: a derivative that is wrong by a half explains no residual
+NEARBY = 2.0**-6
 ASKED = 4  # points
 NEARLY_THERE = 1e-4  # of the way from the start to x°
 VANISHING = 1e-3  # of its terms: a row with a larger value does not vanish
@@ -273,9 +272,8 @@ def term_residuals(
         Smallest share of a faint unknown in the terms, which the row has to determine.
     """
     with np.errstate(all="ignore"):
-        distance = np.where(
-            value > 0.0, x - problem.lower, problem.upper - x
-        )  # to where this sign is right
+        # to the bound at which this sign is right
+        distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)
         wrong = np.where(distance > 0.0, np.abs(value), 0.0)
         terms = row_data(problem).rows(x).terms
         tells = (distance > 0.0) & (wrong <= VANISHING * terms)
@@ -283,15 +281,13 @@ def term_residuals(
         unit = largest(np.where(tells, terms / problem.residual_scale, 0.0))
         unit = np.minimum(unit, largest(np.abs(x)))
         rows = problem.matrix.csr
-        unknowns = largest_in_rows(
-            rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)
-        )  # of each row
+        sizes = np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)
+        unknowns = largest_in_rows(rows, sizes)  # of each row
         vanishes = np.abs(problem.q) <= VANISHING * (terms - np.abs(problem.q))
         own = np.fmax((wrong / terms) ** (4.0 / 3.0), np.fmin((wrong / (share * terms)) ** 2, 1.0))
         own = np.fmin(own, np.where(vanishes, unknowns / unit, np.inf))
-        stays_right = ~(
-            np.abs(value) - problem.diagonal * distance < 0.0
-        )  # as predicted by the diagonal entry
+        # as predicted by the diagonal entry
+        stays_right = ~(np.abs(value) - problem.diagonal * distance < 0.0)
         of_bound = np.where(
             stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf
         )

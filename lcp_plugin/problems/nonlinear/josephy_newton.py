@@ -234,10 +234,7 @@ class _NewtonRun:
         algorithm = self.options.linear
         try:
             result = solve_within(step, algorithm, tolerance)
-        except (
-            UnsuitableMatrix,
-            UnsuitableProblem,
-        ):  # by an algorithm that does not take this linearization
+        except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this one
             if algorithm == "auto":
                 raise
             result = solve_within(step, "auto", tolerance)
@@ -245,9 +242,8 @@ class _NewtonRun:
         if not (result.is_solved or result.residual <= 0.5):
             return None
         target = np.clip(x + result.z, lcp.lower, lcp.upper)
-        target = np.where(
-            result.z <= step.lower, lcp.lower, target
-        )  # the sum may have missed the bound
+        # the sum may have missed the bound
+        target = np.where(result.z <= step.lower, lcp.lower, target)
         return np.where(result.z >= step.upper, lcp.upper, target)
 
 

@@ -133,9 +133,8 @@ def solve_nonlinear(
         start, begun = begun_at(points, start)
         reference = Reference.of(problem, start)
         first = points.at(start)
-        asked = settings.goal
         newton = JosephyNewton(
-            points=points, compared_with=reference, linear=algorithm, tolerance=asked
+            points=points, compared_with=reference, linear=algorithm, tolerance=settings.goal
         )
         judge = NonlinearJudge(points, reference, first, settings)
         run = Run(judge.problem, newton, settings, callback, clock, judge)

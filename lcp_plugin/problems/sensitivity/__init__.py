@@ -304,9 +304,8 @@ class Derivative(LinearizedSystem):
         problem = self.problem
         g, by_w = self._checked(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
-        by_w = np.where(
-            free, 0.0, by_w
-        )  # w stays 0 there, and its part would cancel only up to rounding
+        # w stays 0 in free rows, and its part would cancel only up to rounding
+        by_w = np.where(free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
         lower, upper = (
             np.where(free | (rows.is_upper != is_upper), 0.0, by_bound)

@@ -54,19 +54,17 @@ class BatchPart(LinearizedSystem):
         is_exact, is_open = np.zeros(len(z), np.bool_), is_solved & np.isfinite(z).all(axis=1)
         z[~is_open] = 0.0
         with np.errstate(all="ignore"):
-            for step in range(STEPS):
+            for step in range(1, STEPS + 1):
                 w, size = products(M, z) + q, products(sizes, np.abs(z)) + np.abs(q)
                 at_lower = (z - lower) * scale <= w
                 at_upper = ~at_lower & ((z - upper) * scale >= w)
                 free, bound = ~(at_lower | at_upper), np.where(at_upper, upper, lower)
-                if (
-                    step == STEPS - 1
-                ):  # rounding of the largest unknown, where no solve makes it less
+                if step == STEPS:  # rounding of the largest unknown, if no solve reduces it
                     size = size + largest * np.abs(z).max(axis=1, initial=0.0)[:, np.newaxis]
                 is_right = np.where(free, np.abs(w) <= terms * size, z == bound)
                 is_exact = is_open & is_right.all(axis=1)
                 wrong = np.flatnonzero(is_open & ~is_exact)
-                if not wrong.size or step == STEPS - 1:
+                if not wrong.size or step == STEPS:
                     break
                 blocks = FreeBlocks(M if len(M) == 1 else M[wrong], free[wrong])
                 step_of_free = blocks.solve(-w[wrong])

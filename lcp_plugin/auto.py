@@ -164,26 +164,28 @@ def _psor_passes(sweeps: float) -> float:
 
 def _cycle_passes(problem: LCP) -> float:
     """Return the predicted work of multigrid in passes over M; ∞ if it does not suit."""
-    if problem.is_dense or problem.n <= DIRECT_UP_TO:
+    if problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
         return math.inf
     return MULTIGRID_PASSES + MULTIGRID_ROWS / problem.n
 
 
 def _direct_passes(problem: LCP) -> float:
     """Return the predicted work of the direct methods in passes over M; ∞ on large sparse M."""
-    if problem.is_dense:
+    if problem.matrix.is_dense:
         is_symmetric = is_nearly_symmetric(problem.matrix)
         return DIRECT_PASSES if is_symmetric else max(DIRECT_PASSES, DIRECT_ROWS * problem.n)
     if problem.n > DIRECT_UP_TO:
         return math.inf
     entries = min(DIRECT_ENTRIES * problem.n, DIRECT_CUBE * problem.n**3)
-    return max(DIRECT_PASSES, count_driven_sweeps(problem, entries / max(problem.nonzeros, 1)))
+    return max(
+        DIRECT_PASSES, count_driven_sweeps(problem, entries / max(problem.matrix.nonzeros, 1))
+    )
 
 
 def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
     """Return the sweeps that an error needs that is constant on the free unknowns; 0 if that is unknown."""
     z = stage.z
-    if z is None or problem.is_dense or problem.n <= DIRECT_UP_TO:
+    if z is None or problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
         return 0.0
     if not (stage.residuals and goal > 0.0 and is_nearly_symmetric(problem.matrix)):
         return 0.0
@@ -192,7 +194,7 @@ def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
         margin = NEAR * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
         is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
         free = is_free.astype(np.float64)
-        sums, diagonal = problem.csr @ free, problem.diagonal
+        sums, diagonal = problem.matrix.csr @ free, problem.matrix.diagonal
         share = free @ sums / (free @ diagonal)
         least = (sums / diagonal).min(initial=1.0, where=is_free)
         slowest = max(0.5 * (math.pi * share) ** 2, least)
@@ -214,7 +216,7 @@ def takes_rounds(problem: LCP) -> bool:
     """Return whether auto begins with rounds on a dense M: a small problem, no tridiagonal M-matrix kept sparse."""
     if not is_small(problem):
         return False
-    if problem.is_dense:
+    if problem.matrix.is_dense:
         return True
     from .methods.banded import banded_passes
 
@@ -307,7 +309,10 @@ def solve_lcp(
     clock = Clock()
     method, settings = parse_call(algorithm, options)
     callback, start = checked_callback(callback), checked_start(problem, z0)
-    is_plain = method is None and callback is None and settings.is_plain
+    is_watched = settings.record or settings.error_bound or settings.verbose
+    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
+    is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
+    is_plain = is_plain and method is None and callback is None
     if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
         found = first_answer(problem, start, settings.tolerance)
         if found is not None:

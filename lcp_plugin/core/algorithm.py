@@ -17,7 +17,8 @@ from .matrix.iteration_facts import IterationFacts
 from .matrix.row_sums import has_positive_diagonal
 from .tuning import SWEEP_ENTRIES
 
-SWEEPS = ("forward", "backward", "symmetric")
+#: The `backward` flag of each pass of one iteration.
+SWEEPS = {"forward": (False,), "backward": (True,), "symmetric": (False, True)}
 
 
 @dataclass(slots=True)
@@ -204,12 +205,13 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
 
 def count_driven_sweeps(problem: LCP, passes: float) -> float:
     """Return the number of sweeps, with the calls around each, that take as long as `passes` compiled passes over M."""
-    return passes * problem.nonzeros / (problem.nonzeros + SWEEP_ENTRIES)
+    entries = problem.matrix.nonzeros
+    return passes * entries / (entries + SWEEP_ENTRIES)
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
-    diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
+    diagonal, usable = problem.matrix.diagonal, has_positive_diagonal(problem.matrix)
 
     if not usable.all():
         i = int(np.flatnonzero(~usable)[0])
@@ -217,8 +219,3 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
             f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="auto"'
         )
     return diagonal
-
-
-def directions(sweep: str) -> tuple[bool, ...]:
-    """Return the `backward` flag of each pass of one iteration."""
-    return {"forward": (False,), "backward": (True,), "symmetric": (False, True)}[sweep]

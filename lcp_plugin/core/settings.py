@@ -115,17 +115,6 @@ class Settings:
             else 0.0
         )
 
-    @property
-    def is_unobserved(self) -> bool:
-        """True if the run neither records nor prints, and computes no error bound."""
-        return not (self.record or self.error_bound or self.verbose)
-
-    @property
-    def is_plain(self) -> bool:
-        """True if the run is unobserved and has only the relative tolerance to reach, in any time."""
-        is_limited = self.max_seconds < math.inf or not self.max_iterations
-        return self.is_unobserved and not (is_limited or self.absolute_tolerance)
-
 
 BESIDE = ("z0", "callback")  # further options of a run
 MOST = 2**53  # limit of steps, nodes and threads

@@ -236,7 +236,8 @@ class Statement:
         columns, n, program = columns.astype(np.int64), self.lower.size, None
         functions = [one.rows for one in self.pairs]
         equations = [replace(one.rows, offset=one.rows.offset - one.low) for one in self.rows]
-        elimination = Elimination.of_nothing(n)
+        nothing = np.zeros(0, dtype=np.int64)
+        elimination = Elimination(np.arange(n), None, np.zeros(n), nothing, nothing)
         stored = sp.csr_array((sizes[0], n)), sp.csr_array((sizes[1], n))
         if any(one.level for one in (*functions, *equations)):
             program = Program.of(self.compiler, [*functions, *equations], self.first, n)

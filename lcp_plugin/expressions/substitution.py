@@ -44,12 +44,6 @@ class Elimination:
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
 
-    @classmethod
-    def of_nothing(cls, count: int) -> Elimination:
-        """Return the elimination that keeps all `count` unknowns."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return cls(np.arange(count), None, np.zeros(count), nothing, nothing)
-
     def expand(self, z: FloatVector) -> FloatVector:
         """Return all unknowns."""
         return z if self.expansion is None else self.expansion @ z + self.offset

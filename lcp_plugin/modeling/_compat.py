@@ -86,13 +86,33 @@ def leaf_value(leaf: Any) -> Any:
     return None if value is None else np.asarray(value)
 
 
-def shaped(node: Any, value: Any) -> Any:
-    """Return the value of the atom in the atom's shape; a sparse 2-D value stays sparse, as CSC."""
-    if sp.issparse(value):
-        if value.shape == node.shape and len(node.shape) == 2:
-            return sp.csc_array(value)
-        value = value.toarray()
-    array: NDArray[Any] = np.asarray(value)
+def constant_numeric(node: Any, values: list[Any]) -> Any:
+    """Return the value of an atom of constants in the atom's shape; a sparse 2-D value stays sparse, as CSC."""
+    stack = next((stack for kind, stack in STACKS.items() if isinstance(node, kind)), None)
+    if isinstance(node, BROADCAST):
+        value = np.broadcast_to(dense(values[0]), node.shape)
+    elif not any(map(sp.issparse, values)):
+        value = node.numeric(values)
+    elif isinstance(node, TRANSPOSE):
+        value = values[0].T
+    elif isinstance(node, cp.kron):
+        value = sp.kron(*values)
+    elif isinstance(node, diag_mat):
+        value = values[0].diagonal(node.k)
+    elif isinstance(node, DIVISION) and uniform(values[1]):
+        value = values[0] / uniform(values[1])
+    elif stack is not None and len(node.shape) == 2:
+        value = stack([one if sp.issparse(one) else np.atleast_2d(one) for one in values])
+    elif isinstance(node, SELECTION):
+        # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
+        value = node.numeric([sp.csr_matrix(one) for one in values])
+    elif isinstance(node, KEEP_SPARSE) and all(one.ndim <= 2 for one in values):
+        value = node.numeric(values)
+    else:
+        value = node.numeric(list(map(dense, values)))
+    if sp.issparse(value) and value.shape == node.shape and value.ndim == 2:
+        return sp.csc_array(value)
+    array: NDArray[Any] = np.asarray(dense(value))
     if array.size != node.size:
         raise UnsupportedModel(
             f"{name_of(node)} has the shape {node.shape}, but its value has {array.shape}: this release of cvxpy "
@@ -101,36 +121,9 @@ def shaped(node: Any, value: Any) -> Any:
     return array if array.shape == node.shape else array.reshape(node.shape, order="F")
 
 
-def constant_numeric(node: Any, values: list[Any]) -> Any:
-    """Return the atom's value if all arguments are constants, sparse as long as cvxpy allows."""
-    if isinstance(node, BROADCAST):
-        return np.broadcast_to(dense(values[0]), node.shape)
-    if not any(map(sp.issparse, values)):
-        return node.numeric(values)
-    if isinstance(node, TRANSPOSE):
-        return values[0].T
-    if isinstance(node, cp.kron):
-        return sp.kron(*values)
-    if isinstance(node, diag_mat):
-        return values[0].diagonal(node.k)
-    if isinstance(node, DIVISION) and uniform(values[1]):
-        return values[0] / uniform(values[1])
-    for kind, stack in STACKS.items():
-        if isinstance(node, kind) and len(node.shape) == 2:
-            return stack(
-                [value if sp.issparse(value) else np.atleast_2d(value) for value in values]
-            )
-    if isinstance(node, SELECTION):
-        # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
-        return node.numeric([sp.csr_matrix(value) for value in values])
-    if isinstance(node, KEEP_SPARSE) and all(value.ndim <= 2 for value in values):
-        return node.numeric(values)
-    return node.numeric([dense(value) for value in values])
-
-
 def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
     """Return the atom's value if variables enter: as large as its result, which is dense anyway."""
-    result: NDArray[Any] = dense(shaped(node, constant_numeric(node, values)))
+    result: NDArray[Any] = dense(constant_numeric(node, values))
     return result
 
 

@@ -35,11 +35,6 @@ def affine_rule(kind: type) -> Rule | None:
     return next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
 
 
-def broadcasts(rule: Rule) -> bool:
-    """Return whether a rule broadcasts its arguments itself."""
-    return rule in (_added, _negated, _broadcast, _product)
-
-
 def rule_of(node: Any) -> Rule | None:
     """Return the rule for an atom that is not affine by its class; None if there is no rule."""
     if node.is_atom_affine():
@@ -161,10 +156,8 @@ def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     # 0 stands for an entry of nothing: padding.
     moved = atoms.constant_numeric(node, numbers)
     if not sp.issparse(moved):
-        return stacked(parts).taken(
-            np.asarray(moved).ravel(order="F").astype(np.int64) - 1, node.shape
-        )
-    found = Rows.of(atoms.shaped(node, moved))
+        return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
+    found = Rows.of(moved)
     return stacked(parts).taken(found.offset.astype(np.int64) - 1, node.shape, found.places)
 
 
@@ -184,6 +177,8 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
     atoms.GATHERS: _gathered,
     atoms.ENTRY_SUM: _summed,
 }
+#: Rules that broadcast their arguments themselves.
+BROADCASTING = (_added, _negated, _broadcast, _product)
 
 
 # --- smooth ---------------------------------------------------------------------------------------------------------

@@ -328,10 +328,6 @@ class Complements(Constraint):  # type: ignore[misc]
         """Return whether the largest natural residual is at most the tolerance."""
         return self.violation() <= tolerance
 
-    def save_dual_value(self, value: Any) -> None:
-        """Keep w as the dual value."""
-        self.dual_variables[0].save_value(value)
-
     def copy(self, args: Any = None, id_objects: Any = None) -> Complements:
         """Return a copy with the same sides; raise UnsupportedModel for other arguments."""
         if args is not None and any(

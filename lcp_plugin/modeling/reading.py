@@ -23,9 +23,9 @@ from ..expressions.rows import Compiler, Rows, as_matrix
 from . import _compat as atoms
 from ._compat import name_of, postorder
 from .atom_rules import (
+    BROADCASTING,
     Rule,
     affine_rule,
-    broadcasts,
     linearised,
     refused,
     rule_of,
@@ -134,7 +134,7 @@ class Reader:
             )
             if self._held is None:
                 entries = [as_matrix(block, rows.size).data for block in rows.blocks.values()]
-                if not all(map(_all_finite, (rows.offset, *entries))):
+                if not all(np.isfinite(values).all() for values in (rows.offset, *entries)):
                     raise UnsupportedModel(
                         f"{name_of(root)} is not finite, multiplied out: its data overflow, or are divided by 0; write "
                         "it in other units"
@@ -205,12 +205,14 @@ class Reader:
                 return linearised(node, arguments, values)
             if rule is None:
                 raise refused(node)
-        return rule(self.compiler, node, arguments if broadcasts(rule) else whole(node, arguments))
+        return rule(
+            self.compiler, node, arguments if rule in BROADCASTING else whole(node, arguments)
+        )
 
     def _value(self, node: Any, values: list[Any]) -> Any:
         """Return the value of a node without sources, or of any node if variables are held."""
         if node.args:
-            return atoms.shaped(node, atoms.constant_numeric(node, values))
+            return atoms.constant_numeric(node, values)
         value = (
             None if self._held is None or isinstance(node, cp.Constant) else self._held.get(node.id)
         )
@@ -231,7 +233,7 @@ class Reader:
                 f"{name_of(node)} is complex; write its real and imaginary parts as two expressions"
             )
         entries = value.data if sp.issparse(value) else value
-        if not _all_finite(entries):
+        if not np.isfinite(entries).all():
             wrong = np.ravel(entries)[~np.isfinite(np.ravel(entries))][0]
             raise UnsupportedModel(
                 f"constants must be finite, but {name_of(node)} holds {wrong}; repair that entry"
@@ -254,7 +256,3 @@ def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | N
     names = (*FORBIDDEN_ATTRIBUTES, *(() if takes_integers else INTEGERS))
     states = ((name, leaf.attributes.get(name)) for name in names)
     return next((name for name, state in states if not (state is None or state is False)), None)
-
-
-def _all_finite(values: Any) -> bool:
-    return bool(np.isfinite(np.sum(values))) or bool(np.isfinite(values).all())

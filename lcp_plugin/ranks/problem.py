@@ -31,7 +31,7 @@ from ..core.checks import (
 )
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
-from ..core.matrix.matrix import residual_scale_of
+from ..core.matrix.matrix import largest_in_rows, residual_scales
 from ..interfaces.files.files import (
     MATRIX_KEYS,
     VECTORS,
@@ -82,7 +82,7 @@ class RowsOnRanks:
         )
         check_order(self.lower, self.upper)
         self.diagonal = read_only(np.asarray(rows.diagonal(), np.float64))
-        self.residual_scale = residual_scale_of(rows, self.diagonal)
+        self.residual_scale = residual_scales(self.diagonal, largest_in_rows(rows))
         self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
 
     @classmethod

@@ -173,7 +173,7 @@ def related(rng: Generator, kind: str) -> Found:
 def random_options(name: str, rng: Generator) -> dict[str, Any]:
     """Return random options of a named algorithm, also outside of the ranges of its theorems."""
     offered = {
-        "sweep": lambda: str(rng.choice(SWEEPS)),
+        "sweep": lambda: str(rng.choice([*SWEEPS])),
         "scaling": lambda: rng.choice([None, "auto", "diagonal"]),
         "scaling_factor": lambda: float(rng.uniform(0.1, 3.0)),
         "relaxation": lambda: float(rng.uniform(0.05, 1.95)),

@@ -37,7 +37,7 @@ from ..checks import FloatVector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact, largest_in_rows
-from ..matrix.row_sums import row_blocks
+from ..matrix.row_sums import BLOCK
 from ..matrix.structure import connected_components
 from ..rounding import compensated_product
 from .row_residuals import find_rounding_rows
@@ -137,8 +137,8 @@ class RowData:
         Intermediate arrays are so short that they stay in the cache.
         """
         residual, scale = np.empty(w.shape), self.scale if scale is None else scale
-        for rows in row_blocks(w.shape[-1]):
-            part = (..., rows)
+        for first in range(0, w.shape[-1], BLOCK):
+            part = (..., slice(first, first + BLOCK))
             step = np.divide(w[part], scale[part], out=residual[part])
             if not step.all():  # perhaps a quotient underflows
                 is_lost = (step == 0.0) & (w[part] != 0.0)
@@ -270,7 +270,7 @@ def row_data(problem: LCP) -> RowData:
         problem.q,
         problem.lower,
         problem.upper,
-        problem.residual_scale,
+        problem.matrix.residual_scale,
         None if several is None else several.labels,
     )
 
@@ -331,7 +331,7 @@ def rounding_of_data(problem: LCP) -> float:
     A quotient beyond the range of doubles counts as the largest of them: no residual that is so as well is explained.
     """
     with np.errstate(over="ignore"):
-        sizes = np.abs(problem.q / problem.residual_scale)
+        sizes = np.abs(problem.q / problem.matrix.residual_scale)
     return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
 
 

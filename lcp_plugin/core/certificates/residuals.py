@@ -214,7 +214,7 @@ class Certificate:
     @cached_property
     def _scaled_ends(self) -> VectorEnds:
         """Bounds of every |r_i|."""
-        low, high = self._ends(self.problem.residual_scale)
+        low, high = self._ends(self.problem.matrix.residual_scale)
         is_open = (high > DECIDED * self.references[0]) & (low < 0.99 * high) & (high < np.inf)
         # If rounding counts, compensated sums are sharper.
         return sharp_residual_ends(self.problem, self.z) if is_open.any() else (low, high)

@@ -111,7 +111,12 @@ class Matrix:
 
         d_i = m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return read_only(residual_scale_of(self.array, self.diagonal))
+        entries, diagonal = self.array if self.is_dense else self.array.data, self.diagonal
+        largest = max(entries.max(initial=0.0), -entries.min(initial=0.0))
+        smallest = diagonal.min(initial=np.inf)
+        if smallest > 0.0 and smallest >= NEGLIGIBLE_DIAGONAL * largest:
+            return diagonal  # without a search in each row
+        return read_only(residual_scales(diagonal, largest_in_rows(self.array)))
 
     @property
     @fact
@@ -153,15 +158,6 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
             np.abs(M.data) if sizes is None else sizes, M.indptr[filled]
         )
     return largest
-
-
-def residual_scale_of(M: Any, diagonal: FloatVector) -> FloatVector:
-    """Return D of the scaled residual of the rows of an ndarray or CSR array; see :attr:`Matrix.residual_scale`."""
-    entries, smallest = M.data if sp.issparse(M) else M, diagonal.min(initial=np.inf)
-    largest = max(entries.max(initial=0.0), -entries.min(initial=0.0))
-    if smallest > 0.0 and smallest >= NEGLIGIBLE_DIAGONAL * largest:
-        return diagonal
-    return residual_scales(diagonal, largest_in_rows(M))
 
 
 def residual_scales(diagonal: FloatVector, largest: FloatVector) -> FloatVector:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from ..checks import FloatVector, read_only
 from .matrix import Matrix, fact
 from .structure import row_numbers
 
-BLOCK = 16_384
+BLOCK = 16_384  # rows whose temporary vectors stay in a processor's cache
 
 # Automatic row scaling of NP.
 COUPLED = 0.9  # g θ ℓ stays this far below 1
@@ -64,12 +63,6 @@ def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
     return triangle_sums(matrix, np.ones(matrix.n))
 
 
-def row_blocks(n: int) -> Iterator[slice]:
-    """Yield blocks of rows whose temporary vectors stay in a processor's cache."""
-    for first in range(0, n, BLOCK):
-        yield slice(first, min(first + BLOCK, n))
-
-
 @fact
 def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVector:
     """Return θ, shape (n,): up to 2 if every row of M is diagonally dominant, else 1 on all rows; one pass over M.
@@ -108,7 +101,8 @@ def balanced_factors(
     is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(
         matrix.residual_scale, matrix.diagonal
     )
-    for rows in row_blocks(matrix.n):
+    for first in range(0, matrix.n, BLOCK):
+        rows = slice(first, first + BLOCK)
         total = sums[0][rows] + sums[1][rows]
         is_dominant = is_dominant and bool(
             total.max() <= 1.0 + ROUNDED

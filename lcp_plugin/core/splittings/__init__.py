@@ -30,7 +30,6 @@ from ..algorithm import (
     check_choice,
     check_number,
     check_positive,
-    directions,
 )
 from ..checks import FloatVector
 from ..lcp import LCP
@@ -50,7 +49,7 @@ class Splitting(Algorithm):
     sweep: str  # a field of each family, in the order of its options
 
     def __post_init__(self) -> None:
-        check_choice(self, "sweep", SWEEPS)
+        check_choice(self, "sweep", [*SWEEPS])
         self.check_weights()
 
     def check_weights(self) -> None:
@@ -89,7 +88,7 @@ class Splitting(Algorithm):
             If x is not z itself: filled with the z of x.
         """
         matrix, M = problem.matrix, problem.matrix.csr
-        passes = directions(self.sweep)
+        passes = SWEEPS[self.sweep]
         splits = {backward: row_splits(matrix, backward) for backward in passes}
         new, unwanted = (
             np.empty_like(x),

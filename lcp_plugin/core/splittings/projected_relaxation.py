@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..algorithm import Step, check_positive, directions, require_positive_diagonal
+from ..algorithm import SWEEPS, Step, check_positive, require_positive_diagonal
 from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..lcp import LCP
@@ -66,7 +66,7 @@ class _InPlace(_Relaxation):
         adaptive = AdaptiveRelaxation() if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
         rows = kernels.pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / pivots)
-        passes = directions(self.sweep)
+        passes = SWEEPS[self.sweep]
         splits = {backward: row_splits(matrix, backward) for backward in passes}
         z = z0
         yield Step(z, work=0.0)

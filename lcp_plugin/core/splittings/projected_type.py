@@ -66,9 +66,9 @@ class ScaledByRows(Algorithm):
         factors = automatic() if self.scaling == "auto" else self.scaling_factor
         inverse = inverse_residual_scale(problem.matrix)
         with np.errstate(over="ignore", divide="ignore"):
-            if problem.residual_scale is not problem.diagonal:
+            if problem.matrix.residual_scale is not problem.matrix.diagonal:
                 inverse = np.where(
-                    has_positive_diagonal(problem.matrix), 1.0 / problem.diagonal, inverse
+                    has_positive_diagonal(problem.matrix), 1.0 / problem.matrix.diagonal, inverse
                 )
             return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
@@ -135,7 +135,7 @@ class ProjectedType(ScaledByRows, Splitting):
             problem.upper,
             inverse_residual_scale(problem.matrix),
             step,
-            self._inverse_pivot(problem, step * problem.diagonal, alpha),
+            self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha),
         )
         yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), z0)
 
@@ -143,7 +143,7 @@ class ProjectedType(ScaledByRows, Splitting):
         """Return α, β, S and the sweep; raise UnsuitableMatrix if a pivot is not positive."""
         alpha, beta = self.splitting()
         step = self._step(problem)
-        self._inverse_pivot(problem, step * problem.diagonal, alpha)
+        self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
         return IterationFacts(
             family=PROJECTED_TYPE,
             relaxation=alpha,
@@ -168,7 +168,7 @@ class ProjectedType(ScaledByRows, Splitting):
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
             raise UnsuitableMatrix(
-                f"{self.name} needs d/α + d + 2 > 0 on every row, but M[{i}, {i}] = {problem.diagonal[i]} "
+                f"{self.name} needs d/α + d + 2 > 0 on every row, but M[{i}, {i}] = {problem.matrix.diagonal[i]} "
                 f'gives {pivot[i]}; try algorithm="auto"'
             )
         huge = np.isinf(pivot)

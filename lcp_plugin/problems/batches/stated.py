@@ -169,7 +169,7 @@ class Stacked:
     def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
         need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
         given = M if isinstance(M, LCP) else None
-        self.M = given.M if given else M if sp.issparse(M) else real_array(M, need)
+        self.M = given.matrix.array if given else M if sp.issparse(M) else real_array(M, need)
         n = self.M.shape[-1] if self.M.ndim else 0
         if self.M.ndim not in (2, 3) or self.M.shape[-2] != n:
             raise InvalidProblem(

@@ -112,7 +112,9 @@ def take_steps_together(
     method, settings = parse_call(algorithm, wishes)
     begin = next(stages_of(problem, method, settings.goal))
     if (
-        not settings.is_unobserved
+        settings.record
+        or settings.error_bound
+        or settings.verbose
         or wishes.get("callback") is not None
         or not isinstance(begin.algorithm, Banded)
         or any(connected_components(one.problem.matrix) is not None for one in marches)

@@ -106,6 +106,7 @@ class Matrix:
 
     @property
     @fact
+    @np.errstate(under="ignore")
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,): the diagonal where it is not negligible, else the row's largest.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
+from ...core.deadline import is_over
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
@@ -155,6 +156,8 @@ class Lemke(Algorithm):
             limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
             cut_off = []
             for start in waiting:
+                if is_over():
+                    return
                 is_solved = yield from self._follow(component, box, path, start, limit)
                 if is_solved:
                     return

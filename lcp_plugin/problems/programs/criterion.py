@@ -260,8 +260,9 @@ class PrimalDualPoint:
             far = REACH * np.maximum(np.maximum(self.of_x, by_terms), at_most)
             reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
             shake = np.minimum(shake, at_most)
-        moves = np.where(rest > 0.0, rest * reach, 0.0)
-        shakes = np.where(self.blur > 0.0, self.blur * np.maximum(self.of_x, shake), 0.0)
+        # NaN, which is the gradient of an overflow, stays NaN
+        moves = np.where(rest == 0.0, 0.0, rest * reach)
+        shakes = np.where(self.blur == 0.0, 0.0, self.blur * np.maximum(self.of_x, shake))
         if self.is_exact:  # a gradient that is 0 has no rounding in it
             most = np.where(self.left != 0.0, np.abs(self.left) * reach, 0.0) - moves
             shakes = np.where(most < shakes, most, shakes)

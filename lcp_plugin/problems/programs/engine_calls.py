@@ -27,12 +27,14 @@ from ...engines.scaling import (
     with_sides_about_one,
     without_far_limits,
 )
+from ...systems.equilibration import power_of_two
 from .criterion import KKTErrors
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 from .solution import QPSolution
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
+MODEST = 2.0**-30  # an engine gets costs between this and its inverse unchanged
 NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
 ATTEMPTS = (  # engine, tolerance of its own, units
@@ -122,7 +124,8 @@ def run_engine(
     errors = KKTErrors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # a point that overflows fails the test
         (P, G, A), one = reduced.matrices.arrays, reduced
-        given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
+        unit = _unit_of_costs(P, one.c)
+        given = ProgramData(P / unit, one.c / unit, G, one.h, A, one.b, one.lower, one.upper)
         for statement in (given,) if units is GIVEN else _statements(given):
             scaled = None if units is GIVEN else _scale_statement(reduced, statement, units)
             asked = statement if scaled is None else scaled.statement
@@ -132,10 +135,11 @@ def run_engine(
             for near in candidates(asked, point, rounds):
                 back = near if scaled is None else scaled.outward(near)
                 x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
-                found = KKTErrors.of(reduced, x, back.y, tolerance)
+                y = back.y * unit
+                found = KKTErrors.of(reduced, x, y, tolerance)
                 is_better = found.largest < errors.largest or found.meet(tolerance)
                 if is_better and not (errors.meet(tolerance) and found.is_excused):
-                    best, errors = (x, back.y), found
+                    best, errors = (x, y), found
                 if (found.meet(tolerance) and not found.is_excused) or is_over():
                     break
             if errors.meet(tolerance) or is_over():
@@ -144,6 +148,12 @@ def run_engine(
     return EngineRun(
         solution, errors, says, StageRecord(engine.name, engine.solves, iterations, 0.0)
     )
+
+
+def _unit_of_costs(P: Any, c: FloatVector) -> float:
+    """Return the power of two by which large or small costs are divided for an engine; 1 for ordinary ones."""
+    size = max(float(abs(c).max(initial=0.0)), float(abs(P).max()) if P.size else 0.0)
+    return 1.0 if MODEST < size < 1.0 / MODEST else float(power_of_two(size))
 
 
 def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:

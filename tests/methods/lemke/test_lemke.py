@@ -311,3 +311,12 @@ def test_arbitrary_starts_reach_a_solution_of_an_indefinite_problem(seed: int) -
     rng = np.random.default_rng(seed)
     problem, _ = planted_lcp(rng.standard_normal((20, 20)), rng, bounds=False)
     assert solve(problem, "lemke").is_solved
+
+
+def test_a_time_limit_ends_lemke_before_its_other_starts() -> None:
+    """Each start would factorize again; twelve of them took three seconds."""
+    rng = np.random.default_rng(0)
+    M = rng.standard_normal((1200, 1200)) / 35.0 + 2.0 * np.eye(1200)
+    result = solve(LCP(M, rng.standard_normal(1200)), "lemke", max_seconds=0.01)
+    assert result.status is Status.MAX_SECONDS
+    assert result.seconds < 1.0

@@ -134,3 +134,21 @@ def test_a_point_far_out_meets_its_equations_to_rounding() -> None:
     assert result.status is Status.UNBOUNDED
     assert result.proof is not None
     assert result.proof.verify()
+
+
+@pytest.mark.parametrize("exponent", [0, 60, 100, 300, 996, 1020, -60, -300])
+def test_costs_of_any_size_have_the_value_of_ordinary_ones(exponent: int) -> None:
+    """Costs times 2^k, also where products of doubles overflow; unbounded optimal faces hide no better value."""
+    costs = 2.0**exponent
+    square = solve(
+        QuadraticProgram(costs * np.array([[2.0, 1], [1, 2]]), costs * np.array([-5, 1]))
+    )
+    assert square.x == pytest.approx([11 / 3, -7 / 3], rel=1e-6)
+    if exponent < 996:
+        line = QuadraticProgram(None, costs * np.array([1.0, -1]), [[-1, 1]], [2])
+        assert solve(line).objective / costs == pytest.approx(-2.0, rel=1e-5)
+        bounds = {"lower": [-4, -np.inf, -np.inf], "upper": [0, -2, np.inf]}
+        space = QuadraticProgram(
+            None, costs * np.array([2.0, -3, 2]), [[3, 3, -2]], [-10], **bounds
+        )
+        assert solve(space).objective / costs == pytest.approx(-10.0, rel=1e-5)

@@ -71,7 +71,8 @@ class Optimality:
         A x − b, and bounds of its rounding errors.
     value : float
         Measure that must be at most the tolerance for SOLVED: the least gap found, apart from rounding, relative to its
-        cost, at most 1; for a LinearOperator `steepness`. 1 if a point of lower cost is known.
+        cost, at most 1. For a LinearOperator ‖x − mid(lower, upper, x − g)‖∞/‖AᵀWb‖∞, g the gradient, in units in which
+        columns have unit length. 1 if a point of lower cost is known.
     dual : ndarray, shape (m,)
         The y of the value.
     """
@@ -90,7 +91,8 @@ class Optimality:
         if enclosures.problem.has_entries:
             judged.value, judged.dual = _relative_gap(judged, tolerance)
         else:
-            judged.value = judged.steepness
+            size, unit = judged._largest[0], enclosures.reference
+            judged.value = OUTWARD * size / unit if unit > 0.0 else 0.0 if size == 0.0 else math.inf
         if judged.is_worse_than_known(tolerance):
             judged.value = 1.0
         return judged
@@ -109,24 +111,10 @@ class Optimality:
         """Return whether x is SOLVED."""
         return bool(self.value <= tolerance)
 
-    @property
-    def order(self) -> tuple[float, float]:
-        """Value and cost: a point with less is more optimal."""
-        return self.value, self.cost
-
     @cached_property
     def cost(self) -> float:
         """The cost of x."""
         return self.enclosures.problem.cost(self.x, self.residual[0])
-
-    @property
-    def steepness(self) -> float:
-        """‖x − mid(lower, upper, x − g)‖∞/‖AᵀWb‖∞, g the gradient, in units in which columns have unit length.
-
-        An upper bound, rounding included, if A has entries.
-        """
-        size, unit = self._largest[0], self.enclosures.reference
-        return OUTWARD * size / unit if unit > 0.0 else 0.0 if size == 0.0 else math.inf
 
     @property
     def is_at_rounding_level(self) -> bool:
@@ -173,18 +161,13 @@ def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVec
     problem, duals = enclosures.problem, _dual_points(judged)
     least, best = np.inf, residual[0]
 
-    def relative(y: FloatVector, slope: Ball, convexity: FloatVector = NOTHING) -> float:
-        gap, cost = _gap(problem, x, residual, y, slope, convexity, rounding=-1.0)
-        return 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
-
     for y, slope in _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals:
-        if (value := relative(y, slope)) < least:
+        gap, cost = _gap(problem, x, residual, y, slope, rounding=-1.0)
+        value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
+        if value < least:
             least, best = value, y
         if least <= tolerance:
-            return min(least, 1.0), best
-    if (convexity := enclosures.convexity) is not None:
-        r = residual[0]
-        least = min(least, relative(r, enclosures.gradient_at(x, r), convexity))
+            break
     return min(least, 1.0), best
 
 
@@ -200,7 +183,6 @@ def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
     slope = enclosures.gradient_at(x, orthogonal)
     yield orthogonal, slope
     yield from _with_zeros(enclosures, x, orthogonal, slip)
-    yield from _repair(enclosures, x, orthogonal, slope, rounding=-1.0)
 
 
 def _with_zeros(
@@ -331,7 +313,7 @@ def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVect
 
 
 def _repair(
-    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball, *, rounding: float = 1.0
+    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball
 ) -> Iterator[tuple[FloatVector, Ball]]:
     """Yield y + δp with the least δ that gives all columns the required sign, and its s, if δ is found.
 
@@ -344,7 +326,7 @@ def _repair(
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
-    missing = np.maximum(rounding * slope[1] - wanted * slope[0] - problem.l1, 0.0)
+    missing = np.maximum(slope[1] - wanted * slope[0] - problem.l1, 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
     for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
         moved = wanted * problem.apply_transpose(problem.apply_weights(push))
@@ -353,7 +335,7 @@ def _repair(
             share *= 1.0 + 2.0**-10
             repaired = y + share * push
             value, radius = enclosures.gradient_at(x, repaired)
-            if (wanted * value + problem.l1 >= rounding * radius)[wanted != 0.0].all():
+            if (wanted * value + problem.l1 >= radius)[wanted != 0.0].all():
                 yield repaired, (value, radius)
                 return
             share *= 2.0

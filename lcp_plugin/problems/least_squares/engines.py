@@ -32,7 +32,7 @@ MAX_NNLS_COLUMNS = 600  # or rows, whichever are fewer: nnls frees one column at
 NNLS_STEPS = 10  # times the number of columns
 REFINEMENTS = 2  # solves with one factor of a face
 MAX_FACES = 30
-NOISE = 2.0**-44
+NOISE = 2.0**-44  # of the largest entry of x that rounding may be
 SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
 FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
@@ -68,8 +68,6 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FloatVecto
         return
     for name, x in _dense_solutions(problem, A, b):
         if np.isfinite(x).all():
-            if name == "lstsq" or (name == "nnls" and not problem.lower.any()):
-                yield name, without_noise(problem, x)  # others lie near a face, not on it
             point = FacePoint(problem, clip(x, problem.lower, problem.upper))
             yield name, minimize_on_face(point, A, b).x
 
@@ -191,14 +189,6 @@ def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     return program, PIQP(eps_abs=EPS, eps_rel=EPS).answer(program, SolverLimits(seconds_left()))
 
 
-def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:
-    """Return x with entries set to a bound, or to 0, if they differ from it by rounding of the largest entry."""
-    noise = NOISE * np.abs(x).max(initial=0.0)
-    for bound in (problem.lower, problem.upper, 0.0):
-        x = np.where(np.abs(x - bound) <= noise, bound, x)
-    return clip(x, problem.lower, problem.upper)
-
-
 def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
     """Return the minimum on the face of the point, or on a nearby face of lower cost.
 
@@ -248,4 +238,7 @@ def _step_to_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector
     if not np.isfinite(step).all():
         return point
     x = point.project(step, point.problem.product(step)).x
-    return FacePoint(point.problem, without_noise(point.problem, x))
+    noise, lower, upper = NOISE * np.abs(x).max(), point.problem.lower, point.problem.upper
+    for bound in (lower, upper, 0.0):
+        x = np.where(np.abs(x - bound) <= noise, bound, x)
+    return FacePoint(point.problem, clip(x, lower, upper))

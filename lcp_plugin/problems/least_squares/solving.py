@@ -187,7 +187,8 @@ class LeastSquaresRun:
             self.enclosures, x, tolerance=goal if tolerance is None else tolerance
         )
         is_solved = judged.meets(goal)
-        if self.best is None or is_solved or judged.order < self.best.order:
+        best = self.best
+        if best is None or is_solved or (judged.value, judged.cost) < (best.value, best.cost):
             self.best = judged
         return is_solved
 
@@ -316,7 +317,7 @@ ADVICE = {
     Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, rounding of the data excused",
     Status.PRECISION_LIMIT: (
         "the gradient is at rounding level, but no lower bound of the cost was found near it, as for a large sparse A "
-        "that fits b exactly; next: accept x, which result.gap bounds"
+        "that fits b exactly; next: accept x if result.gap is small compared with result.cost, or raise l1 or ridge"
     ),
     Status.STALLED: (
         "the gradient no longer falls: A is too ill-conditioned, or its rows or bounds differ too much in size; next: "

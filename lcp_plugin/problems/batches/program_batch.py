@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,11 @@ from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
 from ..many.chunks import run_in_chunks
 from ..programs.criterion import errors_of_each
-from ..programs.program import CANCELS
+from ..programs.program import CANCELS, QuadraticProgram
 from ..programs.program_matrices import may_be_small
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
-from ..programs.stacked_programs import QuadraticProgramBatch, blocks
+from ..programs.stacked_programs import QuadraticProgramBatch, block_matrices
 from .batch_run import Asked, BatchRun
 
 ENGINE = "daqp"
@@ -67,16 +68,19 @@ class ProgramBatchRun(BatchRun):
         share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
         size = max(min(TOGETHER // max(n * (n + m + p), 1), -(-count // share)), 1)
         may = self.problems.may_be_stated & _are_semidefinite(data[0])
+        shared = cache(lambda count: block_matrices(data[0], data[2], m, count))
 
         def solve_blocks(first: int, end: int) -> None:
             for k in range(first, end):
                 if self.has_time:
                     items = slice(k * size, min((k + 1) * size, count))
-                    self._answer_together(data, engine, may, items)
+                    self._answer_together(data, engine, may, items, shared)
 
         run_in_chunks(solve_blocks, -(-count // size), threads)
 
-    def _answer_together(self, data: tuple[Any, ...], engine: Any, may: Any, items: slice) -> None:
+    def _answer_together(
+        self, data: tuple[Any, ...], engine: Any, may: Any, items: slice, shared: Any
+    ) -> None:
         """Run the engine on each of these programs, and check all points together."""
         P, c, C, d, lower, upper = (one[items] if len(one) > 1 else one for one in data)
         m, n, wanted = self.problems.sizes[0], c.shape[1], np.flatnonzero(may[items])
@@ -92,7 +96,11 @@ class ProgramBatchRun(BatchRun):
             np.maximum(signed[:, :n], 0.0) * np.isfinite(upper),
         )
         x = np.clip(x, lower, upper)
-        together = blocks(P, c, C, d, m, lower, upper)
+        is_shared, count = self.problems.has_one_matrix, len(c)
+        matrices = shared(count) if is_shared else block_matrices(P, C, m, count)
+        bounds = lower.ravel(), upper.ravel()
+        rights = d[:, :m].ravel(), d[:, m:].ravel()
+        together = QuadraticProgram.with_matrices(matrices, c.ravel(), *rights, *bounds)
         of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
         errors = errors_of_each(together, x, of_rows, self.settings.tolerance)
         is_solved = errors.meet(self.settings.tolerance)

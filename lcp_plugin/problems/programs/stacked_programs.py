@@ -227,9 +227,9 @@ class QuadraticProgramBatch:
         )
 
 
-def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> QuadraticProgram:
-    """Return programs of one shape as one block diagonal program, from finite `QuadraticProgramBatch.arrays`."""
-    (count, n), rows = c.shape, d.shape[1]
+def block_matrices(P: Any, C: Any, m: int, count: int) -> ProgramMatrices:
+    """Return P, G and A of one block diagonal program; C holds m rows of G, then the rows of A."""
+    n, rows = P.shape[1], C.shape[1]
     stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
     matrices = ProgramMatrices(*map(block_diagonal, stacks))
     units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fit_units_of(P, C))
@@ -240,8 +240,7 @@ def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> Qu
         of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))
         components = ProgramComponents(of_unknown, np.concatenate(parts), count)
         matrices.__dict__["components"] = components
-    h, b = d[:, :m].ravel(), d[:, m:].ravel()
-    return QuadraticProgram.with_matrices(matrices, c.ravel(), h, b, lower.ravel(), upper.ravel())
+    return matrices
 
 
 def block_diagonal(stack: Any) -> sp.csr_array:

@@ -8,7 +8,8 @@ rounding errors included, and if every row i satisfies the componentwise test
 
     v_i ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)).
 
-- T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds.
+- T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds (a row *acts* if it is
+  off its bounds or violated).
 - ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the rows of P that are off their bounds or violated,
   z° the point of the bounds nearest to 0. So an inactive row with a large q_i does not relax the test of other rows.
 - a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its neighbors. If w_j(z°) is at its rounding
@@ -73,7 +74,7 @@ class RowsAtPoint(NamedTuple):
 
 
 class RowData:
-    """Data of one problem, or of a stack of dense problems, by which the criterion measures points.
+    """M, q, bounds, d and components of one problem or of a stack of dense ones: the data of the criterion.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ class RowData:
         return low, high
 
     def acting_reference(self, at: RowsAtPoint) -> Any:
-        """Return, for each row, the largest T_k/d_k of the rows of its component that act, or may act with rounding."""
+        """Return, for each row, the largest T_k/d_k of the rows of its component that act, rounding included."""
         may_act = at.acts | ((np.abs(at.w) <= at.slip) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
         return self.largest(np.where(may_act, at.terms / self.scale * rounding, 0.0))
@@ -328,7 +329,7 @@ def reference_residual(problem: LCP) -> float:
 def rounding_of_data(problem: LCP) -> float:
     """Return the largest residual that rounding of the largest number in q explains: 2⁻⁴⁴ max_i |q_i|/d_i.
 
-    A quotient beyond the range of doubles counts as the largest of them: no residual that is so as well is explained.
+    A quotient that overflows counts as the largest double, so that no infinite residual is explained.
     """
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / problem.matrix.residual_scale)
@@ -337,7 +338,7 @@ def rounding_of_data(problem: LCP) -> float:
 
 @fact
 def rows_solved_at_start(problem: LCP) -> Any:
-    """Return the rows of components that z° solves, of several components also up to rounding, bool, shape (n,)."""
+    """Return the mask of the rows whose component z° solves (up to rounding if there are several), shape (n,)."""
     if connected_components(problem.matrix) is not None:
         return rows_near_start(problem)
     return np.full(problem.n, not references_of_components(problem)[1].any())
@@ -345,7 +346,7 @@ def rows_solved_at_start(problem: LCP) -> Any:
 
 @fact
 def rows_near_start(problem: LCP) -> Any:
-    """Return the rows of components that z° solves up to rounding, bool, shape (n,).
+    """Return the mask of the rows whose component z° solves up to rounding, shape (n,).
 
     In each of these rows r_i(z°) = 0, or w_i is at rounding level: a narrow box makes r_i small for any w_i.
     """

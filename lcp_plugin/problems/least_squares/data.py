@@ -87,10 +87,9 @@ class BoundedLeastSquares:
         self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
-        need = (
-            f"b must be a vector of length {m}, an entry per row of A (for many right-hand sides: "
-            "solve_batch([BoundedLeastSquares(A, column) for column in b.T]))"
-        )
+        need = f"b must be a vector of length {m}, an entry per row of A"
+        if getattr(b, "ndim", 1) == 2:
+            need += " (for many right-hand sides: solve_batch([BoundedLeastSquares(A, column) for column in b.T]))"
         self.b = checked_vector(b, "b", m, need=need)
         self.lower, self.upper = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
         check_order(self.lower, self.upper)

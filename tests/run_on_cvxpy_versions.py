@@ -48,6 +48,7 @@ def run_on(version: str) -> bool:
             "pytest",
             "pytest-xdist",
             "hypothesis",
+            "mpmath",
             "pyscipopt",
             str(ROOT),
         ]

@@ -166,7 +166,6 @@ class _Model:
             )
             for low, high, kind in zip(lower.tolist(), upper.tolist(), kinds.tolist(), strict=True)
         ]
-        self._state()
 
     @property
     def root_is_unbounded(self) -> bool:
@@ -192,8 +191,9 @@ class _Model:
         )
         self._watch_nodes()
         try:
+            self._state()
             model.optimize()
-        except MemoryError:
+        except (MemoryError, UnsupportedModel):
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
             return ScipAnswer(str(error), None, math.inf, -math.inf, 0)

@@ -376,3 +376,11 @@ def test_stderr_of_the_process_stays_while_scip_runs() -> None:
     minimize_over_solutions(knapsack(), callback=look)
     assert len(seen) > 1
     assert all(one == before for one in seen)
+
+
+def test_a_coefficient_that_is_infinite_for_scip_is_a_failure_of_scip() -> None:
+    """SCIP takes 1e20 as infinite; its error ends its search, and no exception reaches the caller."""
+    program = QuadraticProgram(None, [1.0, 0.0], A=[[1e21, -1.0]], b=[1.0], lower=[0.0, -np.inf])
+    found = scip.minimize(EquilibriumProgram(program, [0], [1]), tolerance=1e-6, max_nodes=100.0)
+    assert found.status.startswith(scip.FAILED)
+    assert found.x is None

@@ -735,9 +735,10 @@ def batch_case(rng: Generator) -> Outcome:
         )
     k = int(rng.integers(0, 3))
     text = f"{way}, item {k} of {qs.tolist()}, {lcp_text(M, qs[k], lower, upper, words)}"
-    proof = found[k].proof if found.status[k].name in ("INFEASIBLE", "NO_SOLUTION") else None
+    item = found[k]  # raises for bounds without a number, as LCP does
+    proof = item.proof if item.status.name in ("INFEASIBLE", "NO_SOLUTION") else None
     radius = float(getattr(proof, "radius", np.inf) or np.inf)
-    return judged_lcp(ExactLCP(M, qs[k], lower, upper), found.status[k], found.z[k], radius, text)
+    return judged_lcp(ExactLCP(M, qs[k], lower, upper), item.status, found.z[k], radius, text)
 
 
 def march_case(rng: Generator) -> Outcome:

@@ -19,14 +19,14 @@ from ..proofs.exact.rational import (
 )
 from ..systems.equilibration import equilibrating_exponents
 
-BaseResult = tuple[Fraction, ...]
+ExactPoint = tuple[Fraction, ...]
 States = list[int]
 
 AT_LOWER, FREE, AT_UPPER = -1, 0, 1
 ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
 
-def exact_answer(problem: LCP, guess: Sequence[float]) -> BaseResult:
+def exact_answer(problem: LCP, guess: Sequence[float]) -> ExactPoint:
     """Return z* in fractions, verified without rounding, from the active set of a guess.
 
     Parameters
@@ -88,7 +88,7 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
 
 
 def relative_error(
-    z: FloatVector, exact: BaseResult, unit: FloatVector, *, has_line: bool = False
+    z: FloatVector, exact: ExactPoint, unit: FloatVector, *, has_line: bool = False
 ) -> float:
     """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
 

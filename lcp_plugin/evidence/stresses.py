@@ -15,7 +15,7 @@ from ..core.checks import FloatVector
 from ..core.lcp import LCP
 from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from ..proofs.exact.rational import exact_slack
-from .exact import BaseResult, exact_answer
+from .exact import ExactPoint, exact_answer
 
 LARGEST_INTEGER = 9
 
@@ -52,7 +52,7 @@ class StressCase:
         return np.ones(self.problem.n) if self.unit is None else self.unit
 
     @cached_property
-    def exact(self) -> BaseResult | None:
+    def exact(self) -> ExactPoint | None:
         """z* in fractions, verified exactly; None if no solution exists."""
         return (
             None

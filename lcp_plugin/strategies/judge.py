@@ -19,10 +19,10 @@ from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution
 from ..proofs.verdicts import analyze
 from .matrices import check_integer, p_matrices
-from .problems import BaseResult, lcps, solved_lcps
+from .problems import ExactPoint, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
-Drawn = tuple[LCP, BaseResult | None, Any]  # the problem, its exact solution, M in the drawn form
+Drawn = tuple[LCP, ExactPoint | None, Any]  # the problem, its exact solution, M in the drawn form
 
 PHASES = (Phase.generate, Phase.shrink)
 
@@ -162,7 +162,7 @@ def _verdict(
 def check_solution(
     problem: LCP,
     given: Any,
-    truth: BaseResult | None,
+    truth: ExactPoint | None,
     tolerance: float = 1e-6,
     error_tolerance: float = 1e-3,
 ) -> str:
@@ -219,7 +219,7 @@ def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any
     return f"z is not complementary: w[{i}] = {float(w[i]):g}, but {place}"
 
 
-def _shown(problem: LCP, truth: BaseResult | None, z: Any) -> str:
+def _shown(problem: LCP, truth: ExactPoint | None, z: Any) -> str:
     """Return the call that makes the problem, the solver's z and the exact solution if it is known."""
     data = f"{problem.csr.toarray().tolist()}, {problem.q.tolist()}"
     if problem.lower.any() or np.isfinite(problem.upper).any():

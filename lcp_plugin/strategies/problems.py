@@ -31,7 +31,7 @@ from .matrices import (
     vectors,
 )
 
-BaseResult = tuple[Fraction, ...]
+ExactPoint = tuple[Fraction, ...]
 DISTANCES = st.sampled_from([*range(1, LARGEST_ENTRY + 1), *(math.inf,) * LARGEST_ENTRY])
 INACTIVE, ACTIVE, DEGENERATE = range(3)
 #: Whether a row is at its lower and at its upper bound, and the sign of the slack in this case.
@@ -91,7 +91,7 @@ def solved_lcps(
     *,
     bounds: bool = False,
     huge_slacks: bool = False,
-) -> st.SearchStrategy[tuple[LCP, BaseResult]]:
+) -> st.SearchStrategy[tuple[LCP, ExactPoint]]:
     """Return a strategy for pairs (problem, z) such that z solves the problem exactly.
 
     Parameters
@@ -133,7 +133,7 @@ def solved_lcps(
     chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
 
     @st.composite
-    def solved(draw: st.DrawFn) -> tuple[LCP, BaseResult]:
+    def solved(draw: st.DrawFn) -> tuple[LCP, ExactPoint]:
         M = draw(chosen)
         z, slack, lower, upper = columns_of(draw(rows(M.shape[0], row)))
         w = slack * 2.0 ** draw(vectors(z.size, st.integers(0, 24))) if huge_slacks else slack

@@ -20,7 +20,7 @@ from .matrices import (
     sizes,
     vectors,
 )
-from .problems import BaseResult, columns_of, complementary_rows, exact_offset, fractions_of
+from .problems import ExactPoint, columns_of, complementary_rows, exact_offset, fractions_of
 
 
 class QPAnswer(NamedTuple):
@@ -30,11 +30,11 @@ class QPAnswer(NamedTuple):
     if this is not active. `x` is the only minimum if P is positive definite; `objective` is always the least value.
     """
 
-    x: BaseResult
-    inequality: BaseResult
-    equality: BaseResult
-    lower: BaseResult
-    upper: BaseResult
+    x: ExactPoint
+    inequality: ExactPoint
+    equality: ExactPoint
+    lower: ExactPoint
+    upper: ExactPoint
     objective: Fraction
 
 

@@ -27,7 +27,7 @@ register_with_qpsolvers()
 TOLERANCE, LARGEST_IN_A_BATCH = 1e-6, 3000
 BY_SIZE = sorted(PROGRAMS, key=PROGRAMS.__getitem__)
 SMALL = [name for name in BY_SIZE if PROGRAMS[name] <= LARGEST_IN_A_BATCH]
-BaseResult = tuple[np.ndarray, float]
+Answer = tuple[np.ndarray, float]
 
 
 def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
@@ -42,18 +42,18 @@ def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
     return G, h, sp.csc_matrix(rows[is_equation]), high[is_equation], lower, upper
 
 
-def as_a_file(of: PublishedProgram, name: str) -> BaseResult:
+def as_a_file(of: PublishedProgram, name: str) -> Answer:
     program, constant, _, _ = load_program(str(FOLDER / f"qp_{name}.npz"))
     result = solve(program)
     return result.x, result.objective + constant
 
 
-def as_rows(of: PublishedProgram, name: str) -> BaseResult:
+def as_rows(of: PublishedProgram, name: str) -> Answer:
     result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u))
     return result.x, result.objective + of.r
 
 
-def as_arrays(of: PublishedProgram, name: str) -> BaseResult:
+def as_arrays(of: PublishedProgram, name: str) -> Answer:
     """Solve the program with ±1e20 for infinite bounds."""
     *rows, lower, upper = one_sided(of)
     result = solve(
@@ -62,7 +62,7 @@ def as_arrays(of: PublishedProgram, name: str) -> BaseResult:
     return result.x, result.objective + of.r
 
 
-def in_qpsolvers(of: PublishedProgram, name: str) -> BaseResult:
+def in_qpsolvers(of: PublishedProgram, name: str) -> Answer:
     G, h, A, b, lower, upper = one_sided(of)
     rows = (G, h) if h.size else (None, None), (A, b) if b.size else (None, None)
     problem = qpsolvers.Problem(sp.csc_matrix(of.P), of.q, *rows[0], *rows[1], lower, upper)
@@ -70,7 +70,7 @@ def in_qpsolvers(of: PublishedProgram, name: str) -> BaseResult:
     return found.x, found.obj + of.r
 
 
-def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> BaseResult:
+def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> Answer:
     """Solve the program in cvxpy with ±1e20 for infinite bounds."""
     G, h, A, b, lower, upper = one_sided(of)
     limits = [np.maximum(lower, -1e20), np.minimum(upper, 1e20)]
@@ -86,11 +86,11 @@ def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> BaseRes
     return x.value, float(problem.value)
 
 
-def in_cvxpy_by_rows(of: PublishedProgram, name: str) -> BaseResult:
+def in_cvxpy_by_rows(of: PublishedProgram, name: str) -> Answer:
     return in_cvxpy(of, name, are_rows=True)
 
 
-def in_a_batch(of: PublishedProgram, name: str) -> BaseResult:
+def in_a_batch(of: PublishedProgram, name: str) -> Answer:
     """Solve the program in a batch with a copy of twice the objective."""
     G, h, A, b, lower, upper = one_sided(of)
     found = solve_batch(
@@ -100,7 +100,7 @@ def in_a_batch(of: PublishedProgram, name: str) -> BaseResult:
     return found[0].x, found[0].objective + of.r
 
 
-def in_a_stack(of: PublishedProgram, name: str) -> BaseResult:
+def in_a_stack(of: PublishedProgram, name: str) -> Answer:
     """Solve the program in a stack with a copy."""
     G, h, A, b, lower, upper = one_sided(of)
     found = solve_batch(
@@ -109,7 +109,7 @@ def in_a_stack(of: PublishedProgram, name: str) -> BaseResult:
     return found.x[1], float(found.objective[1]) + of.r
 
 
-WAYS: list[Callable[[PublishedProgram, str], BaseResult]] = [
+WAYS: list[Callable[[PublishedProgram, str], Answer]] = [
     as_a_file, as_rows, as_arrays, in_qpsolvers, in_cvxpy, in_cvxpy_by_rows,
 ]  # fmt: skip
 
@@ -127,7 +127,7 @@ def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_value_and_violations_are_those_published(
-    name: str, way: Callable[[PublishedProgram, str], BaseResult]
+    name: str, way: Callable[[PublishedProgram, str], Answer]
 ) -> None:
     """All interfaces give the published value, with ∞ and with 1e20 for infinite bounds."""
     of = PublishedProgram.read(name)
@@ -138,7 +138,7 @@ def test_value_and_violations_are_those_published(
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)
 def test_batches_give_what_is_published(
-    name: str, way: Callable[[PublishedProgram, str], BaseResult]
+    name: str, way: Callable[[PublishedProgram, str], Answer]
 ) -> None:
     """A list of programs, and stacked data."""
     of = PublishedProgram.read(name)

@@ -48,7 +48,7 @@ class Run:
     clock : Clock
         Running.
     judge : TerminationTest, optional
-        Judge of the original problem if it differs from the problem of the methods: a nonlinear problem, for which the
+        Stopping test of the original problem if it differs from the problem of the methods: a nonlinear problem, for which the
         methods take the linearization at the start.
     header : callable, optional
         The lines on M that ``verbose=True`` prints.

@@ -48,8 +48,8 @@ class Run:
     clock : Clock
         Running.
     judge : TerminationTest, optional
-        Stopping test of the original problem if it differs from the problem of the methods: a nonlinear problem, for which the
-        methods take the linearization at the start.
+        Stopping test of the original problem if it differs from the problem of the methods: a nonlinear problem, for
+        which the methods take the linearization at the start.
     header : callable, optional
         The lines on M that ``verbose=True`` prints.
     polish : callable, optional

@@ -270,8 +270,10 @@ def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
     first = items[:, None] * n if len(stack.M) > 1 else 0
     rows = (first + order)[:, :, None] * n
     blocks = stack.M.reshape(-1).take(rows + order[:, None, :])
-    if not inside.all():  # a row at its bound is z_i = bound
-        blocks = np.where(inside[:, :, None], blocks, np.eye(most))
+    if (
+        not inside.all()
+    ):  # a row at its bound is z_i = bound, and `right` has its terms in the other rows
+        blocks = np.where(inside[:, :, None] & inside[:, None, :], blocks, np.eye(most))
     known = np.take_along_axis(z, order, 1)
     right = np.where(inside, np.take_along_axis(right, order, 1), known)
     np.put_along_axis(z, order, _solved(blocks, right), 1)

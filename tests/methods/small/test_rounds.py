@@ -11,6 +11,7 @@ from collection.truth import ExactData
 from small_families import FAMILIES, definite_stack, draw, told
 
 from lcp_plugin import LCP, Status, solve, solve_batch
+from lcp_plugin.methods.small.rounds import solve_stack
 
 INF = np.inf
 
@@ -117,3 +118,13 @@ def test_a_small_problem_loads_no_numba(problem: str) -> None:
         "assert 'numba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("limit", [0.1, 1.0, np.inf])
+def test_a_stack_within_boxes_is_solved_at_once(limit: float) -> None:
+    """Terms of unknowns at nonzero bounds are subtracted once."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(20, 20))
+    bounds = np.full((1, 20), -limit if limit < np.inf else 0.0), np.full((1, 20), limit)
+    M, q = (A @ A.T / 20 + 0.1 * np.eye(20))[None], rng.normal(size=(100, 20))
+    assert solve_stack(M, q, *bounds, None, 1e-8).is_solved.all()

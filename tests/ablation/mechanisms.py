@@ -356,18 +356,18 @@ MECHANISMS = (
     Mechanism(
         "late stages",
         "sweeps until nothing changes, and Newton's method from points nearby, at the end",
-        {f"{CONES}.solving:ConeRun._to_the_end": skipped()},
+        {f"{CONES}.solving:ConeRun._late_stages": nothing()},
         "problems/cones/test_cones.py::test_the_answer_is_in_the_cone_where_a_diagonal_cancels",
     ),
     Mechanism(
         "cone interior",
         "an interior point along the central path of contacts",
-        {f"{CONES}.solving:ConeRun._follow": skipped()},
+        {f"{CONES}.solving:path_points": nothing()},
     ),
     Mechanism(
         "cone proofs",
         "a conic program looks for a proof that there is no answer",
-        {f"{CONES}.solving:ConeRun._prove": skipped()},
+        {f"{CONES}.solving:infeasibility_proof": skipped()},
     ),
     Mechanism(
         "components of cones",

@@ -43,6 +43,7 @@ class Measures:
     stack : ConeStack
     z : array, shape (B, k, m)
         Points of the cones.
+    tolerance, absolute : float
     w, error : array, shape (B, k, m), optional
         The slack of z, and a bound of its rounding error.
 
@@ -54,10 +55,22 @@ class Measures:
         ‖R_k‖, and a bound of its rounding error.
     relative, terms : array, shape (B, k)
         (‖R_k‖ + rounding) / ref_P, and the larger of (d ‖R_k‖ / T_k)^(4/3) and (d ‖R_k‖ / a_k)⁴.
+    do_pass : array, shape (B, k)
+        Blocks that meet the criterion.
+    is_solved : array, shape (B,)
+        Whether each point is SOLVED.
     """
 
-    def __init__(self, stack: ConeStack, z: Array, w: Array = None, error: Array = None) -> None:
-        pattern, mu, d = stack.pattern, stack.mu, stack.d
+    def __init__(
+        self,
+        stack: ConeStack,
+        z: Array,
+        tolerance: float,
+        absolute: float = 0.0,
+        w: Array = None,
+        error: Array = None,
+    ) -> None:
+        pattern, d = stack.pattern, stack.d
         w = stack.slack(z) if w is None else w
         R, case, *_ = stack.residual(z, w)
         if ((case == OUT)[..., None] & (R != 0.0)).any():
@@ -68,10 +81,26 @@ class Measures:
         if error is None:
             error = (pattern.most_terms + 2) * UNIT * np.where(products > 0.0, products + q, 0.0)
         self.stack, self.z, self.w, self.sizes = stack, z, w, length(R)
-        at, slip, wide, own = length(z), length(w), length(error), self.sizes
+        self.rounding = self._bound_rounding(case, error)
+        wrong, terms = d * self.sizes, length(products + q)
+        acts = (case != OUT) | (wrong > 0.0)
+        acting = pattern.largest(np.where(acts, terms / d, 0.0))
+        self.reference = np.where(stack.is_answered, 0.0, np.minimum(stack.reference, acting))
+        most = self.sizes + self.rounding
+        self.relative = _ratio(most, self.reference)
+        self.relative[~np.isfinite(stack.reference)] = np.inf
+        self.terms = self._term_residuals(wrong, terms, acts)
+        meets = (self.relative <= tolerance) & (self.terms <= tolerance)
+        self.do_pass = meets | (most <= absolute)
+        self.is_solved = self.do_pass.all(1) & np.isfinite(w).all((1, 2))
+
+    def _bound_rounding(self, case: Array, error: Array) -> Array:
+        """Return a bound of the rounding error of ‖R_k‖, with |w − w̃| ≤ error."""
+        stack, z, w, mu, d = self.stack, self.z, self.w, self.stack.mu, self.stack.d
+        at, slip, wide = length(z), length(w), length(error)
         stretch = 1.0 + mu if stack.has_friction else 1.0
         inside = 0.5 * (mu * z[..., 0] - length(z[..., 1:])) / (1.0 + mu)
-        is_inner = (case == WITHIN) & (own < inside)
+        is_inner = (case == WITHIN) & (self.sizes < inside)
         pushed = stretch * slip
         is_open = (case == OUT) & (at == 0.0)
         if stack.has_friction:
@@ -80,47 +109,35 @@ class Measures:
         else:
             is_open &= w[..., 0] - error[..., 0] >= mu * (length(w[..., 1:]) + wide)
         off = np.where(is_inner, 0.0, at) + (pushed + stretch * wide) / d
-        off *= np.where(case == OUT, 0.0, 4.0 * (pattern.sizes + 8.0) * UNIT * (1.0 + mu))
+        off *= np.where(case == OUT, 0.0, 4.0 * (stack.pattern.sizes + 8.0) * UNIT * (1.0 + mu))
         off += stretch * wide / d
-        if stack.low is not None:
-            step, error, is_row = w[..., 0], error[..., 0], pattern.is_row
+        if stack.pattern.has_rows:
+            step, error, is_row = w[..., 0], error[..., 0], stack.pattern.is_row
             is_held = (z[..., 0] == stack.low) & (step >= error)
             is_held |= (z[..., 0] == stack.high) & (step <= -error)
             off = np.where(is_row, (error + 4.0 * UNIT * np.abs(step)) / d, off)
             is_open = np.where(is_row, is_held, is_open)
-        self.rounding = np.where(is_open, 0.0, off)
-        terms = length(products + q)
-        wrong = d * own
-        acting = pattern.largest(np.where((case != OUT) | (wrong > 0.0), terms / d, 0.0))
-        self.reference = np.where(stack.is_answered, 0.0, np.minimum(stack.reference, acting))
-        self.relative = _ratio(own + self.rounding, self.reference)
-        self.relative[~np.isfinite(stack.reference)] = np.inf
-        limits = _ratio(wrong, terms) ** (4.0 / 3.0)
+        return np.where(is_open, 0.0, off)
+
+    def _term_residuals(self, wrong: Array, terms: Array, acts: Array) -> Array:
+        """Return the residuals d ‖R_k‖ = `wrong` relative to T_k and a_k; 0 at rounding level."""
+        stack, pattern = self.stack, self.stack.pattern
         is_wrong = ~(wrong <= NOISE * terms)
-        if is_wrong.any():
-            limits = np.maximum(
-                limits, np.where(stack.asks > 0.0, _ratio(wrong, stack.asks), 0.0) ** 4
-            )
-            acts = pattern.largest(np.where((case != OUT) | (wrong > 0.0), terms, 0.0))
-            size = np.minimum(d * pattern.largest(at), acts)
-            is_small, has_q = terms <= NOISE * size, q.any(-1)
-            is_alone = pattern.largest((is_small & has_q).astype(np.float64)) == 0.0
-            is_excused = ~has_q & ((wrong <= EXCUSED * size) | (is_small & is_alone))
-            is_wrong &= ~is_excused
-        self.terms = np.where(is_wrong, limits, 0.0)
+        if not is_wrong.any():
+            return np.zeros_like(wrong)
+        limits = _ratio(wrong, terms) ** (4.0 / 3.0)
+        of_asked = np.where(stack.asks > 0.0, _ratio(wrong, stack.asks), 0.0) ** 4
+        largest = stack.d * pattern.largest(length(self.z))
+        size = np.minimum(largest, pattern.largest(np.where(acts, terms, 0.0)))
+        is_small, has_q = terms <= NOISE * size, stack.q.any(-1)
+        is_alone = pattern.largest((is_small & has_q).astype(np.float64)) == 0.0
+        is_excused = ~has_q & ((wrong <= EXCUSED * size) | (is_small & is_alone))
+        return np.where(is_wrong & ~is_excused, np.maximum(limits, of_asked), 0.0)
 
-    def pass_at(self, tolerance: float, absolute: float = 0.0) -> Array:
-        """Return whether each point is SOLVED, shape (B,)."""
-        most = self.sizes + self.rounding
-        is_close = (self.relative <= tolerance) | (most <= absolute)
-        is_right = (self.terms <= tolerance) | (most <= absolute)
-        return (is_close & is_right).all(1) & np.isfinite(self.w).all((1, 2))
-
-    def are_limited(self, tolerance: float) -> Array:
-        """Return whether rounding explains the residuals that exceed the tolerance, shape (B,)."""
+    def are_limited(self) -> Array:
+        """Return whether rounding explains the residuals of all blocks that do not pass, shape (B,)."""
         is_small = (self.relative <= SMALL) | (self.reference == 0.0)
-        passes = (self.relative <= tolerance) & (self.terms <= tolerance)
-        return (passes | ((self.sizes <= self.rounding) & is_small)).all(1)
+        return (self.do_pass | ((self.sizes <= self.rounding) & is_small)).all(1)
 
     def worst(self) -> Array:
         """Return the largest relative residual of each problem, shape (B,)."""
@@ -139,15 +156,16 @@ def measure_points(stack: ConeStack, z: Array, tolerance: float, absolute: float
     Sums of one problem are repeated in twice the working precision if this may decide.
     """
     with np.errstate(all="ignore"):
-        found = Measures(stack, z)
-        excess = found.sizes > np.maximum(tolerance * found.reference, absolute)
-        if stack.B > 1 or found.pass_at(tolerance, absolute)[0] or excess.any():
+        found = Measures(stack, z, tolerance, absolute)
+        if stack.B > 1 or found.is_solved[0]:
+            return found
+        if (found.sizes > np.maximum(tolerance * found.reference, absolute)).any():
             return found
         pattern = stack.pattern
         M = pattern.M if pattern.is_sparse else sp.csr_array(pattern.M[0])
         x, q = (np.ascontiguousarray(pattern.flat(one)[0]) for one in (found.z, stack.q))
         w, error = (pattern.wide(one[None]) for one in compensated_product(M, x, q))
-        return Measures(stack, found.z, w, error)
+        return Measures(stack, found.z, tolerance, absolute, w, error)
 
 
 class ConeCertificate:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,11 +14,11 @@ from .central_path import CentralPath
 from .newton import newton_steps
 from .programs import ConvexProgram
 from .stack import ConeStack
-from .sweeps import sweeps
+from .sweeps import sweep_blocks
 
 Points = Iterator[tuple[Any, float, float]]  # z, shape (1, k, m), its relative residual, work
 
-SWEEPS_A_STEP = 10
+SWEEPS_PER_STEP = 10
 STOP = 1e-2  # of the goal: smaller changes end the sweeps
 PATIENCE = 60  # steps of Newton's method without a gain
 STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share of all
@@ -30,9 +31,30 @@ PROGRAMS, PROGRAM_WORK = 5, 20.0  # convex programs without a gain, and the work
 SPREADS = 1.0, 8.0
 
 
+def sweep_points(
+    stack: ConeStack,
+    z: Any,
+    count: float,
+    goal: float,
+    *,
+    each: int = SWEEPS_PER_STEP,
+    patience: float = np.inf,
+) -> Points:
+    """Yield the points after every `each` of `count` sweeps, until the residual no longer falls."""
+    least, since, steps = np.inf, 0, 0
+    while steps * each < count and since <= max(patience, SLOW * steps) and least > goal:
+        z = sweep_blocks(stack, z, each, STOP * goal)
+        residual = float(stack.measure(z)[2][0])
+        if not np.isfinite(residual):
+            return
+        least, since = (residual, 0) if residual < GAIN * least else (least, since + 1)
+        steps += 1
+        yield z, residual, each + 1.0
+
+
 def newton_points(stack: ConeStack, z: Any, steps: int, goal: float, **options: Any) -> Points:
-    """Yield the points of Newton's method on one problem."""
-    for _, at, residual, work in newton_steps(stack, z, steps, goal, **options):
+    """Yield a point of Newton's method per linear system of one problem."""
+    for _, at, residual, work in islice(newton_steps(stack, z, steps, goal, **options), 1, None):
         yield at, float(residual[0]), work
 
 
@@ -73,7 +95,7 @@ class ConeAlgorithm:
     reference: ClassVar[str]
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point per step, until the residual is at most `goal` or no longer falls."""
+        """Yield a point per step from z, until the residual is at most `goal` or no longer falls."""
         raise NotImplementedError
 
 
@@ -97,23 +119,15 @@ class ConeNPGS(ConeAlgorithm):
     cost = "one product with M a sweep"
     reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
 
-    sweeps: int = SWEEPS_A_STEP
+    sweeps: int = SWEEPS_PER_STEP
 
     def __post_init__(self) -> None:
         if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
             raise InvalidOption(f"npgs: sweeps must be an integer ≥ 1, got {self.sweeps!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point every few sweeps."""
-        least = float(stack.measure(z)[2][0])
-        yield z, least, 1.0
-        since = count = 0
-        while least > goal and since <= max(STANDSTILL, SLOW * count):
-            *_, z = sweeps(stack, z, self.sweeps, 0.0, each=self.sweeps)
-            residual = float(stack.measure(z)[2][0])
-            least, since = (residual, 0) if residual < GAIN * least else (least, since + 1)
-            count += 1
-            yield z, residual, self.sweeps + 1.0
+        """Yield a point every few sweeps."""
+        return sweep_points(stack, z, np.inf, goal, each=self.sweeps, patience=STANDSTILL)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,11 +158,11 @@ class ConeNewton(ConeAlgorithm):
             raise InvalidOption(f"newton: seed must be an integer ≥ 0, got {self.seed!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point per linear system, until no step reduces the residual."""
+        """Yield a point per linear system, until no step reduces the residual."""
         if self.seed:
             z = move_at_random(stack, z, self.seed)
         options = {"patience": PATIENCE, "proximal": self.proximal}
-        yield from newton_points(stack, z, NEWTON_STEPS, goal, **options)
+        return newton_points(stack, z, NEWTON_STEPS, goal, **options)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,15 +176,12 @@ class ConeInteriorPoint(ConeAlgorithm):
     reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, then a point per factorization."""
+        """Yield a point per factorization."""
         if not problem.has_friction:
             raise UnsuitableProblem(
                 f'{self.name} takes contacts with friction; try algorithm="fixed_point"'
             )
-        residual = float(stack.measure(z)[2][0])
-        yield z, residual, 1.0
-        if residual > goal:
-            yield from path_points(stack, np.zeros_like(z), 1.0, goal)
+        return path_points(stack, np.zeros_like(z), 1.0, goal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,10 +200,9 @@ class FixedPoint(ConeAlgorithm):
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
-        """Yield the start, a point per program until five gain nothing, and Newton's points."""
+        """Yield a point per program until five gain nothing, and Newton's points."""
         engine, pattern = ConvexProgram(problem), stack.pattern
         best, least, since = z, float(stack.measure(z)[2][0]), 0
-        yield z, least, 1.0
         while least > goal and since < PROGRAMS:
             found = engine.minimize(pattern.flat(z)[0])
             if found is None:

@@ -161,37 +161,20 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
 
 def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
     """Return mixed + by_w M of each problem, shape (B, n, n)."""
-    pattern, M = stack.pattern, stack.pattern.M
-    B, k, m, n = stack.B, stack.k, stack.m, stack.pattern.n
-    if pattern.place is None:
-        J = (by_w @ M.reshape(B, k, m, n)).reshape(B, n, n)
-    else:
-        wide = np.zeros((B, k * m, n))
-        wide[:, pattern.place] = M
-        J = (by_w @ wide.reshape(B, k, m, n)).reshape(B, k * m, n)[:, pattern.place]
-    i, j, block = pattern.inner
-    at = pattern.starts[:-1][block]
-    J[:, at + i, at + j] += mixed[:, block, i, j]
+    pattern = stack.pattern
+    row, column = pattern.inner
+    J = pattern.flat(by_w @ pattern.wide(pattern.M))
+    J[:, row, column] += mixed[(slice(None), *pattern.entry(row, column))]
     return J
 
 
 def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> tuple[Any, Any]:
     """Return mixed + by_w M on rows and columns of the free blocks of one problem, and the rows."""
-    pattern, m = stack.pattern, stack.m
+    pattern = stack.pattern
     rows = np.flatnonzero(free[pattern.of_row])
-    if pattern.place is None and not pattern.is_sparse:
-        f = rows.size // m
-        J = (by_w[free] @ pattern.M[0][rows[:, None], rows].reshape(f, m, rows.size)).reshape(
-            f, m, f, m
-        )
-        J[np.arange(f), :, np.arange(f)] += mixed[free]
-        return J.reshape(rows.size, rows.size), rows
-    i, j, block = pattern.inner
-    own = free[block]
-    i, j, block = i[own], j[own], block[own]
-    number = np.cumsum(free[pattern.of_row]) - 1
-    first = number[pattern.starts[:-1][block]]
-    where, shape = (first + i, first + j), (rows.size, rows.size)
-    M = (pattern.M if pattern.is_sparse else sp.csr_array(pattern.M[0]))[rows][:, rows]
-    of_w, of_z = (sp.csr_array((part[block, i, j], where), shape=shape) for part in (by_w, mixed))
-    return of_w @ M + of_z, rows
+    if not pattern.is_sparse:
+        return whole_systems(stack, mixed[None], by_w[None])[0][np.ix_(rows, rows)], rows
+    where, M = pattern.inner, pattern.M
+    entry = pattern.entry(*where)
+    of_w, of_z = (sp.csr_array((part[entry], where), shape=M.shape)[rows] for part in (by_w, mixed))
+    return (of_w @ M + of_z)[:, rows], rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ..contact import ContactMotion, motion_of
-from .certificate import ConeCertificate, Measures, measure_points
+from .certificate import ConeCertificate, measure_points
 from .data import Blocks
 from .frictional_contact import FrictionalContact
 from .infeasibility import ContactInfeasibility, infeasibility_proof
@@ -27,23 +27,25 @@ from .methods import (
     NEWTON_STEPS,
     PATIENCE,
     STOP,
-    SWEEPS_A_STEP,
+    SWEEPS_PER_STEP,
     ConeAlgorithm,
     FixedPoint,
+    Points,
     move_at_random,
     newton_points,
     path_points,
+    sweep_points,
 )
 from .newton import EXACT, newton_steps, polish_points
-from .stack import ConeStack
-from .sweeps import sweeps
+from .stack import Array, ConeStack
+from .sweeps import sweep_blocks
 
 Callback = Callable[[Sample, FloatVector], Any]
 
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
+LONG_SCHEDULE = tuple((count, NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
-ROUNDS, LONG, TRIED_AFTER = 8, 2500, (0, 3, 7)  # for sweeps until nothing changes
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 STARTS = 17  # of Newton's method, moved at random
 GROWTH, VERBOSE_GROWTH = 1.05, 1.5  # of the iterations from one sample, or line, to the next
@@ -66,12 +68,12 @@ WORDS = {
         "with errors as large as the tolerance; next: check the data; result.proof proves it"
     ),
 }
-NOT_ASKED = "; not proved infeasible, because prove_infeasibility=False"
 NOTHING_TO_DO = "the residual of the start is within the tolerance already"
 SWEPT = "cheap sweeps over the blocks find most of the active set"
 FOLLOWS = "Newton's steps solve for the active set that the sweeps found"
 MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
 NEARBY = "from a point nearby"
+Stage = tuple[str, str, Points]  # name of the method, reason of its choice, points
 
 
 def solve_cones(
@@ -126,21 +128,62 @@ def solve_cones(
     )
     chosen = _checked_algorithm(algorithm)
     log = Log(problem, settings, checked_callback(callback), Clock())
-    with np.errstate(all="ignore"):
+    with (
+        np.errstate(all="ignore"),
+        threads_for(settings.threads),
+        time_limit(settings.max_seconds - log.clock.read()),
+    ):
         stack = ConeStack.of(problem)
         z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
         run = ConeRun(problem, stack, log, z)
-        with threads_for(settings.threads), time_limit(settings.max_seconds - log.clock.read()):
-            run.solve(chosen)
-    result = _result(problem, run, log, chosen)
-    if settings.verbose:
+        run.solve(chosen)
+    certificate: Any = ConeCertificate(problem, run.measures)
+    words = dict(WORDS)
+    if not prove_infeasibility:
+        words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
+    stages = tuple(log.stages.values())
+    if run.status is Status.SOLVED and not log.iterations:
+        stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+    name = ", ".join(dict.fromkeys(stage.name for stage in stages))
+    result = ConeResult(
+        z=certificate.z,
+        w=certificate.w,
+        status=run.status,
+        certificate=certificate,
+        algorithm=chosen.name if isinstance(chosen, ConeAlgorithm) else f"auto: {name}",
+        iterations=log.iterations,
+        work=log.work,
+        seconds=log.clock.read(),
+        setup_seconds=0.0,
+        tolerance=tolerance,
+        absolute_tolerance=absolute_tolerance,
+        history=tuple(log.samples),
+        stages=stages,
+        infeasibility=run.proof,
+        _advice=words,
+        problem=problem,
+    )
+    if verbose:
         print(f"{result.status.name}: {result.advice}", flush=True)
     return result
 
 
+def _checked_algorithm(algorithm: Any) -> str | ConeAlgorithm:
+    """Return "auto" or the object of a method."""
+    if isinstance(algorithm, ConeAlgorithm):
+        return algorithm
+    name = str(algorithm)
+    if name != "auto" and name not in METHODS:
+        raise UnknownAlgorithm(
+            f"no algorithm for cones is called {algorithm!r}{did_you_mean(name, {'auto', *METHODS})}; use one of "
+            f"{', '.join(METHODS)}, or an object of lcp_plugin.problems.cones.methods"
+        )
+    return name if name == "auto" else METHODS[name]()
+
+
 def solve_cone_stack(
-    stack: ConeStack, start: Any, tolerance: float, has_time: Callable[[], bool], *, is_warm: bool
-) -> tuple[Any, Any, Any, Any]:
+    stack: ConeStack, start: Array, tolerance: float, has_time: Callable[[], bool], *, is_warm: bool
+) -> tuple[Array, Array, Array, Array]:
     """Solve all problems of a stack by sweeps and Newton's steps, as `solve` does for each.
 
     Returns
@@ -151,17 +194,15 @@ def solve_cone_stack(
     with np.errstate(all="ignore"):
         z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
         found = measure_points(stack, z, tolerance)
-        residual = found.worst()
-        is_solved = found.pass_at(tolerance) & (is_warm | stack.is_answered.all(1))
+        residual, is_solved = found.worst(), found.is_solved & (is_warm | stack.is_answered.all(1))
         z[is_solved] = found.z[is_solved]
         for count, steps in SCHEDULE:
             left = np.flatnonzero(~is_solved)
             if not left.size or not has_time():
                 break
             here = stack.take(~is_solved)
-            for at in sweeps(here, swept[left], count, STOP * tolerance):
-                swept[left] = at
-            iterations[left] += count // SWEEPS_A_STEP
+            swept[left] = sweep_blocks(here, swept[left], count, STOP * tolerance)
+            iterations[left] += count // SWEEPS_PER_STEP
             best, least = swept[left], np.full(left.size, np.inf)
             goal = CLOSER * tolerance
             for number, step in enumerate(newton_steps(here, best.copy(), steps, goal)):
@@ -175,15 +216,15 @@ def solve_cone_stack(
             done = least <= goal
             best[done] = polish_points(here.take(done), best[done])[0] if done.any() else best[done]
             found = measure_points(here, here.snap(best), tolerance)
-            passes, worst = found.pass_at(tolerance), found.worst()
-            is_better = passes | (worst < residual[left])
+            worst = found.worst()
+            is_better = found.is_solved | (worst < residual[left])
             z[left[is_better]], residual[left[is_better]] = found.z[is_better], worst[is_better]
-            is_solved[left[passes]] = True
+            is_solved[left[found.is_solved]] = True
     return z, residual, iterations, is_solved
 
 
 class Ended(Exception):
-    """Raised if a run ends before its methods do."""
+    """Raised if a limit or the callback ends a run."""
 
     def __init__(self, status: Status) -> None:
         self.status = status
@@ -198,10 +239,8 @@ class Log:
         self.settings, self.callback, self.clock = settings, callback, clock
         self.iterations, self.work, self.nonzeros = 0, 0.0, max(problem.nonzeros, 1)
         self.stages: dict[tuple[str, str], StageRecord] = {}  # by name and reason
-        self.stage = "", ""
         self.samples: list[Sample] = []
-        self.is_watched = settings.record or settings.verbose or callback is not None
-        self._next = self._next_line = 0
+        self._stage, self._next, self._next_line = "", 0, 0
         if settings.verbose:
             print(problem, flush=True)
             print(
@@ -210,47 +249,45 @@ class Log:
             )
 
     def begin(self, name: str, because: str) -> None:
-        """Begin a stage, unless it is the current one."""
-        if self.stage == (name, because):
-            return
-        self.stage, self._next_line = (name, because), self.iterations
-        self.stages.setdefault(self.stage, StageRecord(name, because, 0, 0.0))
-        if self.settings.verbose:
-            print(f"{name}: {because}" if because else name, flush=True)
+        """Begin a stage; raise Ended if a limit is reached."""
+        self.stages.setdefault((name, because), StageRecord(name, because, 0, 0.0))
+        line = f"{name}: {because}" if because else name
+        if self.settings.verbose and line != self._stage:
+            print(line, flush=True)
+        self._stage, self._next_line = line, self.iterations
+        self._require_room()
 
-    def count(self, work: float, iterations: int) -> None:
-        """Add a step to the last stage."""
-        self.iterations, self.work = self.iterations + iterations, self.work + work
-        _, _, before, spent, _ = self.stages[self.stage]
-        self.stages[self.stage] = StageRecord(*self.stage, before + iterations, spent + work)
-
-    def show(self, residual: float | None, z: Callable[[], FloatVector]) -> None:
-        """Record, print and call back with the clock stopped; a true return value raises Ended."""
-        with self.clock.pause():
-            seconds, name = self.clock.read(), self.stage[0]
-            sample = Sample(self.iterations, self.work, seconds, residual, name)
-            wants_to_stop = self.callback is not None and bool(self.callback(sample, z()))
-            is_due = residual is not None and (self.iterations >= self._next or wants_to_stop)
-            if self.settings.record and is_due:
-                self._next = max(self.iterations + 1, int(self.iterations * GROWTH))
-                self.samples.append(sample)
-            is_due = residual is not None and self.iterations >= self._next_line
-            if self.settings.verbose and is_due:
-                self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
-                print(
-                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {seconds:>9.3f}",
-                    flush=True,
-                )
-        if wants_to_stop:
-            raise Ended(Status.INTERRUPTED)
-
-    def require_room(self) -> None:
-        """Raise Ended if a limit is reached."""
+    def _require_room(self) -> None:
         if self.iterations >= self.settings.max_iterations:
             raise Ended(Status.MAX_ITERATIONS)
         self.clock.read()
         if self.clock.elapsed >= self.settings.max_seconds:
             raise Ended(Status.MAX_SECONDS)
+
+    def step(self, name: str, because: str, z: Any, residual: float, work: float) -> None:
+        """Count, record and print a step, and call back with z; raise Ended if the run ends with it."""
+        self.iterations, self.work = self.iterations + 1, self.work + work
+        before = self.stages[name, because]
+        self.stages[name, because] = before._replace(
+            iterations=before.iterations + 1, work=before.work + work
+        )
+        settings, wants_to_stop = self.settings, False
+        with self.clock.pause():
+            sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
+            if self.callback is not None:
+                wants_to_stop = bool(self.callback(sample, z))
+            if settings.record and (self.iterations >= self._next or wants_to_stop):
+                self._next = max(self.iterations + 1, int(self.iterations * GROWTH))
+                self.samples.append(sample)
+            if settings.verbose and self.iterations >= self._next_line:
+                self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
+                print(
+                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}",
+                    flush=True,
+                )
+        if wants_to_stop:
+            raise Ended(Status.INTERRUPTED)
+        self._require_room()
 
 
 class ConeRun:
@@ -273,182 +310,145 @@ class ConeRun:
         problem: Blocks,
         stack: ConeStack,
         log: Log,
-        z: Any,
+        z: Array,
         embed: Callable[[FloatVector], FloatVector] = lambda z: z,
     ) -> None:
         self.problem, self.stack, self.log, self.embed = problem, stack, log, embed
         self.share = problem.nonzeros / log.nonzeros  # of the work of the entire problem
         settings = log.settings
         self.tolerance, self.absolute = settings.tolerance, settings.absolute_tolerance
+        reached = self.tolerance
         if self.absolute:
-            least = self.absolute / max(self.tolerance, 2.0**-200)
-            stack.weight = np.where(
-                stack.is_answered, 0.0, 1.0 / np.maximum(stack.reference, least)
-            )
-        self.goal = CLOSER * (self.tolerance or (2.0**-200 if self.absolute else 0.0))
+            reached = max(self.tolerance, 2.0**-200)
+            least = np.maximum(stack.reference, self.absolute / reached)
+            stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
+        self.goal = CLOSER * reached
         self.is_warm = z is not None and bool((z != stack.origin).any())
         self.start = stack.origin if z is None else z
-        self.best, self.residual = self.start, np.inf
-        self.status, self.swept = Status.STALLED, self.start
+        self.best, self.residual, self.last = self.start, np.inf, self.start
+        self.status = Status.STALLED
         self.proof: ContactInfeasibility | None = None
-        self.measures: Measures | None = None
+        self.measures: Any = None
 
     def solve(self, chosen: str | ConeAlgorithm) -> None:
-        """Find a point that passes, or the reason why no point passes."""
+        """Take the steps of all stages until a point passes, or rounding error explains why none passes."""
         try:
-            if isinstance(chosen, ConeAlgorithm):
-                points = chosen.points(self.problem, self.stack, self.start, self.goal)
-                self.take(chosen.name, "", points, judges=False)
-                self._polish()
-            else:
-                self._chain()
+            for name, because, points in self._stages(chosen):
+                self.log.begin(name, because)
+                for z, residual, work in points:
+                    self._offer(z, residual)
+                    shown = None if self.log.callback is None else self._shown(z)
+                    self.log.step(name, because, shown, residual, work * self.share)
+                if self.residual <= self.goal or name != "npgs":
+                    self._measure_best()
+                    if self.measures.is_solved[0] or self.measures.are_limited()[0]:
+                        break
         except Ended as end:
             self.status = end.status
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
-        if self.measures is None:
-            self.measures = self.measure(self.best)
-        if self.measures.pass_at(self.tolerance, self.absolute)[0]:
+        self._measure_best()
+        if self.measures.is_solved[0]:
             self.status = Status.SOLVED
-        if self.status is Status.STALLED and self.measures.are_limited(self.tolerance)[0]:
+        if self.status is Status.STALLED and self.measures.are_limited()[0]:
             self.status = Status.PRECISION_LIMIT
 
-    def _chain(self) -> None:
-        """Run the algorithms of auto, on the entire problem, then on each unsolved component."""
-        stack, has_friction = self.stack, self.problem.has_friction
-        self.log.begin("npgs", SWEPT)
-        if self.is_warm or stack.is_answered.all():
-            self.residual = float(stack.measure(self.start)[2][0])
-            if self.residual <= self.tolerance:
-                self.judge(self.start)
-        self._sweep_and_solve(*SCHEDULE[0])
-        if stack.pattern.labels is not None:
-            self._solve_components()
-        if self.is_warm:
-            for share in (SHARES[0], None) if has_friction else ():
-                self._follow(share)
-            self.swept = stack.origin
-            self._sweep_and_solve(*SCHEDULE[0])
-        for count, steps in SCHEDULE[1:]:
-            self._sweep_and_solve(count, steps)
-        if not has_friction:
-            because = "for a symmetric M a convex program has the same solution"
-            points = FixedPoint().points(self.problem, stack, stack.origin, self.goal)
-            self.take("fixed_point", because, points)
-        elif not self.is_warm:
-            self._follow(None)
-        self._prove()
-        for share in SHARES if has_friction else ():
-            self._follow(share)
-        self._to_the_end()
-
-    def _prove(self) -> None:
-        """Search for a proof of infeasibility, and raise Ended if it excludes all points."""
-        if self.log.settings.prove_infeasibility:
-            self.log.require_room()
-            self.proof = infeasibility_proof(self.problem)
-            if self.proof is not None and self.proof.excludes(self.tolerance, self.absolute):
-                raise Ended(Status.INFEASIBLE)
-
-    def _to_the_end(self) -> None:
-        """Take sweeps until nothing changes, then Newton's method from points nearby."""
-        self.swept = self.stack.origin
-        start, options = self.stack.snap(self.best), {"patience": PATIENCE}
-        points = newton_points(self.stack, start, NEWTON_STEPS, self.goal, **options)
-        self.take("newton", "from the best point so far", points)
-        for number in range(ROUNDS):
-            steps = NEWTON_STEPS if number in TRIED_AFTER else 0
-            self._sweep_and_solve(LONG, steps, "until nothing changes", PATIENCE)
-        is_near = self.stack.measure(self.swept)[2][0] < 1.0
-        z = self.swept if is_near else self.stack.snap(self.best)
-        for seed in range(STARTS):
-            start = move_at_random(self.stack, z, seed)
-            points = newton_points(self.stack, start, NEWTON_STEPS, self.goal, **options)
-            self.take("newton", NEARBY, points)
-
-    def _sweep_and_solve(
-        self, count: int, steps: int, because: str = SWEPT, patience: int = 15
-    ) -> None:
-        """Continue the sweeps from their last point, then take Newton's steps."""
-        log = self.log
-        log.begin("npgs", because)
-        count = min(count, SWEEPS_A_STEP * (log.settings.max_iterations - log.iterations))
-        for number, at in enumerate(sweeps(self.stack, self.swept, count, STOP * self.tolerance)):
-            if not np.isfinite(at).all():
-                break
-            self.swept = at
-            if number and log.callback is not None:
-                log.show(None, lambda: self._shown(at))  # noqa: B023 - called at once
-            log.require_room()
-        log.count((count + 1.0) * self.share, count // SWEEPS_A_STEP)
-        points = newton_points(self.stack, self.swept, steps, self.goal, patience=patience)
-        self.take("newton", FOLLOWS, points)
-
-    def _follow(self, share: float | None) -> None:
-        """Follow the central path from a cold start, or from near the best point."""
-        z = self.stack.origin if share is None else self.stack.snap(self.best)
-        self.take("interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal))
-
-    def take(self, name: str, because: str, points: Iterator[Any], *, judges: bool = True) -> None:
-        """Run one method, keep its best point, and measure this point at the end."""
-        log = self.log
-        for number, (z, residual, work) in enumerate(points):
-            is_there = not number and residual <= EXACT and name == "newton" and judges
-            if not is_there:
-                if not number:
-                    log.begin(name, because)
-                log.count(work * self.share, int(number > 0))
-            self.offer(z, residual)
-            if log.is_watched:
-                log.show(residual, lambda: self._shown(z))  # noqa: B023 - called at once
-            if is_there:
-                break
-            if judges or not residual <= self.goal:
-                log.require_room()
-        if judges:
-            self.judge(self.best)
-
-    def offer(self, z: Any, residual: float) -> None:
+    def _offer(self, z: Array, residual: float) -> None:
         """Store the point if it is the best; below EXACT, differences are rounding errors."""
-        if (residual < self.residual and self.residual > EXACT) or self.residual == np.inf:
-            self.best, self.residual = z, residual
-            self.measures = None
+        self.last = z
+        if residual < self.residual and self.residual > EXACT:
+            self.best, self.residual, self.measures = z, residual, None
 
-    def _shown(self, z: Any) -> FloatVector:
-        found: FloatVector = self.embed(self.stack.pattern.flat(self.stack.snap(z))[0].copy())
+    def _shown(self, z: Array) -> FloatVector:
+        found = self.embed(self.stack.pattern.flat(self.stack.snap(z))[0].copy())
         found.flags.writeable = False
         return found
 
-    def measure(self, z: Any) -> Measures:
-        """Return the measures of the nearest point of the cones."""
-        return measure_points(self.stack, self.stack.snap(z), self.tolerance, self.absolute)
-
-    def judge(self, z: Any) -> None:
-        """Raise Ended if the point passes, or fails only because of rounding error."""
+    def _measure_best(self) -> None:
+        """Measure the best point, after the linear system of its active set if it may pass."""
+        if self.measures is not None:
+            return
         if EXACT < self.residual <= self.goal:
-            self._polish()
-            z = self.best
-        self.measures = self.measure(z)
-        if self.measures.pass_at(self.tolerance, self.absolute)[0]:
-            raise Ended(Status.SOLVED)
-        if self.measures.are_limited(self.tolerance)[0]:
-            raise Ended(Status.PRECISION_LIMIT)
+            self.best, residual = polish_points(self.stack, self.best)
+            self.residual = float(residual[0])
+        z = self.stack.snap(self.best)
+        self.measures = measure_points(self.stack, z, self.tolerance, self.absolute)
 
-    def _polish(self) -> None:
-        """Solve the linear system of the active set of the best point."""
-        self.best, residual = polish_points(self.stack, self.best)
-        self.residual, self.measures = float(residual[0]), None
+    def _stages(self, chosen: str | ConeAlgorithm) -> Iterator[Stage]:
+        """Yield the stages: the chosen method, or auto on the entire problem, then on each component."""
+        stack, problem, goal = self.stack, self.problem, self.goal
+        has_friction = problem.has_friction
+        if isinstance(chosen, ConeAlgorithm):
+            yield chosen.name, "", chosen.points(problem, stack, self.start, goal)
+            return
+        if self.is_warm or stack.is_answered.all():
+            self.residual = float(stack.measure(self.start)[2][0])
+            if self.residual <= self.tolerance:
+                yield "npgs", SWEPT, iter(())
+        z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
+        if self._solve_components():
+            return
+        if self.is_warm:
+            for share in (SHARES[0], None) if has_friction else ():
+                yield self._path(share)
+            z = yield from self._sweeps_and_newton(stack.origin, SCHEDULE[:1])
+        yield from self._sweeps_and_newton(z, SCHEDULE[1:])
+        if not has_friction:
+            because = "for a symmetric M a convex program has the same solution"
+            yield "fixed_point", because, FixedPoint().points(problem, stack, stack.origin, goal)
+        elif not self.is_warm:
+            yield self._path(None)
+        if self.log.settings.prove_infeasibility:
+            self.proof = infeasibility_proof(problem)
+            if self.proof is not None and self.proof.excludes(self.tolerance, self.absolute):
+                self.status = Status.INFEASIBLE
+                return
+        for share in SHARES if has_friction else ():
+            yield self._path(share)
+        yield from self._late_stages()
 
-    def _solve_components(self) -> None:
-        """Solve each component that does not pass, and combine the points."""
+    def _sweeps_and_newton(
+        self, z: Array, schedule: Any, because: str = SWEPT, **options: Any
+    ) -> Generator[Stage, None, Array]:
+        """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
+        for count, steps in schedule:
+            self.last = z
+            yield "npgs", because, sweep_points(self.stack, z, count, self.goal)
+            z = self.last
+            yield "newton", FOLLOWS, newton_points(self.stack, z, steps, self.goal, **options)
+        return z
+
+    def _path(self, share: float | None) -> Stage:
+        """Return the central path from a cold start, or from near the best point."""
+        z = self.stack.origin if share is None else self.stack.snap(self.best)
+        return "interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal)
+
+    def _late_stages(self) -> Iterator[Stage]:
+        """Yield sweeps until nothing changes, then Newton's method from points nearby."""
+
+        def newton(z: Array, because: str) -> Stage:
+            points = newton_points(self.stack, z, NEWTON_STEPS, self.goal, patience=PATIENCE)
+            return "newton", because, points
+
+        stack = self.stack
+        yield newton(stack.snap(self.best), "from the best point so far")
+        z = yield from self._sweeps_and_newton(
+            stack.origin, LONG_SCHEDULE, "until nothing changes", patience=PATIENCE
+        )
+        is_near = stack.measure(z)[2][0] < 1.0
+        z = z if is_near else stack.snap(self.best)
+        for seed in range(STARTS):
+            yield newton(move_at_random(stack, z, seed), NEARBY)
+
+    def _solve_components(self) -> bool:
+        """Return whether there are several components; solve each that does not pass, and combine the points."""
         pattern: Any = self.stack.pattern
-        whole = self.stack.snap(self.best)
-        flat = pattern.flat(whole)[0].copy()
-        labels, measures = pattern.labels[0], self.measures
-        assert measures is not None
-        is_open = ~((measures.relative <= self.tolerance) & (measures.terms <= self.tolerance))[0]
+        if pattern.labels is None:
+            return False
+        flat = pattern.flat(self.stack.snap(self.best))[0].copy()
+        labels = pattern.labels[0]
         statuses = [Status.SOLVED]
-        for label in np.unique(labels[is_open]).tolist():
+        for label in np.unique(labels[~self.measures.do_pass[0]]).tolist():
             blocks = labels == label
             rows = blocks[pattern.of_row]
 
@@ -462,7 +462,6 @@ class ConeRun:
             start = stack.pattern.wide(pattern.flat(self.start)[:, rows]) if self.is_warm else None
             run = ConeRun(part, stack, self.log, start, embed)
             run.solve("auto")
-            assert run.measures is not None
             flat[rows] = stack.pattern.flat(run.measures.z)[0]
             statuses.append(run.status)
             if run.proof is not None and (self.proof is None or run.status is Status.INFEASIBLE):
@@ -471,57 +470,10 @@ class ConeRun:
                 self.proof = ContactInfeasibility(self.problem, y)
             if run.status in (Status.INTERRUPTED, Status.MAX_SECONDS, Status.MAX_ITERATIONS):
                 break
-        self.measures = measure_points(
-            self.stack, pattern.wide(flat[None]), self.tolerance, self.absolute
-        )
-        raise Ended(max(statuses, key=WORST.index))
-
-
-def _checked_algorithm(algorithm: Any) -> str | ConeAlgorithm:
-    """Return "auto" or the object of a method."""
-    if isinstance(algorithm, ConeAlgorithm):
-        return algorithm
-    name = str(algorithm)
-    if name != "auto" and name not in METHODS:
-        raise UnknownAlgorithm(
-            f"no algorithm for cones is called {algorithm!r}{did_you_mean(name, {'auto', *METHODS})}; use one of "
-            f"{', '.join(METHODS)}, or an object of lcp_plugin.problems.cones.methods"
-        )
-    return name if name == "auto" else METHODS[name]()
-
-
-def _result(problem: Blocks, run: ConeRun, log: Log, chosen: str | ConeAlgorithm) -> ConeResult:
-    """Return the result of a run."""
-    settings, measures = log.settings, run.measures
-    assert measures is not None
-    certificate = ConeCertificate(problem, measures)
-    words = dict(WORDS)
-    if not settings.prove_infeasibility:
-        words[Status.STALLED] += NOT_ASKED
-    every = tuple(log.stages.values())
-    stages = tuple(stage for stage in every if stage.work) or every[:1]
-    if run.status is Status.SOLVED and not log.iterations:
-        stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-    name = ", ".join(dict.fromkeys(stage.name for stage in stages))
-    held: Any = certificate
-    return ConeResult(
-        z=certificate.z,
-        w=certificate.w,
-        status=run.status,
-        certificate=held,
-        algorithm=f"auto: {name}" if chosen == "auto" else chosen.name,  # type: ignore[union-attr]
-        iterations=log.iterations,
-        work=log.work,
-        seconds=log.clock.read(),
-        setup_seconds=0.0,
-        tolerance=settings.tolerance,
-        absolute_tolerance=settings.absolute_tolerance,
-        history=tuple(log.samples),
-        stages=stages,
-        infeasibility=run.proof,
-        _advice=words,
-        problem=problem,
-    )
+        self.status = max(statuses, key=WORST.index)
+        z = pattern.wide(flat[None])
+        self.measures = measure_points(self.stack, z, self.tolerance, self.absolute)
+        return True
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -34,7 +34,7 @@ def length(x: Array) -> Array:
 
 
 class Pattern:
-    """Block structure of M: nonzero blocks, their sizes, scales and connected components.
+    """Block structure of M: diagonal blocks, scales and connected components.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ class Pattern:
 
     Attributes
     ----------
-    rows, indices, indptr : array of int
-        The blocks of M, one after the other, by rows of blocks; all diagonal blocks are included.
-    norms : array, shape (B, blocks)
-        Frobenius norms of the blocks.
+    inner : tuple of two arrays of int
+        Row and column of each entry of the diagonal blocks.
     own : array, shape (B, k, m, m)
         The diagonal blocks.
+    blocks : tuple of three arrays
+        Numbers i k + row and i k + column of the nonzero blocks of problem i, and Σ |m_ij| of each.
     d : array, shape (B, k)
         Divisor of w. It is ‖M_kk‖/√m for a block of m rows, and the diagonal entry for one row. If this is less than
         2⁻²⁰ of the largest block of its row, d is the size of that block; 1 for an empty row.
@@ -58,119 +58,85 @@ class Pattern:
     """
 
     def __init__(self, M: Array, starts: Array) -> None:
-        self.starts, self.sizes = starts, np.diff(starts)
-        self.k, self.n, self.m = self.sizes.size, int(starts[-1]), int(self.sizes.max(initial=1))
-        is_even = bool((self.sizes == self.m).all())
-        self.of_row = np.repeat(np.arange(self.k), self.sizes)
-        self.place = (
-            None if is_even else self.of_row * self.m + np.arange(self.n) - starts[self.of_row]
-        )
-        self.is_row = self.sizes == 1
-        self.has_rows = bool(self.is_row.any())
         self.M, self.is_sparse = M, sp.issparse(M)
         self.B = 1 if self.is_sparse else len(M)
+        self.starts, self.sizes = starts, np.diff(starts)
+        self.k, self.n, self.m = self.sizes.size, int(starts[-1]), int(self.sizes.max(initial=1))
+        self.of_row = np.repeat(np.arange(self.k), self.sizes)
+        self.in_block = np.arange(self.n) - starts[self.of_row]
+        is_even = bool((self.sizes == self.m).all())
+        self.place = None if is_even else self.of_row * self.m + self.in_block
+        self.is_row = self.sizes == 1
+        self.has_rows = bool(self.is_row.any())
+        counts = self.sizes[self.of_row]
+        row = np.repeat(np.arange(self.n), counts)
+        shift = np.cumsum(counts) - counts - starts[self.of_row]
+        self.inner = row, np.arange(row.size) - np.repeat(shift, counts)
+        self._read()
+
+    def _read(self) -> None:
+        M, B, k, of_row, first = self.M, self.B, self.k, self.of_row, self.starts[:-1]
         if self.is_sparse:
-            self._read_sparse(M)
-        else:
-            self._read_dense(M)
-        self.is_own = self.rows == self.indices
-        per_row = np.diff(M.indptr) if self.is_sparse else np.array([self.n])
-        self.most_terms = int(per_row.max(initial=0))  # of a row's sum
-        self._measure()
-
-    def _read_dense(self, M: Array) -> None:
-        B, k, m = self.B, self.k, self.m
-        self.indices = np.tile(np.arange(k, dtype=np.int32), k)
-        self.indptr = k * np.arange(k + 1, dtype=np.int32)
-        self.rows = np.repeat(np.arange(k), k)
-        if self.place is None:
-            blocks = M.reshape(B, k, m, k, m).swapaxes(2, 3)
-            blocks = blocks.reshape(B, k * k, m, m)
-            self.norms = length(blocks.reshape(B, k * k, m * m))
-            self.own = np.ascontiguousarray(blocks[:, :: k + 1])
-            return
-        by_rows = np.hypot.reduceat(np.abs(M), self.starts[:-1], axis=2)
-        self.norms = np.hypot.reduceat(by_rows, self.starts[:-1], axis=1).reshape(B, k * k)
-        self.own = np.zeros((B, k, m, m))
-        i, j, block = self.inner
-        at = self.starts[:-1][block]
-        self.own[:, block, i, j] = M[:, at + i, at + j]
-
-    def _read_sparse(self, M: Array) -> None:
-        k, m = self.k, self.m
-        if self.place is None:
-            blocks = sp.bsr_array(M, blocksize=(m, m)) + sp.bsr_array(
-                (np.zeros((k, m, m)), np.arange(k), np.arange(k + 1)), shape=M.shape
+            row, column = np.repeat(np.arange(self.n), np.diff(M.indptr)), M.indices
+            where = of_row[row], of_row[column]
+            graph = sp.coo_array((np.abs(M.data), where), shape=(k, k)).tocsr()
+            blocks, sums = (
+                np.repeat(np.arange(k), np.diff(graph.indptr)) * k + graph.indices,
+                graph.data,
             )
-            blocks.sort_indices()
-            self.indices, self.indptr = blocks.indices, blocks.indptr
-            self.rows = np.repeat(np.arange(k), np.diff(self.indptr))
-            self.norms = length(blocks.data.reshape(1, -1, m * m))
-            self.own = np.ascontiguousarray(blocks.data[self.rows == self.indices])[None]
-            return
-        entries = M.tocoo()
-        of_row, of_column = self.of_row[entries.row], self.of_row[entries.col]
-        keys = np.concatenate([of_row * np.int64(k) + of_column, np.arange(k) * np.int64(k + 1)])
-        blocks, where = np.unique(keys, return_inverse=True)
-        self.rows, self.indices = blocks // k, blocks % k
-        self.indptr = np.searchsorted(self.rows, np.arange(k + 1))
-        order = np.argsort(where[: entries.nnz], kind="stable")
-        self.norms = np.zeros((1, blocks.size))
-        if order.size:
-            filled, begins = np.unique(where[order], return_index=True)
-            self.norms[0, filled] = np.hypot.reduceat(np.abs(entries.data[order]), begins)
-        self.own = np.zeros((1, k, m, m))
-        inside = of_row == of_column
-        row, column, block = entries.row[inside], entries.col[inside], of_row[inside]
-        at = self.starts[:-1][block]
-        self.own[0, block, row - at, column - at] = entries.data[inside]
-
-    @cached_property
-    def inner(self) -> tuple[Array, Array, Array]:
-        """Row and column within their block, and the block, of all entries of diagonal blocks."""
-        block = np.repeat(np.arange(self.k), self.sizes**2)
-        first = np.cumsum(self.sizes**2) - self.sizes**2
-        at = np.arange(block.size) - first[block]
-        return at // self.sizes[block], at % self.sizes[block], block
-
-    def _measure(self) -> None:
-        norms, shape = self.norms, (self.B, self.k)
-        self.d, self.most, self.labels = np.ones(shape), np.ones(shape), None
-        if not norms.size:
-            return
-        self.most = np.maximum.reduceat(norms, self.indptr[:-1], axis=1)
-        own = norms[:, self.is_own] / np.sqrt(self.sizes)
+            is_inner = of_row[row] == of_row[column]
+            row, column, values = row[is_inner], column[is_inner], M.data[is_inner]
+        else:
+            sums = np.add.reduceat(np.add.reduceat(np.abs(M), first, 1), first, 2).ravel()
+            blocks = np.arange(sums.size)
+            (row, column), values = self.inner, M[:, self.inner[0], self.inner[1]]
+        blocks, sums = blocks[sums != 0.0], sums[sums != 0.0]
+        of_block = blocks // k, blocks // k**2 * k + blocks % k
+        self.blocks = *of_block, sums
+        self.own = np.zeros((B, k, self.m, self.m))
+        self.own[(slice(None), *self.entry(row, column))] = values
+        own = length(self.own.reshape(B, k, self.m**2)) / np.sqrt(self.sizes)
         if self.has_rows:
             own = np.where(self.is_row, self.own[:, :, 0, 0], own)
-        usable = (own > 0.0) & (own >= LEAST_DIAGONAL * self.most)
-        self.d = np.where(usable, own, np.where(self.most > 0.0, self.most, 1.0))
-        is_there = norms > 0.0
-        if self.k == 1 or (norms.shape[1] == self.k**2 and is_there.all()):
-            return
-        size = self.B * self.k
-        if self.B == 1 and is_there.all():
-            graph = sp.csr_array((norms[0], self.indices, self.indptr), shape=(size, size))
-        else:
-            shift = self.k * np.arange(self.B)[:, None]
-            where = (np.broadcast_to(i, norms.shape) + shift for i in (self.rows, self.indices))
-            row, column = (one[is_there] for one in where)
-            graph = sp.coo_array((norms[is_there], (row, column)), shape=(size, size))
-        count, labels = sp.csgraph.connected_components(graph, directed=False)
-        if count > self.B:
-            self.labels = labels.reshape(shape)
+        most = self.neighbors(np.ones((B, k)))
+        usable = (own > 0.0) & (own >= LEAST_DIAGONAL * most)
+        self.d = np.where(usable, own, np.where(most > 0.0, most, 1.0))
+        self.labels = None
+        if sums.size < B * k**2:
+            indptr = np.searchsorted(of_block[0], np.arange(B * k + 1))
+            graph = sp.csr_array((sums, of_block[1], indptr), shape=(B * k, B * k))
+            count, labels = sp.csgraph.connected_components(graph, directed=False)
+            self.labels = labels.reshape(B, k) if count > B else None
+
+    def entry(self, row: Array, column: Array) -> tuple[Array, Array, Array]:
+        """Return the block of entries of diagonal blocks, and their row and column within it."""
+        return self.of_row[row], self.in_block[row], self.in_block[column]
+
+    @cached_property
+    def entries(self) -> tuple[Array, Array, Array]:
+        """Pointers, columns, and values, (B, …), of M by rows, for the compiled loop."""
+        M, n = self.M, self.n
+        if self.is_sparse:
+            return M.indptr.astype(np.int64), M.indices.astype(np.int64), M.data[None]
+        return n * np.arange(n + 1), np.tile(np.arange(n), n), M.reshape(self.B, -1)
+
+    @cached_property
+    def most_terms(self) -> int:
+        """The largest number of entries of a row."""
+        return int(np.diff(self.M.indptr).max(initial=0)) if self.is_sparse else self.n
 
     def wide(self, x: Array) -> Array:
-        """Return vectors of shape (B, n) as (B, k, m)."""
-        shape = len(x), self.k, self.m
+        """Return arrays of shape (B, n, …) as (B, k, m, …)."""
+        shape = len(x), self.k, self.m, *x.shape[2:]
         if self.place is None:
             return x.reshape(shape)
-        found = np.zeros((shape[0], self.k * self.m))
+        found = np.zeros((len(x), self.k * self.m, *x.shape[2:]))
         found[:, self.place] = x
         return found.reshape(shape)
 
     def flat(self, x: Array) -> Array:
-        """Return vectors of shape (B, k, m) as (B, n)."""
-        x = x.reshape(len(x), self.k * self.m)
+        """Return arrays of shape (B, k, m, …) as (B, n, …)."""
+        x = x.reshape(len(x), self.k * self.m, *x.shape[3:])
         return x if self.place is None else x[:, self.place]
 
     def times(self, z: Array, *, absolute: bool = False) -> Array:
@@ -199,15 +165,21 @@ class Pattern:
         np.maximum.at(most, self.labels.ravel(), values.ravel())
         return most[self.labels]
 
-    def neighbours(self, values: Array) -> Array:
-        """Return the largest ‖M_kl‖ · values_l over all blocks l of each block's row, shape (B, k)."""
-        terms = self.norms * values[:, self.indices]
-        return np.maximum.reduceat(terms, self.indptr[:-1], axis=1) if terms.size else values
+    def neighbors(self, values: Array) -> Array:
+        """Return the largest ‖M_kl‖ · values_l over all blocks l of each block's row, shape (B, k).
+
+        The norm is Σ |m_ij| / √(rows · columns), at most the Frobenius norm.
+        """
+        root, (row, column, sums) = np.sqrt(self.sizes), self.blocks
+        found = np.zeros(values.size)
+        np.maximum.at(found, row, sums * (values / root).ravel()[column])
+        return found.reshape(values.shape) / root
 
     def take(self, some: Array) -> Pattern:
         """Return the pattern of the selected problems."""
         other = copy(self)
-        for name in ("M", "norms", "own", "d", "most", "labels"):
+        other.__dict__.pop("entries", None)
+        for name in ("M", "own", "d", "labels"):
             values = getattr(self, name)
             setattr(other, name, None if values is None else values[some])
         other.B = len(other.d)
@@ -245,8 +217,7 @@ class ConeStack:
         self.q, self.mu = pattern.wide(q), slope
         self.d, self.B, self.k, self.m = pattern.d, pattern.B, pattern.k, pattern.m
         first = pattern.starts[:-1]
-        self.low: Array = lower[:, first] if pattern.has_rows else None
-        self.high: Array = upper[:, first] if pattern.has_rows else None
+        self.low, self.high = lower[:, first], upper[:, first]
         self.origin = self.project(np.zeros_like(self.q))
         w = self.slack(self.origin) if self.origin.any() else self.q
         size = length(self.residual(self.origin, w)[0])
@@ -261,7 +232,7 @@ class ConeStack:
         self.asks = (
             pattern.largest(asks)
             if has_friction
-            else np.maximum(asks, pattern.neighbours(asks / self.d))
+            else np.maximum(asks, pattern.neighbors(asks / self.d))
         )
 
     @classmethod
@@ -314,7 +285,7 @@ class ConeStack:
         edge[..., 0] = z[..., 0] - axis / self.d
         where = case[..., None]
         R = np.where(where == OUT, z, np.where(where == WITHIN, v, edge))
-        if self.low is not None:
+        if self.pattern.has_rows:
             step, at = v[..., 0], z[..., 0]
             below, over = at - self.high, at - self.low
             own = np.minimum(np.maximum(step, below), over)
@@ -332,7 +303,7 @@ class ConeStack:
         found[..., 0] = on_axis
         found = np.where((tangent <= self.mu * normal)[..., None], z, found)
         found = np.where((on_axis <= 0.0)[..., None], 0.0, found)
-        if self.low is not None:
+        if self.pattern.has_rows:
             own = np.minimum(np.maximum(normal, self.low), self.high)
             found[..., 0] = np.where(self.pattern.is_row, own, found[..., 0])
         return found
@@ -345,7 +316,7 @@ class ConeStack:
     def derivative(
         self, w: Array, case: Array, x: Array, tangent: Array, axis: Array
     ) -> tuple[Array, Array]:
-        """Return an element of the generalised derivative of R by z and by w of each block, (B, k, m, m)."""
+        """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
         mu, share, eye = self.mu, 1.0 / (1.0 + self.mu**2), np.eye(self.m)
         way = x[..., 1:] / np.maximum(tangent, TINY)[..., None]
         radius = mu * (axis / np.maximum(tangent, TINY))
@@ -358,7 +329,7 @@ class ConeStack:
         P[..., 1:, 1:] += radius[..., None, None] * eye[1:, 1:]
         is_apex = (axis == 0.0) & (tangent == 0.0) & ~self.pattern.is_row  # belongs to all modes
         is_whole = ((case == WITHIN) | is_apex) & (mu > 0.0)
-        if self.low is not None:
+        if self.pattern.has_rows:
             is_whole |= self.pattern.is_row & (case == WITHIN)
         P[(case == OUT) & ~is_apex], P[is_whole] = 0.0, eye
         by_w = P / self.d[..., None, None]

@@ -5,19 +5,15 @@ A contact in space is solved exactly, a number is clipped into its bounds, other
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 
 from ...core.kernels.compilation import helper, kernel
 from ...core.rounding import read_only_views
-from .stack import ConeStack
+from .stack import Array, ConeStack
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
 ACCURATE = 1e-14
 TURN = 0.5  # radians: largest change of the angle per step
-ENTRIES = 2_000_000  # of M that the loop reads between two checks of the clock
 
 
 @helper
@@ -104,12 +100,13 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
 
 @kernel
 def sweep(  # type: ignore[no-untyped-def]
-    starts, friction, mu, lower, upper, indptr, indices, data, q, own, step, z, sweeps, stop
+    starts, friction, mu, lower, upper, indptr, indices, data, q, own, d, z, sweeps, stop
 ):
     """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i."""
     m = max(own.shape[2], 3)
     b, x, w = np.zeros(m), np.zeros(m), np.zeros(m)
     for world in range(z.shape[0]):
+        bounds = min(world, lower.shape[0] - 1)
         for _ in range(sweeps):
             moved, largest = 0.0, 0.0
             for c in range(starts.size - 1):
@@ -124,9 +121,10 @@ def sweep(  # type: ignore[no-untyped-def]
                     b[i], x[i] = total, z[world, first + i]
                 if size == 1:
                     if A[0, 0] > 0.0:
-                        x[0] = min(max(-b[0] / A[0, 0], lower[world, first]), upper[world, first])
+                        x[0] = min(max(-b[0] / A[0, 0], lower[bounds, c]), upper[bounds, c])
                 elif not (friction and size == 3 and _solve_contact(A, b, mu[world, c], x)):
-                    _project_steps(A, b, mu[world, c], friction, step[world, c], size, x, w)
+                    step = 1.0 / (np.sqrt(size) * d[world, c])
+                    _project_steps(A, b, mu[world, c], friction, step, size, x, w)
                 for i in range(size):
                     moved = max(moved, abs(x[i] - z[world, first + i]))
                     largest = max(largest, abs(x[i]))
@@ -135,30 +133,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 break
 
 
-def sweeps(stack: ConeStack, z: Any, count: int, stop: float, each: int = 0) -> Iterator[Any]:
-    """Yield z, (B, k, m), after every `each` of `count` sweeps, or after ENTRIES are read."""
-    pattern, M, shape = stack.pattern, stack.pattern.M, (stack.B, stack.pattern.n)
-    if pattern.is_sparse:
-        indptr, indices, data = M.indptr, M.indices, M.data[None]
-    else:
-        n = pattern.n
-        indptr, indices = n * np.arange(n + 1), np.tile(np.arange(n), n)
-        data = M.reshape(stack.B, -1)
-    size = np.sqrt((pattern.own**2).sum((2, 3)))
-    step = 1.0 / np.where(size > 0.0, size, np.sqrt(pattern.sizes) * pattern.d)
-    low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
-    if stack.low is not None:
-        low[:], high[:] = (np.repeat(one, pattern.sizes, axis=1) for one in (stack.low, stack.high))
-    places = read_only_views(*(one.astype(np.int64) for one in (pattern.starts, indptr, indices)))
-    arrays = (stack.mu, low, high, data, pattern.flat(stack.q), pattern.own, step)
-    mu, low, high, data, q, own, step = read_only_views(*map(np.ascontiguousarray, arrays))
-    starts, indptr, indices = places
+def sweep_blocks(stack: ConeStack, z: Array, count: int, stop: float) -> Array:
+    """Return z, (B, k, m), after at most `count` sweeps over each problem."""
+    pattern = stack.pattern
+    q = pattern.flat(stack.q)
+    arrays = (stack.mu, stack.low, stack.high, *pattern.entries, q, pattern.own, stack.d)
+    starts, *given = read_only_views(*map(np.ascontiguousarray, (pattern.starts, *arrays)))
     z = np.array(pattern.flat(z), order="C")
-    chunk = each or max(1, ENTRIES // max(data.size, 1))
-    for done in range(0, count, chunk):
-        now = min(chunk, count - done)
-        sweep(
-            *(starts, stack.has_friction, mu, low, high, indptr, indices, data, q, own, step),
-            *(z, now, stop),
-        )
-        yield pattern.wide(z.copy())
+    sweep(starts, stack.has_friction, *given, z, count, stop)
+    return pattern.wide(z)

@@ -124,3 +124,15 @@ def test_what_does_not_fit_is_refused_in_words(given: Any, words: str) -> None:
     """Shapes, definiteness, directions, numbers."""
     with pytest.raises(InvalidProblem, match=re.escape(words)):
         FrictionalContact(given, VELOCITIES, 0.5)
+
+
+def test_a_contact_that_no_impulse_moves_may_be_one_of_many() -> None:
+    """A sparse W beyond the dense sizes may have a contact without entries: it opens, and the others slide."""
+    count = 120
+    diagonal = np.ones(3 * count)
+    diagonal[30:33] = 0.0
+    b = np.tile([-1.0, 3.0, 4.0], (count, 1))
+    b[10] = 1.0, 0.0, 0.0
+    motion = solve(FrictionalContact(sp.diags_array(diagonal, format="csr"), b, 0.5)).motion
+    np.testing.assert_array_equal(motion.touches, np.arange(count) != 10)
+    np.testing.assert_allclose(motion.tangential[0], [-0.3, -0.4], atol=1e-12)

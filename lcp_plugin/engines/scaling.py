@@ -16,6 +16,7 @@ from ..core.matrix.matrix import largest_in_rows
 from .engine import EngineAnswer, ProgramData
 
 FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active
+MODEST = 2.0**-30  # costs between this and its inverse are left unchanged
 MOST = 0.9  # share of costs and right-hand sides that scaling brings to at most about 1
 
 
@@ -56,6 +57,16 @@ class ScaledProgram(NamedTuple):
         )
         return cls(statement, units, rows, objective)
 
+    def with_modest_costs(self) -> ScaledProgram:
+        """Return the program with its objective divided by a power of two if it is very large or very small."""
+        P, c = self.statement.P, self.statement.c
+        size = max(float(abs(c).max(initial=0.0)), float(abs(P).max()) if P.size else 0.0)
+        if MODEST < size < 1.0 / MODEST:
+            return self
+        unit = float(_power_below(size))
+        statement = self.statement._replace(P=P / unit, c=c / unit)
+        return self._replace(statement=statement, objective=self.objective / unit)
+
     def outward(self, point: EngineAnswer) -> EngineAnswer:
         """Return the unscaled point."""
         return point._replace(x=point.x * self.units, y=point.y * (self.rows / self.objective))
@@ -83,13 +94,15 @@ def _power_below(sizes: Any) -> Any:
     return np.where(sizes > 0.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1), 1.0)
 
 
-def with_sides_about_one(fitted: ScaledProgram, given: ProgramData) -> ScaledProgram:
+def with_sides_about_one(fitted: ScaledProgram) -> ScaledProgram:
     """Return the program scaled so that most right-hand sides and most costs are at most about 1."""
     one = fitted.statement
     t = _typical_size(one.h, one.b, one.lower, one.upper)
-    return ScaledProgram.from_units(
-        given, fitted.units * t, fitted.rows / t, 1.0 / _typical_size(one.c * t)
+    units, rows, objective = fitted.units * t, fitted.rows / t, 1.0 / _typical_size(one.c * t)
+    scaled = ScaledProgram.from_units(
+        one, np.full(units.size, t), np.full(rows.size, 1.0 / t), objective
     )
+    return ScaledProgram(scaled.statement, units, rows, fitted.objective * objective)
 
 
 def without_far_limits(given: ProgramData) -> ProgramData:

@@ -539,9 +539,13 @@ def by_clarabel(data: list[Any]) -> tuple[str, np.ndarray]:
 
 
 def by_others(data: list[Any]) -> np.ndarray | None:
-    """Return the solution of Clarabel without bounds beyond 1e9, if it satisfies them."""
+    """Return the solution of Clarabel without bounds beyond 1e9, if it satisfies them and is no larger.
+
+    Clarabel also calls points Solved that are far along a direction of unbounded descent.
+    """
     status, x = by_clarabel(without_far(data))
-    return x if status == "Solved" and violation(data, x) <= 1e-8 else None
+    is_one = status == "Solved" and abs(x).max() <= 1e9 and violation(data, x) <= 1e-8
+    return x if is_one else None
 
 
 @np.errstate(all="ignore")  # ratios to 1e-300

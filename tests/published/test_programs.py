@@ -134,6 +134,24 @@ def test_value_and_violations_are_those_published(
     agrees(of, *way(of, name))
 
 
+@pytest.mark.few(3)
+@pytest.mark.parametrize("name", SMALL)
+def test_units_of_unknowns_and_rows_change_no_value(name: str) -> None:
+    """Each unknown and each row in a unit of its own, from 2⁻²⁰ to 2²⁰."""
+    of, rng = PublishedProgram.read(name), np.random.default_rng(0)
+    rows, low, high, lower, upper = of.split()
+    units = 2.0 ** rng.integers(-20, 21, of.q.size)
+    scales = 2.0 ** rng.integers(-20, 21, low.size)
+    D, R = sp.diags_array(units), sp.diags_array(scales)
+    program = QuadraticProgram.from_ranges(
+        sp.csc_array(D @ of.P @ D), units * of.q, sp.csr_array(R @ rows @ D),
+        scales * low, scales * high, lower / units, upper / units,
+    )  # fmt: skip
+    result = solve(program)
+    assert result.is_solved
+    agrees(of, units * result.x, result.objective + of.r)
+
+
 @pytest.mark.few(1)
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)

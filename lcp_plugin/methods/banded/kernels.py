@@ -118,31 +118,36 @@ def _substitute(bands, q, value, is_free, z, slope):  # type: ignore[no-untyped-
 
 
 @kernel
-def solve_one_sided(bands, q, sign, value, is_held, is_free, z):  # type: ignore[no-untyped-def]
-    """Fill z with the solution, and is_free with the free rows; return whether there is one.
+def solve_one_sided(bands, Q, sign, value, is_held, is_free, Z):  # type: ignore[no-untyped-def]
+    """Fill Z with the solutions of some problems, and is_free with their free rows; return how many were solved.
 
     Parameters
     ----------
-    bands : array, shape (3, n)
+    bands : array, shape (1, 3, n), or (m, 3, n) for an M of each problem
         m_{i,i−1}, m_ii and m_{i,i+1}; 0 outside of M.
-    q : array, shape (n,)
+    Q : array, shape (m, n)
     sign : float
         1 for z ≥ value and w ≥ 0; −1 for z ≤ value and w ≤ 0.
-    value : array, shape (n,)
+    value : array, shape (m, n)
         The bound of each row, ±∞ for none.
-    is_held : array of bool, shape (n,)
+    is_held : array of bool, shape (m, n)
         Rows that stay at their value for any sign of w.
-    is_free : array of bool, shape (n,)
-    z : array, shape (n,)
+    is_free : array of bool, shape (m, n)
+    Z : array, shape (m, n)
 
     Returns
     -------
-    bool
-        False if a pivot is negligible or not positive: M is singular or not an M-matrix.
+    int
+        m, or the first problem with a negligible or nonpositive pivot: its M is singular or not an M-matrix.
     """
-    n = q.size
+    m, n = Q.shape
     stops, blocks = np.empty(n + 1, np.int64), np.empty((n + 1, 7))
-    is_found = _find_contacts(bands, q, sign, sign * value, is_held, is_free, stops, blocks)
-    if is_found:
-        _substitute(bands, q, value, is_free, z, np.empty(n))
-    return is_found
+    turned, slope = np.empty(n), np.empty(n)
+    for j in range(m):
+        M = bands[j if bands.shape[0] > 1 else 0]
+        for i in range(n):
+            turned[i] = sign * value[j, i]
+        if not _find_contacts(M, Q[j], sign, turned, is_held[j], is_free[j], stops, blocks):
+            return j
+        _substitute(M, Q[j], value[j], is_free[j], Z[j], slope)
+    return m

@@ -27,14 +27,12 @@ from ...engines.scaling import (
     with_sides_about_one,
     without_far_limits,
 )
-from ...systems.equilibration import power_of_two
 from .criterion import KKTErrors
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 from .solution import QPSolution
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
-MODEST = 2.0**-30  # an engine gets costs between this and its inverse unchanged
 NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
 ATTEMPTS = (  # engine, tolerance of its own, units
@@ -123,19 +121,13 @@ def run_engine(
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors = KKTErrors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # a point that overflows fails the test
-        (P, G, A), one = reduced.matrices.arrays, reduced
-        unit = _unit_of_costs(P, one.c)
-        given = ProgramData(P / unit, one.c / unit, G, one.h, A, one.b, one.lower, one.upper)
-        for statement in (given,) if units is GIVEN else _statements(given):
-            scaled = None if units is GIVEN else _scale_statement(reduced, statement, units)
-            asked = statement if scaled is None else scaled.statement
-            point = _call_engine(engine, asked, is_verbose)
+        for scaled in _statements(reduced, units):
+            point = _call_engine(engine, scaled.statement, is_verbose)
             iterations, says = iterations + point.iterations, point.says
             rounds = 0 if says in NO_MINIMUM else ROUNDS
-            for near in candidates(asked, point, rounds):
-                back = near if scaled is None else scaled.outward(near)
-                x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
-                y = back.y * unit
+            for near in candidates(scaled.statement, point, rounds):
+                back = scaled.outward(near)
+                x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
                 found = KKTErrors.of(reduced, x, y, tolerance)
                 is_better = found.largest < errors.largest or found.meet(tolerance)
                 if is_better and not (errors.meet(tolerance) and found.is_excused):
@@ -148,12 +140,6 @@ def run_engine(
     return EngineRun(
         solution, errors, says, StageRecord(engine.name, engine.solves, iterations, 0.0)
     )
-
-
-def _unit_of_costs(P: Any, c: FloatVector) -> float:
-    """Return the power of two by which large or small costs are divided for an engine; 1 for ordinary ones."""
-    size = max(float(abs(c).max(initial=0.0)), float(abs(P).max()) if P.size else 0.0)
-    return 1.0 if MODEST < size < 1.0 / MODEST else float(power_of_two(size))
 
 
 def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
@@ -190,20 +176,18 @@ def quiet(point: EngineAnswer) -> EngineAnswer:
     return point._replace(x=x, y=y)
 
 
-def _statements(given: ProgramData) -> Iterator[ProgramData]:
-    """Yield the program without very large right-hand sides and, if it had any, the original program."""
-    near = without_far_limits(given)
-    yield near
-    if near is not given:
-        yield given
-
-
-def _scale_statement(
-    reduced: QuadraticProgram, statement: ProgramData, units: str
-) -> ScaledProgram:
-    """Return the statement in the units of an attempt."""
-    fitted = ScaledProgram.from_units(statement, *reduced.matrices.engine_units)
-    return fitted if units is FITTED else with_sides_about_one(fitted, statement)
+def _statements(reduced: QuadraticProgram, units: str) -> Iterator[ScaledProgram]:
+    """Yield the program in the units of an attempt: in fitted units, first without very large right-hand sides."""
+    (P, G, A), one = reduced.matrices.arrays, reduced
+    given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
+    if units is GIVEN:
+        yield ScaledProgram(given, np.ones(1), np.ones(1), 1.0).with_modest_costs()
+        return
+    scales = one.matrices.engine_units if units is FITTED else one.matrices.largest_units
+    fitted = ScaledProgram.from_units(given, *scales).with_modest_costs()
+    near = without_far_limits(fitted.statement)
+    all_sides = (fitted,) if near is fitted.statement else (fitted._replace(statement=near), fitted)
+    yield from all_sides if units is FITTED else map(with_sides_about_one, all_sides)
 
 
 def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:

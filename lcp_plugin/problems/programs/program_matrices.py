@@ -29,7 +29,7 @@ SPARSE, SPARSE_UP_TO = (
 Indices = NDArray[np.intp]
 SINGLE_PRECISION = 2.0**-24
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
-PASSES = 3  # of equilibration, after the fit
+PASSES, PASSES_WITHOUT_FIT = 3, 10  # of equilibration
 DENSE_FIT = 150  # unknowns and rows whose fit is a dense system
 FIT_TO, FIT_STEPS = 1e-3, 60
 
@@ -88,8 +88,19 @@ class ProgramMatrices:
     @cached_property
     def engine_units(self) -> tuple[FloatVector, FloatVector]:
         """Units of unknowns and of rows, from the fit, in which the largest entries of P, G and A are about 1."""
-        (units, rows), (_, _, of_P, of_C, of_columns) = self.fit, self.measured
-        for _ in range(PASSES):
+        return self._equilibrate(*self.fit, PASSES)
+
+    @cached_property
+    def largest_units(self) -> tuple[FloatVector, FloatVector]:
+        """Units in which the largest entries are about 1, without a fit, so that tiny entries have no influence."""
+        n, m = self.P.shape[0], self.rows.shape[0]
+        return self._equilibrate(np.ones(n), np.ones(m), PASSES_WITHOUT_FIT)
+
+    def _equilibrate(
+        self, units: FloatVector, rows: FloatVector, passes: int
+    ) -> tuple[FloatVector, FloatVector]:
+        of_P, of_C, of_columns = self.measured[2:]
+        for _ in range(passes):
             most = units * np.maximum(largest(of_P, units), largest(of_columns, rows))
             units, rows = units / _root(most), rows / _root(rows * largest(of_C, units))
         return units, rows

@@ -379,7 +379,9 @@ class _ProgramRun:
             self.says = run.says
             passes = run.errors.meet(self.settings.tolerance)
             if is_proof_wanted and (
-                self._is_far(run.solution.x) if passes else run.says in NO_MINIMUM
+                run.errors.is_excused or self._is_far(run.solution.x)
+                if passes
+                else run.says in NO_MINIMUM
             ):
                 self.proof = self.program.facts.accepted_proof(self.settings.tolerance)
             is_told = not is_proof_wanted and run.says in NO_MINIMUM and run.says is before

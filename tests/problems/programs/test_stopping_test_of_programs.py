@@ -407,6 +407,24 @@ def test_constructed_points_are_refused(name: str, kind: Any) -> None:
     assert not KKTErrors.of(program, np.array(x, float), np.array(y, float)).meet(1e-6)
 
 
+@pytest.mark.parametrize(
+    ("lower", "upper", "row"),
+    [(1e14, 1e14, []), (1e14, np.inf, []), (-np.inf, np.inf, [[0.0, 0.0, -1.0]])],
+    ids=["fixed", "bound", "row"],
+)
+def test_contradictions_next_to_a_large_unknown_are_infeasible(
+    lower: float, upper: float, row: list[list[float]]
+) -> None:
+    """x₁ + x₂ ≤ −1 contradicts x ≥ 0, although it is rounding error next to x₃ = 1e14 of the same component."""
+    G, h = [[1, 1, 0], [1, 0, -1], *row], [-1, 0, *(-1e14 for _ in row)]
+    program = QuadraticProgram(
+        None, [0, 0, 1], G, h, lower=[0, 0, lower], upper=[np.inf, np.inf, upper]
+    )
+    for algorithm in ("auto", "piqp", "clarabel"):
+        assert solve(program, algorithm).status is Status.INFEASIBLE
+    assert solve_batch([program, program]).status[1] is Status.INFEASIBLE
+
+
 def test_documented_limits_of_the_test() -> None:
     """A row violated by 9e-10 of its terms passes, also a program within 1e-11 of a bounded one."""
     row = QuadraticProgram(np.diag([1.0, 0.0]), [0, 0], [[0, 1], [-1, -1e11]], [1, -1e11 - 50])

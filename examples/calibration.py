@@ -5,8 +5,8 @@ A market quotes prices; what traders compare is the volatility σ that explains 
     V ≥ g,   V_τ − ½σ² V_xx − (r − ½σ²) V_x + r V ≥ 0,   and one of the two is an equation,
 
 with x = log(S/K), τ the time to maturity, g = max(K − S, 0). An implicit step of length Δτ is an LCP with
-M(σ) = I + Δτ A(σ). σ and Δτ differ from put to put, and M with them; all matrices are tridiagonal, so that `march`
-takes sixteen puts at a time through each step. `derivative` of each march gives vega,
+M(σ) = I + Δτ A(σ). σ and Δτ differ from put to put, and M with them; all matrices are tridiagonal, so that a step of
+`march` is one pass over the rows. `derivative` of each march gives vega,
 the change of the price with σ, exactly: Newton's method on the logarithm of the price takes a few marches.
 
 Quotes come from a binomial tree with planted volatilities, which knows no differential equation: these are the check.

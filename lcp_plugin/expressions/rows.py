@@ -1,7 +1,7 @@
 """Arrays of expressions, affine in unknowns and in the results of functions; and functions of them.
 
 Each modeling language builds its own functions from these. Entries are numbered by columns. A block is the derivative
-by one source, and an identity stores nothing; of a sparse matrix only the entries that may differ from zero are rows.
+by one source, and an identity stores nothing.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ class Rows:
     offset : ndarray
     shape : tuple
         Shape of the array.
-    places : ndarray of int or None
-        Indices of the entries in the array, ascending, if all others are zero; None for all entries.
     level : int
         Level of the highest source; unknowns have level 0.
     """
@@ -45,27 +43,15 @@ class Rows:
     blocks: dict[int, Block]
     offset: FloatVector
     shape: tuple[int, ...]
-    places: Indices | None = None
     level: int = 0
 
     @classmethod
     def of(cls, value: Any) -> Rows:
-        """Return rows unchanged, and the entries of an array or a sparse matrix as rows without sources."""
+        """Return rows unchanged, and all entries of an array or a sparse matrix as rows without sources."""
         if isinstance(value, Rows):
             return value
-        if not sp.issparse(value):
-            return cls({}, np.asarray(value, dtype=np.float64).ravel(order="F"), np.shape(value))
-        matrix = sp.csc_array(value)
-        if not matrix.has_canonical_format:
-            matrix = matrix.copy()
-            matrix.sum_duplicates()
-        columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
-        return cls(
-            {},
-            matrix.data.astype(np.float64),
-            matrix.shape,
-            columns * matrix.shape[0] + matrix.indices,
-        )
+        entries = value.toarray() if sp.issparse(value) else np.asarray(value)
+        return cls({}, entries.astype(np.float64).ravel(order="F"), entries.shape)
 
     @property
     def size(self) -> int:
@@ -90,46 +76,23 @@ class Rows:
             and not self.offset.any()
         )
 
-    def array(self, entries: FloatVector) -> Any:
-        """Return the array with these entries at the indices of the rows, sparse if not all."""
-        if self.places is None:
-            return entries.reshape(self.shape, order="F")
-        columns, rows = np.divmod(self.places, max(self.shape[0], 1))
-        return sp.csc_array((entries, (rows, columns)), shape=self.shape)
-
-    def taken(
-        self, numbers: Indices, shape: tuple[int, ...] | None = None, places: Indices | None = None
-    ) -> Rows:
+    def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None) -> Rows:
         """Return the rows with these numbers, −1 for one that is zero, as an array of that shape."""
         shape = numbers.shape if shape is None else shape
         if numbers.size == self.size and np.array_equal(numbers, np.arange(self.size)):
-            return replace(self, shape=shape, places=places)
+            return replace(self, shape=shape)
         is_taken, offset = numbers >= 0, np.zeros(numbers.size)
         offset[is_taken] = self.offset[numbers[is_taken]]
         blocks = {
             key: _rows_of(block, numbers, is_taken, self.size) for key, block in self.blocks.items()
         }
-        return Rows(blocks, offset, shape, places, self.level)
+        return Rows(blocks, offset, shape, self.level)
 
-    def spread(self, shape: tuple[int, ...], places: Indices | None = None) -> Rows:
-        """Return the array broadcast to a shape, with the entries in these places; with all of them for None."""
-        if self.shape == shape and self.places is places:
+    def spread(self, shape: tuple[int, ...]) -> Rows:
+        """Return the array broadcast to a shape."""
+        if self.shape == shape:
             return self
-        numbers = entries_behind(
-            np.arange(math.prod(shape)) if places is None else places, shape, self.shape
-        )
-        if self.places is not None:
-            near = np.minimum(np.searchsorted(self.places, numbers), max(self.size - 1, 0))
-            numbers = (
-                np.where(self.places[near] == numbers, near, -1)
-                if self.size
-                else np.full(numbers.size, -1)
-            )
-        return self.taken(numbers, shape, places)
-
-    def full(self) -> Rows:
-        """Return all entries."""
-        return self.spread(self.shape)
+        return self.taken(entries_behind(shape, self.shape), shape)
 
     def scaled(self, factor: Any, operation: np.ufunc = np.multiply) -> Rows:
         """Return the rows times, or divided by, a number or one number per row."""
@@ -145,9 +108,7 @@ class Rows:
             }
         return replace(self, blocks=blocks, offset=operation(self.offset, factor))
 
-    def applied(
-        self, operator: sp.csr_array, shape: tuple[int, ...], places: Indices | None = None
-    ) -> Rows:
+    def applied(self, operator: sp.csr_array, shape: tuple[int, ...]) -> Rows:
         """Return operator · rows as an array of that shape; the operator itself where a block is the identity."""
         blocks = {
             key: (operator if block == 1.0 else operator * block)
@@ -156,47 +117,33 @@ class Rows:
             for key, block in self.blocks.items()
         }
         offset = operator @ self.offset if self.offset.any() else np.zeros(operator.shape[0])
-        return Rows(blocks, offset, shape, places, self.level)
+        return Rows(blocks, offset, shape, self.level)
 
-    def summed(
-        self, targets: Indices, shape: tuple[int, ...] = (), places: Indices | None = None
-    ) -> Rows:
+    def summed(self, targets: Indices, shape: tuple[int, ...] = ()) -> Rows:
         """Return sums of rows: row k is added to the sum with the number targets[k]."""
-        size = math.prod(shape) if places is None else places.size
+        size = math.prod(shape)
         by_columns = sp.csc_array(
             (np.ones(self.size), targets, np.arange(self.size + 1)), shape=(size, self.size)
         )
-        return self.applied(by_columns.tocsr(), shape, places)
+        return self.applied(by_columns.tocsr(), shape)
 
 
-def entries_behind(places: Indices, shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
-    """Return the source indices of entries after broadcasting to a shape."""
-    if shape == source:
-        return places
-    if math.prod(source) == 1:
-        return np.zeros(places.size, dtype=np.int64)
-    index = np.unravel_index(places, shape, order="F")[len(shape) - len(source) :]
-    own = tuple(
-        np.zeros_like(one) if length == 1 else one
-        for one, length in zip(index, source, strict=True)
-    )
-    behind: Indices = np.ravel_multi_index(own, source, order="F")
-    return behind
+def entries_behind(shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
+    """Return the number of the source's entry that each entry is after broadcasting to a shape."""
+    numbers = np.arange(math.prod(source)).reshape(source, order="F")
+    return np.broadcast_to(numbers, shape).ravel(order="F")
 
 
 def added(parts: Iterable[Any], shape: tuple[int, ...]) -> Rows:
-    """Return the sum of rows and constants, each broadcast to the shape; sparse where all of them are."""
-    rows, places = [Rows.of(part) for part in parts], None
-    if all(one.places is not None and one.shape == shape for one in rows):
-        places = np.unique(np.concatenate([one.places for one in rows]))
-    rows = [one.spread(shape, places) for one in rows]
+    """Return the sum of rows and constants, each broadcast to the shape."""
+    rows = [Rows.of(part).spread(shape) for part in parts]
     terms: dict[int, list[Block]] = defaultdict(list)
     for one in rows:
         for key, block in one.blocks.items():
             terms[key].append(block)
     offset = sum((one.offset for one in rows[1:]), start=rows[0].offset)
     blocks = {key: _total(blocks, offset.size) for key, blocks in terms.items()}
-    return Rows(blocks, offset, shape, places, max(one.level for one in rows))
+    return Rows(blocks, offset, shape, max(one.level for one in rows))
 
 
 def stacked(parts: Sequence[Rows]) -> Rows:
@@ -221,7 +168,7 @@ def stacked(parts: Sequence[Rows]) -> Rows:
             (data, columns, np.cumsum(counts)), shape=(size, matrices[0][1].shape[1])
         )
     offset = np.concatenate([part.offset for part in parts])
-    return Rows(blocks, offset, (size,), None, max(part.level for part in parts))
+    return Rows(blocks, offset, (size,), max(part.level for part in parts))
 
 
 def assembled(
@@ -337,7 +284,7 @@ class Compiler:
             -1 - len(self.groups),
         )
         self.groups.append((level, function, arguments, key))
-        return Rows({key: 1.0}, np.zeros(first.size), first.shape, first.places, level)
+        return Rows({key: 1.0}, np.zeros(first.size), first.shape, level)
 
     def elementwise(
         self, function: Function, left: Any, right: Any, shape: tuple[int, ...]
@@ -346,17 +293,15 @@ class Compiler:
         is_product = function is functions.PRODUCT
         if left is right and is_product:
             return self.emit(functions.SQUARE, left)
-        # A product with a sparse array, or its quotient by an array, keeps its zeros.
-        sparse = [
-            Rows.of(one) for one in ((left, right) if is_product else (left,)) if _is_sparse(one)
-        ]
-        places = next((one.places for one in sparse if one.shape == shape), None)
         if is_product and not isinstance(left, Rows):
             left, right = right, left
-        own = Rows.of(left).spread(shape, places)
+        own = Rows.of(left).spread(shape)
         if isinstance(right, Rows):
-            return self.emit(function, own, right.spread(shape, places))
-        return own.scaled(_factors(right, shape, places), np.multiply if is_product else np.divide)
+            return self.emit(function, own, right.spread(shape))
+        factor = uniform(right)
+        if factor is None:
+            factor = Rows.of(right).spread(shape).offset
+        return own.scaled(factor, np.multiply if is_product else np.divide)
 
     def product(self, left: Any, right: Any, shape: tuple[int, ...]) -> Rows:
         """Return the matrix product of two operands, one of them `Rows`, or of stacks of matrices."""
@@ -365,8 +310,7 @@ class Compiler:
         is_left = not isinstance(left, Rows)
         rows: Rows = right if is_left else left
         constant: Any = left if is_left else right
-        are_matrices = max(len(left.shape), len(right.shape)) <= 2
-        if not isinstance(constant, Rows) and are_matrices and rows.places is None:
+        if not isinstance(constant, Rows) and max(len(left.shape), len(right.shape)) <= 2:
             # vec(A X) = (I ⊗ A) vec X and vec(X A) = (Aᵀ ⊗ I) vec X; the transpose of CSC is CSR on the same arrays.
             factor = constant if is_left else constant.T
             operator = sp.csr_array(factor if sp.issparse(factor) else np.atleast_2d(factor))
@@ -377,66 +321,33 @@ class Compiler:
                     *((identity, operator) if is_left else (operator, identity)), format="csr"
                 )
             return rows.applied(operator, shape)
-        first, second = Rows.of(left), Rows.of(right)
-        if not are_matrices:
-            first, second = first.full(), second.full()
-        places, at_first, at_second, targets = None, *_meeting(first, second)
-        if first.places is not None and second.places is not None:
-            places, targets = np.unique(targets, return_inverse=True)
+        at_left, at_right, targets = _meeting(left.shape, right.shape)
         if isinstance(constant, Rows):
             # Rows of many terms, of which each product would hold a copy, become quantities of their own.
-            both = (first, second)
             first, second = (
-                one if one.terms <= one.size else self.emit(functions.SAME, one) for one in both
+                one if one.terms <= one.size else self.emit(functions.SAME, one)
+                for one in (left, right)
             )
-            terms = self.emit(functions.PRODUCT, first.taken(at_first), second.taken(at_second))
-            return terms.summed(targets, shape, places)
-        factors, numbers = (
-            (first.offset[at_first], at_second) if is_left else (second.offset[at_second], at_first)
-        )
-        size = math.prod(shape) if places is None else places.size
-        operator = sp.csr_array(
-            sp.coo_array((factors, (targets, numbers)), shape=(size, rows.size))
-        )
+            terms = self.emit(functions.PRODUCT, first.taken(at_left), second.taken(at_right))
+            return terms.summed(targets, shape)
+        of_constant, of_rows = (at_left, at_right) if is_left else (at_right, at_left)
+        entries = Rows.of(constant).offset[of_constant], (targets, of_rows)
+        operator = sp.csr_array(sp.coo_array(entries, shape=(math.prod(shape), rows.size)))
         operator.eliminate_zeros()
-        return (second if is_left else first).applied(operator, shape, places)
+        return rows.applied(operator, shape)
 
 
-def _is_sparse(operand: Any) -> bool:
-    return operand.places is not None if isinstance(operand, Rows) else sp.issparse(operand)
-
-
-def _factors(constant: Any, shape: tuple[int, ...], places: Indices | None) -> Any:
-    """Return the entries of a constant broadcast to a shape, or a number if it is uniform."""
-    number = uniform(constant)
-    return Rows.of(constant).spread(shape, places).offset if number is None else number
-
-
-def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
+def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, Indices, Indices]:
     """Return the factors of a matrix product: rows of the left, rows of the right, and the entry that they add to."""
-    shapes = [
-        (1, *left.shape) if len(left.shape) == 1 else left.shape,
-        (*right.shape, 1) if len(right.shape) == 1 else right.shape,
-    ]
-    batch = np.broadcast_shapes(shapes[0][:-2], shapes[1][:-2])
-    count, depth = math.prod(batch), shapes[0][-1]
-    found = []
-    for rows, shape in zip((left, right), shapes, strict=True):
-        whole = batch + shape[-2:]
-        places = np.arange(math.prod(whole)) if rows.places is None else rows.places
-        numbers = (
-            entries_behind(places, whole, shape) if rows.places is None else np.arange(places.size)
-        )
-        entry, stack = np.divmod(places, max(count, 1))
-        found.append((numbers, stack, *np.divmod(entry, max(shape[-2], 1))))  # column, row
-    (number, stack, column, row), (other, other_stack, other_column, other_row) = found
-    wanted, held = stack * depth + column, other_stack * depth + other_row
-    order = np.argsort(held, kind="stable")
-    begin, end = (np.searchsorted(held[order], wanted, side=side) for side in ("left", "right"))
-    counts = end - begin
-    at_left = np.repeat(np.arange(number.size), counts)
-    at_right = order[
-        np.repeat(begin - (np.cumsum(counts) - counts), counts) + np.arange(at_left.size)
-    ]
-    place = (row[at_left] + shapes[0][-2] * other_column[at_right]) * count + stack[at_left]
-    return number[at_left], other[at_right], place
+    first = (1, *left) if len(left) == 1 else left
+    second = (*right, 1) if len(right) == 1 else right
+    batch = np.broadcast_shapes(first[:-2], second[:-2])
+    entry = (*batch, first[-2], second[-1])
+    at_left, at_right, target = (
+        np.arange(math.prod(own)).reshape(own, order="F") for own in (first, second, entry)
+    )
+    both = np.broadcast_arrays(
+        at_left[..., np.newaxis], at_right[..., np.newaxis, :, :], target[..., np.newaxis, :]
+    )
+    of_left, of_right, targets = (one.ravel() for one in both)
+    return of_left, of_right, targets

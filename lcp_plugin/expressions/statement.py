@@ -188,7 +188,7 @@ class Statement:
         self.lower, self.upper = np.append(self.lower, -free), np.append(self.upper, free)
         self.is_paired = np.append(self.is_paired, np.zeros(rows.size, dtype=bool))
         rows = rows.scaled(sign) if np.any(np.asarray(sign) != 1.0) else rows
-        rows = Rows({**rows.blocks, key: -1.0}, rows.offset, (rows.size,), None, rows.level)
+        rows = Rows({**rows.blocks, key: -1.0}, rows.offset, (rows.size,), rows.level)
         self.rows.append(
             StatedRows(rows, np.zeros(free.size), np.zeros(free.size), origin, sign, None, columns)
         )

@@ -126,6 +126,7 @@ parameters. ``jvp`` maps changes of parameters to changes of variables and dual 
 - Parameters may be used in M, q, bounds, friction and definitions, and need not enter affinely. Integer, Boolean,
   symmetric, PSD, diagonal, sparse and complex parameters raise UnsupportedModel.
 - Write ``L @ (L.T @ x)``, not ``(L @ L.T) @ x``: of two matrices of parameters the product has n³ terms.
+- Write ``p * (S @ x)``, not ``(p * S) @ x``, for a large sparse S: all n² entries of p * S are computed.
 - The parameters must have the values of the solve; otherwise `derivative` raises an error: solve again.
 - If an entry is at a bound and its w is zero, ``jvp`` is the one-sided change, and ``vjp`` the gradient of one of the
   adjacent pieces (an element of the B-subdifferential); ``lcp_plugin.derivative(extra_stats).is_unique`` is False.

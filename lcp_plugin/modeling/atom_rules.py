@@ -42,14 +42,6 @@ def rule_of(node: Any) -> Rule | None:
     return next((SMOOTH[kind] for kind in type(node).__mro__ if kind in SMOOTH), None)
 
 
-def whole(node: Any, arguments: list[Any]) -> list[Any]:
-    """Return the arguments in their own shapes: rows that were broadcast only in name get all their entries."""
-    return [
-        one.spread(part.shape) if isinstance(one, Rows) and one.shape != part.shape else one
-        for part, one in zip(node.args, arguments, strict=True)
-    ]
-
-
 def refused(node: Any) -> UnsupportedModel:
     """Return the error that names an atom without a rule, and a remedy."""
     if isinstance(node, atoms.NONSMOOTH):
@@ -75,19 +67,22 @@ def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
 
 def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     """Apply the derivatives that cvxpy gives, which are constant if the atom is affine."""
-    offsets = [one.array(one.offset) if isinstance(one, Rows) else one for one in arguments]
+    offsets = [
+        one.offset.reshape(one.shape, order="F") if isinstance(one, Rows) else one
+        for one in arguments
+    ]
     # Anywhere inside their domains; a power is not differentiated at zero.
     values = [
         np.ones(one.shape) if isinstance(one, Rows) else atoms.dense(one) for one in arguments
     ]
     parts = [
-        one.full().applied(_own_jacobian(node, k, values), node.shape)
+        one.applied(_own_jacobian(node, k, values), node.shape)
         for k, one in enumerate(arguments)
         if isinstance(one, Rows)
     ]
     whole = added(parts, node.shape)
     offset = np.ravel(atoms.dense_numeric(node, offsets), order="F").astype(np.float64)
-    return Rows(whole.blocks, offset, node.shape, None, whole.level)
+    return Rows(whole.blocks, offset, node.shape, whole.level)
 
 
 def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
@@ -129,8 +124,7 @@ def _negated(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _broadcast(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    """Return the argument unexpanded: a multiple of a sparse matrix shall not become full."""
-    rows: Rows = arguments[0]
+    rows: Rows = arguments[0].spread(node.shape)
     return rows
 
 
@@ -140,33 +134,27 @@ def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
         return compiler.elementwise(functions.QUOTIENT, left, right, node.shape)
     if isinstance(node, atoms.ELEMENTWISE) or () in (left.shape, right.shape):
         return compiler.elementwise(functions.PRODUCT, left, right, node.shape)
-    left, right = whole(node, arguments)
     return compiler.product(left, right, node.shape)
 
 
 def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     """Let the atom move entry numbers instead of entries: the result shows which rows it takes."""
     parts = [Rows.of(argument) for argument in arguments]
-    if any(part.places is None for part in parts):
-        parts = [part.full() for part in parts]
-    numbers, first = [], 1
-    for part in parts:
-        numbers.append(part.array(np.arange(first, first + part.size, dtype=np.float64)))
-        first += part.size
+    ends = np.cumsum([part.size for part in parts])
     # 0 stands for an entry of nothing: padding.
-    moved = atoms.constant_numeric(node, numbers)
-    if not sp.issparse(moved):
-        return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
-    found = Rows.of(moved)
-    return stacked(parts).taken(found.offset.astype(np.int64) - 1, node.shape, found.places)
+    numbers = [
+        np.arange(end - part.size + 1.0, end + 1.0).reshape(part.shape, order="F")
+        for part, end in zip(parts, ends, strict=True)
+    ]
+    moved = atoms.dense_numeric(node, numbers)
+    return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
 
 
 def _summed(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     rows, axes = arguments[0], _axes(node)
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(rows.shape))
-    places = np.arange(rows.size) if rows.places is None else rows.places
-    whole: Rows = rows.summed(entries_behind(places, rows.shape, kept), node.shape)
-    return whole
+    sums: Rows = rows.summed(entries_behind(rows.shape, kept), node.shape)
+    return sums
 
 
 AFFINE: dict[tuple[Any, ...], Rule] = {
@@ -177,8 +165,6 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
     atoms.GATHERS: _gathered,
     atoms.ENTRY_SUM: _summed,
 }
-#: Rules that broadcast their arguments themselves.
-BROADCASTING = (_added, _negated, _broadcast, _product)
 
 
 # --- smooth ---------------------------------------------------------------------------------------------------------

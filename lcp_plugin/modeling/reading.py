@@ -23,13 +23,11 @@ from ..expressions.rows import Compiler, Rows, as_matrix
 from . import _compat as atoms
 from ._compat import name_of, postorder
 from .atom_rules import (
-    BROADCASTING,
     Rule,
     affine_rule,
     linearised,
     refused,
     rule_of,
-    whole,
 )
 
 Values = dict[int, Any]
@@ -197,17 +195,12 @@ class Reader:
             self._take_constant(part, argument)
         if rule is None:
             rule = rule_of(node)
-            arguments = [
-                one.full() if isinstance(one, Rows) else one for one in whole(node, arguments)
-            ]
             if rule is None and self._held is not None:
                 values = [atoms.dense(folded(part, self._value, {})) for part in node.args]
                 return linearised(node, arguments, values)
             if rule is None:
                 raise refused(node)
-        return rule(
-            self.compiler, node, arguments if rule in BROADCASTING else whole(node, arguments)
-        )
+        return rule(self.compiler, node, arguments)
 
     def _value(self, node: Any, values: list[Any]) -> Any:
         """Return the value of a node without sources, or of any node if variables are held."""

@@ -6,10 +6,10 @@
     from mpi4py import MPI
     from lcp_plugin import LCP
 
-    comm, n = MPI.COMM_WORLD, 10_000
+    comm, n = MPI.COMM_WORLD, 1_000
     first, last = n * comm.rank // comm.size, n * (comm.rank + 1) // comm.size
     M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
-    problem = LCP.from_rows(comm, M[first:last], np.full(last - first, 1e-8), lower=-0.1)  # the own rows
+    problem = LCP.from_rows(comm, M[first:last], np.full(last - first, 1e-6), lower=-0.1)  # the own rows
     result = problem.solve(error_bound=True)              # z and w are the own parts, all else agrees on every rank
     if comm.rank == 0:
         print(result)

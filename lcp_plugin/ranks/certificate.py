@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
+from ..core.certificates.criterion import RowData
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON, NEGLIGIBLE, TINY
-from ..core.rounding import compensated_product, lower_end, upper_end
+from ..core.matrix.matrix import largest_in_rows
+from ..core.rounding import compensated_product, lower_end
 from ..systems.comparison_sums import comparison_product
 
 if TYPE_CHECKING:
+    from .halo import Halo
     from .problem import RowsOnRanks
 
 SHARP = 1.5  # times the residual in double precision that rounding may add before it is enclosed sharply
@@ -82,59 +86,67 @@ class CertificateOnRanks:
         )
 
 
+class ProductOnRanks:
+    """A matrix by which each rank multiplies the vectors of all ranks; it returns the local part."""
+
+    def __init__(self, rows: sp.csr_array, halo: Halo) -> None:
+        self.rows, self.halo, self.indptr = rows, halo, rows.indptr
+
+    def __matmul__(self, x: FloatVector) -> FloatVector:
+        product: FloatVector = self.rows @ self.halo.whole(x)
+        return product
+
+
+class RowDataOnRanks(RowData):
+    """M, q, bounds, d and components: the data of the criterion, of the local rows."""
+
+    def __init__(self, problem: RowsOnRanks) -> None:
+        M, size = (ProductOnRanks(one, problem.halo) for one in (problem.rows, abs(problem.rows)))
+        d = problem.residual_scale
+        super().__init__(M, size, problem.q, problem.lower, problem.upper, d)
+        self.problem, self.components = problem, ComponentsOnRanks(problem)
+
+    def largest(self, values: FloatVector) -> FloatVector:
+        """Return the largest of the values ≥ 0 in the component of each row; a NaN stays."""
+        return self.components.largest(values)
+
+    @cached_property
+    def asked(self) -> FloatVector:
+        """Demand of each row: a_i of :mod:`lcp_plugin.core.certificates.criterion`."""
+        at, size = self.rows(self.start), self.absolute.rows
+        w = np.where(np.abs(at.w) > NEGLIGIBLE * at.terms, np.abs(at.w), 0.0)
+        shares = self.problem.halo.whole(w / self.scale)
+        return np.maximum(w, largest_in_rows(size, size.data * shares[size.indices]))
+
+
 @np.errstate(all="ignore")
-def measured(
-    problem: RowsOnRanks, components: ComponentsOnRanks, z: FloatVector
-) -> CertificateOnRanks:
+def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
     """Return the certificate of a point; one rule with a single process, `MATHS` of the manual's page on SOLVED."""
-    halo, d, lower, upper = problem.halo, problem.residual_scale, problem.lower, problem.upper
-    size, terms = abs(problem.rows), np.diff(problem.rows.indptr) + 3
-    step = problem.slack(z) / d
-    z = np.where(step >= z - lower, lower, np.where(-step >= upper - z, upper, z))
-    w = problem.slack(z)
-    T = size @ halo.whole(np.abs(z)) + np.abs(problem.q)
-    rounding = terms * (EPSILON * T + TINY) / d
-    r = np.abs(np.clip(w / d, z - upper, z - lower))
-    violation = np.maximum(np.where(z > lower, w, 0.0), np.where(z < upper, -w, 0.0))
-    acts = np.where((violation > 0.0) | ((z > lower) & (z < upper)), T, 0.0)
-
-    origin = problem.nearest_to_zero
-    w0, T0 = problem.slack(origin), size @ halo.whole(np.abs(origin)) + np.abs(problem.q)
-    r0 = np.abs(np.clip(w0 / d, origin - upper, origin - lower))
-    reference = components.largest(r0)
-    reference = np.minimum(reference, components.largest(acts / d))
-    high = r + np.where(r > 0.0, rounding, 0.0)
-    if halo.largest(components.largest(high) / reference) > SHARP * halo.largest(
-        components.largest(r) / reference
-    ):  # rounding in double precision decides: it is summed in twice the precision
-        q = np.pad(problem.q, (0, halo.foreign))
-        value, radius = compensated_product(_square(problem), halo.whole(z), q)
-        ends = (end(value, radius)[: problem.own] for end in (lower_end, upper_end))
-        both = [np.abs(np.clip(end / d, z - upper, z - lower)) for end in ends]
-        high = np.maximum(*both) * (1.0 + 4.0 * EPSILON)
-    high = np.where(np.isfinite(z), high, np.nan)
-    bound = components.largest(high)
+    problem, d = data.problem, data.scale
+    z = data.snap_to_bounds(z, problem.slack(z))
+    at = data.rows(z)
+    T, wrong = at.terms, at.wrong
+    r, high = np.abs(data.residual(z, at.w)), data.residual_ends(z, at.w, at.slip)[1]
+    largest = problem.halo.largest
+    reference = np.minimum(data.reference, data.acting_reference(at))
+    if largest(data.largest(high) / reference) > SHARP * largest(data.largest(r) / reference):
+        # Rounding in double precision decides: the rows are summed in twice the precision.
+        ends = compensated_product(problem.rows, problem.halo.whole(z), problem.q)
+        high = data.residual_ends(z, *ends)[1]
+    bound = data.largest(high)
     relative = np.where(bound == 0.0, 0.0, bound / reference)
-
-    asked = np.where(np.abs(w0) > NEGLIGIBLE * T0, np.abs(w0), 0.0)
-    of_neighbours = np.zeros(problem.own)
-    if problem.rows.nnz:
-        rows = np.repeat(np.arange(problem.own), np.diff(problem.rows.indptr))
-        np.maximum.at(of_neighbours, rows, size.data * halo.whole(asked / d)[size.indices])
-    asked = np.maximum(asked, of_neighbours)
-    largest_z, largest_acting = components.largest(np.abs(z)), components.largest(acts)
+    largest_z, largest_acting = data.largest(np.abs(z)), data.largest(np.where(at.acts, T, 0.0))
     counts = (problem.q != 0.0) | (NEGLIGIBLE * np.minimum(d * largest_z, largest_acting) < T)
-    counts &= violation > 0.0
-    is_asked = counts & (asked > 0.0) & (violation > NEGLIGIBLE * T)
-    largest = halo.largest
+    counts &= wrong > 0.0
+    is_asked = counts & (data.asked > 0.0) & (wrong > NEGLIGIBLE * T)
     return CertificateOnRanks(
         z,
-        w,
+        at.w,
         largest(high),
         largest(relative),
-        largest(np.where(counts, violation / np.where(T > 0.0, T, 1.0), 0.0)),
-        largest(np.where(is_asked, violation / np.where(asked > 0.0, asked, 1.0), 0.0)),
-        halo.everywhere(r <= 4.0 * rounding),
+        largest(np.where(counts, wrong / T, 0.0)),
+        largest(np.where(is_asked, wrong / data.asked, 0.0)),
+        problem.halo.everywhere(r <= 4.0 * data.rounding_floor(T)),
     )
 
 

@@ -1,6 +1,6 @@
 """Classical algebraic multigrid on rows over MPI ranks, truncated to the free unknowns.
 
-Each rank chooses coarse unknowns among its local unknowns; the second pass of Ruge and Stüben repairs the interfaces.
+Each rank chooses coarse unknowns among its local unknowns, without regard to the couplings of other ranks.
 Interpolation, Galerkin products and truncation equal the serial operations, because a rank also stores the rows of
 adjacent ghost unknowns. A smoother sweeps on all ranks at once, with larger pivots if M is symmetric.
 """
@@ -15,9 +15,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
-from ..core.kernels.compilation import inline, kernel, uintp
 from ..systems.hierarchy import galerkin, sweeps, vectors
-from ..systems.hierarchy.grids import Operator, RowBlocks, Transfer, blocks_of, pivots
+from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.levels import (
     COARSEST,
     LARGEST_GRID_SHARE,
@@ -25,6 +24,7 @@ from ..systems.hierarchy.levels import (
     positive_shares,
     strength_of,
 )
+from ..systems.hierarchy.truncation import TruncatedGrid
 from .halo import NOBODY, Halo
 
 COARSEST_SWEEPS = 10  # there and back
@@ -32,30 +32,16 @@ LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class GridOnRanks:
-    """Local rows of one grid, then rows of adjacent ghosts, and the pivots of a sweep."""
+class GridOnRanks(Grid):
+    """Local rows of one grid, then rows of adjacent ghosts, and the pivots of a sweep; n counts local unknowns."""
 
-    matrix: Operator
-    split: NDArray[Any]
-    blocks: RowBlocks
-    inverse: FloatVector
     halo: Halo
     weight: FloatVector
 
     @property
-    def n(self) -> int:
-        """Number of local unknowns."""
-        return self.inverse.size
-
-    @property
     def width(self) -> int:
         """Number of unknowns that the rows meet."""
-        return self.inverse.size + self.halo.foreign
-
-    @property
-    def rows(self) -> tuple[Any, ...]:
-        """The matrix as sweeps take it."""
-        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data
+        return self.n + self.halo.foreign
 
     @property
     def own(self) -> Arrays:
@@ -169,9 +155,6 @@ def _interpolation(
     choice = RS(strong[:n, :n], second_pass=bool(has_jumps))
     choice = np.concatenate([choice, np.zeros(halo.foreign, choice.dtype)])
     halo.fetch_flags(choice)
-    if not halo.is_empty:
-        mend_seams(*grid.matrix.arrays, strength, n, halo.ghosts > halo.first, choice)
-        halo.fetch_flags(choice)
     is_coarse = read_only(choice[:n] == 1)
     below = Halo(halo.comm, int(np.count_nonzero(is_coarse)))
     if below.n == 0:
@@ -216,72 +199,16 @@ def _coarser(
     return transfer, _grid(Operator(*rows), below, count, scales_rows)
 
 
-@inline
-def _least_strong(indptr, indices, data, strength, i):  # type: ignore[no-untyped-def]
-    """Return the least −m_ij of a strong coupling of row i; ∞ if it has none."""
-    largest = 0.0
-    for k in range(uintp(indptr[i]), uintp(indptr[i + uintp(1)])):
-        if -data[k] > largest and uintp(indices[k]) != i:
-            largest = -data[k]
-    return strength * largest if largest > 0.0 else np.inf
+class TruncatedGridOnRanks(TruncatedGrid):
+    """The values of one grid while some unknowns are fixed, and its vectors, with space for the ghosts."""
 
-
-@kernel
-def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: ignore[no-untyped-def]
-    """Make local unknowns coarse that depend strongly on a fine ghost, without a common coarse one.
-
-    The second pass of Ruge and Stüben, at the interface of ranks. A local unknown changes only if the flag of the ghost
-    in `gives_way` is set. The rows of adjacent ghosts follow the local rows.
-    """
-    one = uintp(1)
-    n = uintp(own)
-    rows = uintp(indptr.size - 1)
-    mark = np.full(kind.size, -1, indptr.dtype)
-    for i in range(n):
-        begin, end = uintp(indptr[i]), uintp(indptr[i + one])
-        if kind[i] == 1 or begin == end or uintp(indices[end - one]) < n:
-            continue
-        least = _least_strong(indptr, indices, data, strength, i)
-        for k in range(begin, end):
-            if -data[k] >= least and kind[uintp(indices[k])] == 1:
-                mark[uintp(indices[k])] = i
-        for k in range(begin, end):
-            j = uintp(indices[k])
-            if j < n or j >= rows or -data[k] < least or kind[j] == 1 or not gives_way[j - n]:
-                continue
-            has_common = False
-            its_least = _least_strong(indptr, indices, data, strength, j)
-            for m in range(uintp(indptr[j]), uintp(indptr[j + one])):
-                if -data[m] >= its_least and mark[uintp(indices[m])] == i:
-                    has_common = True
-                    break
-            if not has_common:
-                kind[i] = 1
-                break
-
-
-class TruncatedGridOnRanks:
-    """The values of one grid while some unknowns are fixed, and its vectors."""
+    grid: GridOnRanks
 
     def __init__(self, grid: GridOnRanks, *, is_finest: bool) -> None:
-        self.grid, n, width = grid, grid.n, grid.width
-        self.new_values = None if is_finest else grid.matrix.data.copy()
-        self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
-        self.values.flags.writeable = False
-        self.inverse = grid.inverse.copy()
-        self.is_free = np.ones(width, np.bool_)
-        self.free_changed = np.zeros(width, np.bool_)
-        self.is_interpolated = np.ones(width, np.bool_)
-        self.held = np.zeros(0, np.intp)
-        self.row_changed = np.zeros(n, np.bool_)
-        self.touched = np.zeros(width, np.bool_)
-        self.x, self.b, self.residual = (np.zeros(size) for size in (width, n, width))
-
-    @property
-    def rows(self) -> tuple[Any, ...]:
-        """The truncated matrix as sweeps take it."""
-        matrix = self.grid.matrix
-        return matrix.indptr, self.grid.split, matrix.indices, self.values
+        super().__init__(grid, is_finest=is_finest)
+        self.is_free, self.is_interpolated = np.ones((2, grid.width), np.bool_)
+        self.free_changed, self.touched = np.zeros((2, grid.width), np.bool_)
+        self.x, self.residual = np.zeros((2, grid.width))
 
 
 class TruncationOnRanks:

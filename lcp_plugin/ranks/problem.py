@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -48,9 +48,7 @@ from .solving import ResultOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
-CHUNK = re.compile(r"rows-(\d{5,})-of-(\d{5,})\.npz")
-HEAD_KEYS = ("shape", "first_row", "save")
-REMEDY = "write it with problem.save"
+CHUNK = re.compile(r"rows-(\d+)-(\d+)-of-(\d+)-(\w+)\.npz")
 
 
 class RowsOnRanks:
@@ -199,9 +197,8 @@ class RowsOnRanks:
     def save(self, path: str | PathLike[str]) -> None:
         """Write one chunk per rank into a folder that all ranks see, in place of older chunks.
 
-        A chunk ``rows-00000-of-00004.npz`` holds the local rows of M in CSR (data, indices counted over all ranks,
-        indptr, shape), first_row, q, lower, upper. All chunks of one save share a number, ``save``, so that `load`
-        rejects a mixture.
+        A chunk ``rows-0-25-of-100-….npz`` holds the rows 0 to 24 of 100 of M in CSR (data, indices counted over all
+        ranks, indptr, shape), q, lower, upper. The names of one save end alike, so that `load` rejects a mixture.
 
         Raises
         ------
@@ -224,9 +221,9 @@ class RowsOnRanks:
         """
         ranks = Ranks(comm)
         source = ranks.together(lambda: checked_path(path))
-        heads = _heads(source, ranks)
-        first, last = equal_share(heads[0].columns, ranks)
-        rows, *vectors = ranks.together(lambda: _read_rows(heads, first, last))
+        chunks = ranks.together(lambda: _chunks(source))
+        first, last = equal_share(chunks[-1].last, ranks)
+        rows, *vectors = ranks.together(lambda: _read_rows(chunks, first, last))
         return cls.from_rows(ranks.comm, rows, *vectors, first_row=first)
 
     def __repr__(self) -> str:
@@ -266,14 +263,12 @@ def _checked_whole(problem: Any) -> sp.csr_array:
     return problem.csr
 
 
-class Head(NamedTuple):
-    """Header of a chunk: its rows, and the save that it belongs to."""
+class Chunk(NamedTuple):
+    """A saved file with the rows first ≤ i < last."""
 
     path: Path
-    first_row: int
-    rows: int
-    columns: int
-    save: str
+    first: int
+    last: int
 
 
 def _emptied(folder: Path) -> str:
@@ -293,91 +288,42 @@ def _emptied(folder: Path) -> str:
 def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
     ranks = problem.halo
     arrays = arrays_of(problem, numbered_over_all(problem.rows, ranks))
-    arrays |= {"first_row": np.array(ranks.first), "save": np.array(name)}
-    target = folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz"
+    target = folder / f"rows-{ranks.first}-{ranks.last}-of-{ranks.n}-{name}.npz"
     write_whole({target: lambda file: np.savez(file, **arrays)})
 
 
-def _heads(source: Path, ranks: Ranks) -> list[Head]:
-    """Return the headers of all chunks, in order and checked."""
-    heads = ranks.together(lambda: [_head(path) for path in _complete(source)])
-    first_row, columns, name = 0, heads[0].columns, heads[0].save
-    for head in heads:
-        if (head.columns, head.save) != (columns, name):
-            raise UnreadableFile(
-                f"{head.path} and {heads[0].path.name} are not of one save; write the folder again"
-            )
-        if head.first_row != first_row:
-            raise UnreadableFile(
-                f"{head.path} begins with row {head.first_row}, but the chunks before it end with row {first_row - 1}"
-            )
-        first_row += head.rows
-    if first_row != columns:
-        raise UnreadableFile(
-            f"{source} holds {first_row} rows of a matrix with {columns} columns; M must be square"
-        )
-    return heads
-
-
-def _complete(source: Path) -> list[Path]:
+def _chunks(source: Path) -> list[Chunk]:
+    """Return the chunks in order; raise UnreadableFile unless they are all chunks of one save."""
     if not source.is_dir():
         raise UnreadableFile(
             f"cannot read {source}: it is a file; write RowsOnRanks.from_problem(LCP.load(file), comm)"
             if source.exists()
             else f"no such file or folder: {source}"
         )
-    found = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
-    totals = sorted({match[2] for match in found})
-    if not found:
-        raise UnreadableFile(f"{source} holds no chunk rows-…-of-….npz; write it with problem.save")
-    if len(totals) > 1:
+    names = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
+    chunks = [Chunk(source / one[0], int(one[1]), int(one[2])) for one in names]
+    chunks.sort(key=lambda chunk: chunk[1:])
+    ends = [0, *(chunk.last for chunk in chunks)]
+    starts = [*(chunk.first for chunk in chunks), int(names[0][3]) if names else -1]
+    if ends != starts or len({(one[3], one[4]) for one in names}) > 1:
         raise UnreadableFile(
-            f"{source} holds chunks of several saves (of {', '.join(totals)}); keep one of them"
+            f"{source} does not hold all chunks rows-…-of-….npz of one problem, and no others; write it with "
+            "problem.save"
         )
-    names = [f"rows-{k:05d}-of-{totals[0]}.npz" for k in range(int(totals[0]))]
-    missing = sorted(set(names) - {match[0] for match in found})
-    if missing:
-        raise UnreadableFile(
-            f"{source} lacks {len(missing)} of {len(names)} chunks, the first is {missing[0]}"
-        )
-    return [source / name for name in names]
+    return chunks
 
 
-def _head(path: Path) -> Head:
-    content = read_npz(path, HEAD_KEYS)
-    require_keys(path, content, HEAD_KEYS, REMEDY)
-    shape, first_row = content["shape"], content["first_row"]
-    if (
-        shape.shape != (2,)
-        or first_row.shape != ()
-        or not {shape.dtype.kind, first_row.dtype.kind} <= {"i", "u"}
-    ):
-        raise UnreadableFile(
-            f"{path}: shape must be two integers and first_row one; write it again"
-        )
-    return Head(path, int(first_row), int(shape[0]), int(shape[1]), str(content["save"]))
-
-
-def _read_rows(heads: Sequence[Head], first: int, last: int) -> tuple[Any, ...]:
+def _read_rows(chunks: Sequence[Chunk], first: int, last: int) -> tuple[Any, ...]:
     """Return the rows first ≤ i < last of M, q, lower and upper."""
-    parts = list(_parts(heads, first, last))
+    parts = []
+    for path, begin, end in chunks:
+        if begin < last and first < end:
+            content = read_npz(path, {*MATRIX_KEYS, *VECTORS})
+            require_keys(path, content, (*MATRIX_KEYS, *VECTORS), "write it with problem.save")
+            own = slice(max(first - begin, 0), last - begin)
+            parts.append((csr_in(path, content)[own], *(content[name][own] for name in VECTORS)))
     if not parts:
         none = np.zeros(0)
-        return sp.csr_array((0, heads[0].columns)), none, none, none
+        return sp.csr_array((0, chunks[-1].last)), none, none, none
     rows, *vectors = zip(*parts, strict=True)
     return sp.vstack(rows, format="csr"), *map(np.concatenate, vectors)
-
-
-def _parts(heads: Sequence[Head], first: int, last: int) -> Iterator[tuple[Any, ...]]:
-    for head in heads:
-        begin, end = max(first, head.first_row), min(last, head.first_row + head.rows)
-        if begin < end:
-            content = read_npz(head.path, {*MATRIX_KEYS, *VECTORS})
-            require_keys(head.path, content, (*MATRIX_KEYS, *VECTORS), REMEDY)
-            for name in VECTORS:
-                if content[name].shape != (head.rows,):
-                    raise UnreadableFile(
-                        f"{head.path}: {name} has shape {content[name].shape}, but there are {head.rows} rows"
-                    )
-            own = slice(begin - head.first_row, end - head.first_row)
-            yield csr_in(head.path, content)[own], *(content[name][own] for name in VECTORS)

@@ -15,7 +15,7 @@ from ..core.errors import InvalidOption, NotConverged
 from ..core.kernels.threads import threads_for
 from ..core.settings import Settings, Status, checked_callback
 from ..core.solving.result import Sample
-from .certificate import CertificateOnRanks, ComponentsOnRanks, error_bound, measured
+from .certificate import CertificateOnRanks, RowDataOnRanks, error_bound, measured
 from .collective import Interruptions
 from .methods import chain
 
@@ -135,7 +135,7 @@ class _Run:
     ) -> None:
         self.problem, self.settings, self.callback = problem, settings, callback
         self.is_interrupted, self.began = is_interrupted, time.perf_counter()
-        self.components = ComponentsOnRanks(problem)
+        self.data = RowDataOnRanks(problem)
         has_callback = problem.halo.anywhere(callback is not None)
         self.has_callback, self.is_watched = has_callback, has_callback or settings.verbose
         self.best: CertificateOnRanks | None = None
@@ -204,7 +204,7 @@ class _Run:
         return Status.MAX_ITERATIONS if self.iterations >= self.settings.max_iterations else None
 
     def _measured(self, z: FloatVector) -> CertificateOnRanks:
-        found = measured(self.problem, self.components, z)
+        found = measured(self.data, z)
         best = self.best
         if best is None or not found.relative_residual > best.relative_residual:
             self.best = found

@@ -435,7 +435,7 @@ MECHANISMS = (
     Mechanism(
         "march loop",
         "steps on narrow bands, judged a block at a time",
-        {"problems.march:take_steps_together": says(None)},
+        {"problems.march:take_steps_on_band": says(None)},
     ),
     Mechanism(
         "batch loop",

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
-from lcp_plugin.ranks.certificate import ComponentsOnRanks, measured
+from lcp_plugin.ranks.certificate import ComponentsOnRanks, RowDataOnRanks, measured
 from lcp_plugin.ranks.problem import RowsOnRanks
 
 COMM = MPI.COMM_WORLD
@@ -120,7 +120,7 @@ def a_small_component_counts_by_itself() -> None:
     )
     rows = RowsOnRanks.from_problem(LCP(M, np.r_[-1e9 * np.ones(40), -1e-3, -1e-3]))
     z = np.r_[1e6 * np.ones(40), 0.0, 0.0][rows.halo.first : rows.halo.last]
-    certificate = measured(rows, ComponentsOnRanks(rows), z)
+    certificate = measured(RowDataOnRanks(rows), z)
     assert not certificate.is_solved(1e-8)
     assert rows.solve(z0=z).is_solved
 
@@ -129,7 +129,7 @@ def a_small_component_counts_by_itself() -> None:
 def a_point_that_is_no_number_is_not_solved() -> None:
     rows = RowsOnRanks.from_problem(mixed())
     z = np.where(np.arange(rows.own) == 0, np.nan, rows.nearest_to_zero)
-    assert not measured(rows, ComponentsOnRanks(rows), z).is_solved(0.5)
+    assert not measured(RowDataOnRanks(rows), z).is_solved(0.5)
 
 
 @claim

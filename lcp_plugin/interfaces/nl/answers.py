@@ -135,8 +135,6 @@ class ComplementarityModel(NLModel):
         The problem in fewer unknowns, with definitions substituted.
     pairs : ndarray of int
         The complementarity rows.
-    constants : ndarray, shape (m,)
-        The values of complementarity rows that hold no unknown and are left out.
     beside : SideConditions
         Conditions that are checked at the solution.
     order : ndarray of int
@@ -148,7 +146,6 @@ class ComplementarityModel(NLModel):
     problem: LCP | NonlinearProblem
     arrangement: SquareModel
     pairs: Indices
-    constants: FloatVector
     beside: SideConditions
     order: Indices
     search: Callable[[], NLModel]
@@ -226,7 +223,7 @@ class ComplementarityModel(NLModel):
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination = self.arrangement.elimination
-        n, duals = self.known.size, self.constants.copy()
+        n, duals = self.known.size, np.zeros(self.content.row_lower.size)
         x, slack = np.append(self.known, np.zeros(self._size - n)), np.zeros(self._size)
         x[self.unknowns] = elimination.expand(z)
         slack[self.unknowns] = elimination.expand_slack(w)

@@ -1,8 +1,7 @@
 """Checks of a solution by the rows of the file and by side conditions.
 
-Side conditions are inequalities without a partner, bounds of variables without a complementarity, and complementarities
-whose rows hold no unknown. Bounds of a variable with a complementarity all belong to it, stated there or not, as PATH
-and AMPL take them.
+Side conditions are inequalities without a partner and bounds of variables without a complementarity. Bounds of a
+variable with a complementarity all belong to it, stated there or not, as PATH and AMPL take them.
 """
 
 from __future__ import annotations
@@ -86,39 +85,33 @@ class SideConditions:
     Attributes
     ----------
     content : NLContent
-    inequalities, spare : ndarray of int
-        Rows without a partner, and complementarity rows without unknowns.
+    inequalities : ndarray of int
+        Rows without a partner.
     bounded : ndarray of int
         Variables with bounds and without a complementarity.
     """
 
     content: NLContent
     inequalities: Indices
-    spare: Indices
     bounded: Indices
 
     def names(self) -> list[str]:
-        """Return the names: inequalities, complementarities, variables."""
-        rows, content = np.append(self.inequalities, self.spare), self.content
-        return [*map(content.row, rows.tolist()), *map(content.variable, self.bounded.tolist())]
+        """Return the names: inequalities, variables."""
+        content = self.content
+        rows, variables = self.inequalities.tolist(), self.bounded.tolist()
+        return [*map(content.row, rows), *map(content.variable, variables)]
 
     def violated(self, x: FloatVector, rows: FloatVector, tolerance: float) -> str:
         """Return the names of what is violated at x, with the rows' values there and the run's tolerance; else ""."""
-        content, inner, spare = self.content, self.inequalities, self.spare
+        content, inner = self.content, self.inequalities
         if not (names := self.names()):
             return ""
         # The change of a row if all its variables change.
         units = abs(jacobian(content, x, inner)) @ (1.0 + np.abs(x))
-        own, at = x[self.bounded], x[content.partners[spare]]
-        bounds = content.lower[self.bounded], content.upper[self.bounded]
-        of_pairs = at - np.clip(at - rows[spare], *pair_bounds(content, spare, as_stated=True))
+        own, bounds = x[self.bounded], (content.lower[self.bounded], content.upper[self.bounded])
         limits = content.row_lower[inner], content.row_upper[inner]
-        excesses = np.concatenate(
-            [
-                excess(rows[inner], *limits, units),
-                np.abs(of_pairs) / np.maximum(1.0, np.abs(at)),
-                excess(own, *bounds, 1.0 + np.abs(own)),
-            ]
+        excesses = np.append(
+            excess(rows[inner], *limits, units), excess(own, *bounds, 1.0 + np.abs(own))
         )
         excesses = np.where(np.isnan(excesses), np.inf, excesses)
         worst = int(np.argmax(excesses))

@@ -354,7 +354,7 @@ class Expressions:
             shape = (numbers.size, int(self._starts[one + 1] - self._starts[one]))
             blocks[UNKNOWNS if one == 0 else -int(one)] = sp.csr_array(entries, shape=shape)
         level = max([self._levels[one] for one in present], default=0)
-        return Rows(blocks, self.offset[numbers], (numbers.size,), None, level)
+        return Rows(blocks, self.offset[numbers], (numbers.size,), level)
 
 
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:

@@ -225,13 +225,10 @@ class FileStatement:
             is_inequality = np.isin(np.arange(self.m), self.inequalities)
             self.known = self._known(self.says_nothing | is_inequality)
             self.expressions = Expressions(self.content, self.known)
-        self._free_what_equations_define()
         content, found = self.content, self.expressions
         pairs, equations = self.pairs, np.append(self.equations, found.definitions)
         right = np.append(content.row_lower, np.zeros(found.offset.size - self.m))
         equations = self._without_empty(equations, right)
-        spare = self._spare(pairs, equations)
-        pairs = np.setdiff1d(pairs, spare)
         statement = self._statement()
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
@@ -245,10 +242,8 @@ class FileStatement:
         arrangement = statement.square(
             (~statement.is_paired).astype(np.int64), keeps_bounds=not pairs.size
         )
-        constants = np.zeros(self.m)
-        constants[spare] = found.offset[spare]
         bounded = found.unknowns[arrangement.dropped]
-        beside = SideConditions(content, self.inequalities, spare, bounded)
+        beside = SideConditions(content, self.inequalities, bounded)
         return ComplementarityModel(
             content,
             arrangement.problem,
@@ -256,7 +251,6 @@ class FileStatement:
             self.known,
             arrangement,
             pairs,
-            constants,
             beside,
             np.concatenate([*order[0], *order[1]]),
             lambda: FileStatement(content).best(),
@@ -274,28 +268,6 @@ class FileStatement:
             upper[found.unknowns],
             lambda column: content.variable(int(found.unknowns[column])),
         )
-
-    def _free_what_equations_define(self) -> None:
-        """Let variables with equal bounds be unknowns where equations are there for them, and look at the bounds."""
-        content = self.content
-        is_fixed = ~self.is_paired & (content.lower == content.upper)
-        unknowns = np.count_nonzero(np.isnan(self.known) & ~self.is_paired)
-        equations = np.count_nonzero(np.diff(self.expressions.matrix.indptr)[self.equations])
-        if 0 < equations - unknowns == np.count_nonzero(is_fixed):
-            self.known = np.where(is_fixed, np.nan, self.known)
-            self.expressions = Expressions(content, self.known)
-
-    def _spare(self, pairs: Indices, equations: Indices) -> Indices:
-        """Return the complementarity rows without unknowns, if as many equations are surplus.
-
-        Pyomo's mpec.nl writes such a row for the pair of a fixed variable, for example the price of the numeraire: an
-        equation names the other side, and no unknown is complementary to it.
-        """
-        found = self.expressions
-        constant = pairs[np.diff(found.matrix.indptr)[pairs] == 0]
-        surplus = equations.size + pairs.size - found.unknowns.size
-        choices = (constant[found.offset[constant] == 0.0], constant)
-        return next((spare for spare in choices if spare.size == surplus), pairs[:0])
 
     def _without_empty(self, equations: Indices, right: FloatVector) -> Indices:
         """Leave out the equations that have no unknown; raise if they are violated."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 from pyomo import core
 from pyomo.common.errors import InvalidValueError
 from pyomo.core.expr.numvalue import is_potentially_variable
-from pyomo.core.expr.visitor import identify_variables
 from pyomo.mpec import Complementarity
 from pyomo.network import Port
 from pyomo.repn.plugins.nl_writer import NLWriter
@@ -55,9 +53,6 @@ INSTEAD = {
 DISCRETISED = ("DerivativeVar",)
 PLUS = 0  # the number of the operator
 SOME = 5  # names that a message lists
-TINY = (
-    sys.float_info.min
-)  # limits of what would be an equation, were they 0: it is looked at afterwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +177,6 @@ class _Draft:
         self.given: list[Any] = []
         self.states: dict[int, Any] = {}  # by the row's id
         self.partners: dict[int, tuple[Any, Pair]] = {}  # variable and pair, by the variable's id
-        self.spare: list[Pair] = []  # their equations count unless there are too many
         self.named: dict[int, str] = {}  # unknowns that were added
 
     def constrain(self, row: Any) -> None:
@@ -204,9 +198,6 @@ class _Draft:
                 self.state(body, condition, 0.0, 0.0)
             else:
                 self.hold(paired(condition, pair, lambda variable: id(variable) in self.partners))
-        self.spare_limit = TINY if self.spare and self._has_too_many_equations() else 0.0
-        for one in self.spare:
-            self.state(one.row, one, 0.0, 0.0)
 
     def hold(self, pair: Pair) -> None:
         """Take a pair: its variable, or an unknown that is added, goes with its row."""
@@ -225,27 +216,14 @@ class _Draft:
         self.state(pair.row, pair, 0.0, None)
 
     def look_at(self, pair: Pair) -> None:
-        """Take the row of a fixed pair: an inequality at a bound, a spare equality between them."""
+        """Take the row of a fixed pair as inequalities: of one sign at a bound, of both between the bounds."""
         lower, held, upper = pair.held.lower, number(pair.held.body), pair.held.upper
-        if lower < held < upper:
-            self.spare.append(pair)
-        elif lower <= held <= upper:
-            self.state(pair.row, pair.stated.name, *((0.0, None) if held == lower else (None, 0.0)))
-        else:
+        if lower <= held < upper:
+            self.state(pair.row, pair.stated.name, 0.0, None)
+        if lower < held <= upper:
+            self.state(pair.row, pair.stated.name, None, 0.0)
+        if not lower <= held <= upper:
             self.state(pair.held.body, pair.stated.name, lower, upper)
-
-    def _has_too_many_equations(self) -> bool:
-        """Return whether there are more equations and pairs than unknowns in them, as with a price that is the unit."""
-        rows = [
-            row.body
-            for row in (*self.model.rows.values(), *self.given)
-            if row.equality
-            or isinstance(self.states[id(row)], Pair)
-            or hasattr(row, "_complementarity")
-        ]
-        rows += [pair.row for pair in self.spare]
-        unknowns = {id(one) for row in rows for one in identify_variables(row, include_fixed=False)}
-        return len(rows) > len(unknowns | self.partners.keys())
 
     def state(self, body: Any, what: Any, lower: float | None, upper: float | None) -> None:
         """Add a row lower ≤ body ≤ upper."""
@@ -313,15 +291,8 @@ class _Draft:
             own, stated_bits = partners[transformed], partner_bounds[transformed]
             lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf
         held_by = {id(pair): variable for variable, pair in self.partners.values()}
-        spare = set(map(id, self.spare))
         for i, pair in enumerate(rows):
             variable = held_by.get(id(pair))
-            if id(pair) in spare:
-                constants[i], row_lower[i], row_upper[i] = (
-                    -row_lower[i],
-                    -self.spare_limit,
-                    self.spare_limit,
-                )
             if variable is None:
                 continue
             j = number_of[id(variable)]

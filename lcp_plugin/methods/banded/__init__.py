@@ -186,35 +186,34 @@ def _contacts(
     """Return the active set with directly found rows at the bound of side −side, and its z; None if this fails."""
     near, far = (problem.lower, problem.upper)[::side]
     is_held = (problem.lower == problem.upper) | (target == side)
-    value = np.where(is_held, far, near)[None]
-    z, is_free = solve_one_sided(band.entries[None], q[None], side, value, is_held[None])
+    z, is_free = solve_one_sided(band.entries, q, side, np.where(is_held, far, near), is_held)
     if z is None:
         return target, None
-    return np.where(is_free[0], 0, np.where(is_held, side, -side)).astype(np.int8), z[0]
+    return np.where(is_free, 0, np.where(is_held, side, -side)).astype(np.int8), z
 
 
 def solve_one_sided(
-    bands: FloatVector, Q: FloatVector, side: int, value: FloatVector, is_held: NDArray[np.bool_]
+    entries: FloatVector, q: FloatVector, side: int, value: FloatVector, is_held: NDArray[np.bool_]
 ) -> tuple[FloatVector | None, NDArray[np.bool_]]:
-    """Return z and the free rows, shapes (m, n), of tridiagonal problems with bounds on one side; None on failure.
+    """Return z and the free rows of a tridiagonal problem with bounds on one side; None on failure.
 
     Parameters
     ----------
-    bands : array, shape (1, 3, n) or (m, 3, n)
-        ``Bands.entries`` of one M, or of each M; no positive entry off the diagonal.
-    Q : array, shape (m, n)
+    entries : array, shape (3, n)
+        ``Bands.entries`` of M; no positive entry off the diagonal.
+    q : array, shape (n,)
     side : int
         1 for lower bounds, −1 for upper ones.
-    value : array, shape (m, n)
+    value : array, shape (n,)
         The bounds, ±∞ for none.
-    is_held : array of bool, shape (m, n)
+    is_held : array of bool, shape (n,)
         The rows that stay at their value.
     """
     from . import kernels
 
-    Z, is_free = np.empty(Q.shape), np.empty(Q.shape, np.bool_)
-    count = kernels.solve_one_sided(bands, Q, float(side), value, is_held, is_free, Z)
-    return Z if count == len(Q) else None, is_free
+    z, is_free = np.empty(q.size), np.empty(q.size, np.bool_)
+    is_found = kernels.solve_one_sided(entries, q, float(side), value, is_held, is_free, z)
+    return z if is_found else None, is_free
 
 
 def solve_on_band(

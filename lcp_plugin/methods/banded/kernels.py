@@ -118,36 +118,31 @@ def _substitute(bands, q, value, is_free, z, slope):  # type: ignore[no-untyped-
 
 
 @kernel
-def solve_one_sided(bands, Q, sign, value, is_held, is_free, Z):  # type: ignore[no-untyped-def]
-    """Fill Z with the solutions of some problems, and is_free with their free rows; return how many were solved.
+def solve_one_sided(bands, q, sign, value, is_held, is_free, z):  # type: ignore[no-untyped-def]
+    """Fill z with the solution, and is_free with the free rows; return whether there is one.
 
     Parameters
     ----------
-    bands : array, shape (1, 3, n), or (m, 3, n) for an M of each problem
+    bands : array, shape (3, n)
         m_{i,i−1}, m_ii and m_{i,i+1}; 0 outside of M.
-    Q : array, shape (m, n)
+    q : array, shape (n,)
     sign : float
         1 for z ≥ value and w ≥ 0; −1 for z ≤ value and w ≤ 0.
-    value : array, shape (m, n)
+    value : array, shape (n,)
         The bound of each row, ±∞ for none.
-    is_held : array of bool, shape (m, n)
+    is_held : array of bool, shape (n,)
         Rows that stay at their value for any sign of w.
-    is_free : array of bool, shape (m, n)
-    Z : array, shape (m, n)
+    is_free : array of bool, shape (n,)
+    z : array, shape (n,)
 
     Returns
     -------
-    int
-        m, or the first problem with a negligible or nonpositive pivot: its M is singular or not an M-matrix.
+    bool
+        False if a pivot is negligible or not positive: M is singular or not an M-matrix.
     """
-    m, n = Q.shape
+    n = q.size
     stops, blocks = np.empty(n + 1, np.int64), np.empty((n + 1, 7))
-    turned, slope = np.empty(n), np.empty(n)
-    for j in range(m):
-        M = bands[j if bands.shape[0] > 1 else 0]
-        for i in range(n):
-            turned[i] = sign * value[j, i]
-        if not _find_contacts(M, Q[j], sign, turned, is_held[j], is_free[j], stops, blocks):
-            return j
-        _substitute(M, Q[j], value[j], is_free[j], Z[j], slope)
-    return m
+    is_found = _find_contacts(bands, q, sign, sign * value, is_held, is_free, stops, blocks)
+    if is_found:
+        _substitute(bands, q, value, is_free, z, np.empty(n))
+    return is_found

@@ -42,6 +42,7 @@ FIRST = 300  # nodes · pairs before SCIP: 9 nodes close 30 pairs that take SCIP
 MOST_UNASKED = 2000  # nodes if prove is False: a proof of SCIP's status may be too expensive
 
 
+@np.errstate(all="ignore")
 def minimize_over_solutions(
     problem: EquilibriumProgram,
     *,

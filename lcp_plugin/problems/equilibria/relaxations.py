@@ -132,7 +132,7 @@ class Relaxations:
         found = [solution]
         if not solution.is_optimal():
             proof = prove_infeasible(program)
-            if proof is not None and proof.excludes(self.tolerance):
+            if proof is not None and proof.is_exact and proof.excludes(self.tolerance):
                 node.bound, node.proof = math.inf, proof
                 return node
             found.append(self._solve_in_box(program))

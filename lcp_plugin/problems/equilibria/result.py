@@ -124,6 +124,7 @@ class EquilibriumResult(BaseResult):
         """The number of nodes."""
         return self.nodes
 
+    @np.errstate(all="ignore")
     def verify(self) -> bool:
         """Return whether the status, x and the bound are verified, in some milliseconds per leaf.
 
@@ -191,7 +192,8 @@ class EquilibriumResult(BaseResult):
         if program is None or self.lower_bound == -math.inf:
             return True
         if leaf.proof is not None:
-            return _is_same(leaf.proof.program, program) and leaf.proof.verify()
+            proof = leaf.proof
+            return _is_same(proof.program, program) and proof.is_exact and proof.verify()
         if leaf.dual is None:
             return False
         if relaxations.bound(program, leaf.dual, self.lower_bound) >= self.lower_bound:

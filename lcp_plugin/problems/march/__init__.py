@@ -20,8 +20,9 @@ from ...core.matrix.structure import connected_components
 from ...core.settings import Status
 from ...core.solving.result import Result
 from ...methods.banded import Banded
+from ...systems.factors import bands
 from ..many.answers import AnswerSequence
-from .on_band import Marches
+from .on_band import BandSteps
 
 ITERATIVE = ("npsor", "psor", "multigrid")
 BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
@@ -102,11 +103,11 @@ class March(AnswerSequence[Result]):
         self._results.append(result)
 
 
-def take_steps_together(
-    marches: list[March], algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
+def take_steps_on_band(
+    done: March, algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
 ) -> None:
-    """Take the steps of marches on narrow bands, until a time limit or an unsolved step."""
-    problem, clock = marches[0].problem, Clock()
+    """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
+    problem, clock = done.problem, Clock()
     if not isinstance(problem, LCP) or not problem.n:
         return
     method, settings = parse_call(algorithm, wishes)
@@ -117,27 +118,20 @@ def take_steps_together(
         or settings.verbose
         or wishes.get("callback") is not None
         or not isinstance(begin.algorithm, Banded)
-        or any(connected_components(one.problem.matrix) is not None for one in marches)
+        or (band := bands(problem.matrix)) is None
+        or connected_components(problem.matrix) is not None
     ):
         return
-    steps = Marches(
-        [one.problem for one in marches], [one.propagator for one in marches], settings.tolerance
-    )
-    states = np.array([one.z0 for one in marches])
-    for first in range(0, len(marches[0].forcing), BLOCK):
-        if clock.read() >= limit:
+    steps, state = BandSteps(problem, band, done.propagator, settings.tolerance), done.z0
+    while len(done) < len(done.forcing) and clock.read() < limit:
+        forcing = done.forcing[len(done) : len(done) + BLOCK]
+        solved = steps.solve(forcing, state)
+        for q, state in zip(*solved, strict=True):
+            stated = partial(problem.with_q, q)
+            done.take(state, partial(_result_at, stated, state, algorithm, wishes))
+        if len(solved[0]) < len(forcing):
             break
-        forcing = np.stack([one.forcing[first : first + BLOCK] for one in marches], axis=1)
-        Q, Z, counts = steps.steps(forcing, states)
-        for j, one in enumerate(marches):
-            for q, z in zip(Q[: counts[j], j], Z[: counts[j], j], strict=True):
-                stated = partial(one.problem.with_q, q)
-                one.take(z, partial(_result_at, stated, z, algorithm, wishes))
-        if counts.min() < len(forcing):
-            break
-        states = Z[-1]
-    for one in marches:
-        one.seconds += clock.read() / len(marches)
+    done.seconds += clock.read()
 
 
 def _result_at(

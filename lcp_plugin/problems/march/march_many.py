@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import groupby
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,11 @@ from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import OF_SOLVE, Settings
 from ..cones.data import Blocks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import March, checked_propagator, checked_rows, take_steps, take_steps_together
-from .on_band import bounded_side
+from . import March, checked_propagator, checked_rows, take_steps, take_steps_on_band
 
 BOUNDS = "lower", "upper"
 # options of `march`, not of `solve`
 OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm"
-SIDE_BY_SIDE = 16  # marches per array, so that a block of steps fits into the cache
 
 
 @np.errstate(under="ignore")
@@ -120,27 +117,14 @@ def march(
     given = zip((*BOUNDS, "z0"), of_states, strict=True)
     states = {name: values for name, values in given if values is not None}
     marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
-    for some in _groups(marches):
-        take_steps_together(some, algorithm, wishes, limit - clock.read())
     for k, one in enumerate(marches):
+        take_steps_on_band(one, algorithm, wishes, limit - clock.read())
         take_steps(one, algorithm, wishes, max(limit - clock.read(), 0.0))
         if one.is_interrupted:
             for later in marches[k + 1 :]:
                 later.all_solved = not len(later.forcing)
             break
     return marches if are_many else marches[0]
-
-
-def _groups(marches: list[March]) -> Iterator[list[March]]:
-    """Yield groups of neighbors with bounds on the same side, and single marches."""
-
-    def side(one: March) -> int:
-        return bounded_side(one.problem) if isinstance(one.problem, LCP) else 0
-
-    for found, some in groupby(marches, side):
-        each = list(some)
-        size = SIDE_BY_SIDE if found else 1
-        yield from (each[k : k + size] for k in range(0, len(each), size))
 
 
 def _has_more_axes(forcing: Any, of_states: tuple[Any, ...]) -> bool:

@@ -598,23 +598,6 @@ def test_what_stands_beside_complementarities_is_held_against_the_answer(
         LCP.load(tmp_path / "m.nl")
 
 
-def test_a_row_that_a_fixed_variable_leaves_constant_is_held_against_the_answer() -> None:
-    """The pairs 0 ≤ v ⟂ 1, v = x − 1 and 0 ≤ x ⟂ x − 1 hold with v = 0; with x − 2 not."""
-    for root, status in ((1.0, Status.SOLVED), (2.0, Status.NO_SOLUTION)):
-        rows = [1.0, ("+", ("-", X[0], X[1]), 1.0), ("-", X[1], root)]
-        content = replace(
-            paired(content_of(2, rows)),
-            partners=np.array([0, -1, 1]),
-            row_lower=np.array([-INFINITY, 0.0, -INFINITY]),
-            row_upper=np.array([INFINITY, 0.0, INFINITY]),
-            partner_bounds=np.array([1, 0, 1]),
-        )
-        answer = model_of(content).solve()
-        assert answer.status is status
-        if answer.is_solved:
-            np.testing.assert_allclose([*answer.x, answer.duals[0]], [0.0, 1.0, 1.0], atol=1e-12)
-
-
 @pytest.mark.parametrize(("sign", "wanted"), [(1.0, [0.0, 0.0]), (-1.0, [0.5, 0.0])])
 def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(
     sign: float, wanted: Any

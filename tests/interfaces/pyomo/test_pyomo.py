@@ -604,21 +604,16 @@ def test_a_variable_of_an_inequality_alone_gives_way_to_it() -> None:
     pe.assert_optimal_termination(SOLVER.solve(m))
 
 
-def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
-    """A variable with equal bounds is a number in pairs; with an equation, bounds are checked."""
+def test_a_variable_with_equal_bounds_is_a_number() -> None:
+    """A variable with equal bounds is a number in pairs; an equation for it is one too many."""
     m = pe.ConcreteModel()
     m.x, m.y = pe.Var(), pe.Var(bounds=(3, 3))
     m.pair = Complementarity(expr=complements(m.x >= 0, m.x - m.y >= 0))
     pe.assert_optimal_termination(SOLVER.solve(m))
     assert (m.x.value, m.y.value) == pytest.approx((3.0, 3.0))
-    m.pair.deactivate()
-    m.own, m.equation = (
-        Complementarity(expr=complements(m.x >= 0, m.x - 3 >= 0)),
-        pe.Constraint(expr=m.y == m.x),
-    )
-    pe.assert_optimal_termination(SOLVER.solve(m))
-    m.equation.set_value(m.y == m.x + 1)
-    assert "y does not hold, off by" in SOLVER.solve(m).solver.message
+    m.equation = pe.Constraint(expr=m.y == m.x)
+    with pytest.raises(LCPError, match="1 equation and 0 unknowns without a complementarity"):
+        SOLVER.solve(m)
 
 
 def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:

@@ -226,3 +226,20 @@ def test_pairs_without_a_solution_are_proved_so_beside_integers() -> None:
     problem.solve(method="LCP")
     assert problem.status == cp.INFEASIBLE
     assert problem.solver_stats.extra_stats.verify()
+
+
+def test_a_solution_far_beyond_the_data_leaves_zero_unproved() -> None:
+    """The solution with z₂ = 4.8e16 is better than z = 0, also where numpy raises at overflow and underflow."""
+    M = [
+        [9.000000000000001e-09, -3.0000000000000004e-09, -3.0000000000000004e-09],
+        [-3.0, 10.0, 1.0],
+        [-3.0000000000000004e-09, 1e-09, 1e-09],
+    ]
+    program = QuadraticProgram(np.zeros((3, 3)), [0.0, 2.0, -1.0], lower=0.0)
+    problem = EquilibriumProgram.of_rows(
+        program, [0, 1, 2], M, [1e-09, 1.0, 3.0000000000000004e-09]
+    )
+    with np.errstate(all="raise"):
+        result = solve(problem, prove=True)
+        assert not result.is_solved
+        assert not result.verify()

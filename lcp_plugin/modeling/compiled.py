@@ -15,7 +15,6 @@ from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from ..expressions.rows import Indices
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.reductions import FoldedRows
 from .qp_solver import QPSolver, quadratic_program
 from .stated_terms import dense_value
 
@@ -105,7 +104,7 @@ class CompiledProblem:
             raise UnsupportedModel(str(error)) from error
         program, columns = quadratic_program(data), data[settings.PARAM_PROB].var_id_to_col
         if is_folded:
-            program = FoldedRows.of(program).reduced
+            program = program.folded.reduced
         entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
         return cls(program, float(inverse[-1][settings.OFFSET]), entries)
 

@@ -318,7 +318,7 @@ MECHANISMS = (
     Mechanism(
         "folded rows",
         "rows with one entry become bounds",
-        {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)},
+        {f"{PROGRAMS}.reductions:FoldedRows.of": Instead(unfolded, if_folded)},
     ),
     # --- least squares
     Mechanism(

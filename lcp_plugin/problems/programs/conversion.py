@@ -15,7 +15,6 @@ from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE
 from .program import QuadraticProgram, asymmetry_of
-from .reductions import FoldedRows
 from .solution import QPSolution
 
 __all__ = ["QuadraticProgram", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
@@ -190,7 +189,7 @@ class QPOrigin:
     @property
     def reduced(self) -> QuadraticProgram:
         """The program without rows of one variable."""
-        return FoldedRows.of(self.program).reduced
+        return self.program.folded.reduced
 
     @property
     def rows(self) -> int:

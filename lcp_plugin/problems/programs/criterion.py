@@ -76,8 +76,22 @@ class KKTErrors(NamedTuple):
         tolerance: float = PROGRAM_TOLERANCE,
     ) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
-        primal, gap, is_excused = measures(program, x, y, tolerance)
-        return cls(float(primal.max(initial=0.0)), float(gap.max(initial=0.0)), is_excused)
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            return cls(np.inf, np.inf)
+        with np.errstate(all="ignore"):
+            point = PrimalDualPoint(program, x, y, is_exact=False)
+            primal, gap = point.row_errors(), np.full(1, np.inf)
+            if (primal <= ROWS).all():
+                if np.isfinite(point.room).all():
+                    gap = point.gaps(has_units=False)
+                if not (gap <= tolerance).all():
+                    gap = np.minimum(gap, point.gaps(has_units=True))
+            if not (gap <= tolerance).all():
+                point = PrimalDualPoint(program, x, y, is_exact=True)
+                primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
+            worst = (np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap))
+            is_excused = point.is_exact and bool((point.over > ROWS * point.own).any())
+        return cls(*map(float, worst), is_excused)
 
 
 def errors_of_each(
@@ -103,37 +117,6 @@ def errors_of_each(
     return KKTErrors(primal, gap)
 
 
-@np.errstate(all="ignore")
-def measures(
-    program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
-) -> tuple[FloatVector, FloatVector, bool]:
-    """Return the error of each row and bound, shape (rows + n,), the gap per component, whether a row is tolerated.
-
-    Parameters
-    ----------
-    program : QuadraticProgram
-    x, y : arrays, shapes (n,) and (rows of G and A,)
-    tolerance : float
-        Errors that meet it are bounds from above. A measure that is NaN is ∞.
-    """
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        every = np.full(y.size + x.size, np.inf)
-        return every, np.full(program.matrices.components.number, np.inf), False
-    point = PrimalDualPoint(program, x, y, is_exact=False)
-    primal, gap = point.row_errors(), np.full(1, np.inf)
-    if (primal <= ROWS).all():
-        if np.isfinite(point.room).all():
-            gap = point.gaps(has_units=False)
-        if not (gap <= tolerance).all():
-            gap = np.minimum(gap, point.gaps(has_units=True))
-        if (gap <= tolerance).all():
-            return primal, gap, False
-    point = PrimalDualPoint(program, x, y, is_exact=True)
-    primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
-    primal, gap = (np.where(np.isnan(one), np.inf, one) for one in (primal, gap))
-    return primal, gap, bool((point.over > ROWS * point.own).any())
-
-
 class PrimalDualPoint:
     """Point with all terms of its two measures.
 
@@ -143,7 +126,16 @@ class PrimalDualPoint:
     x, y : arrays
         Finite.
     is_exact : bool
-        True if sums are computed without rounding. Otherwise the full rounding bound `doubt` is added.
+        True if sums are computed without rounding. Otherwise the full rounding bounds `doubt` and `hidden` are added.
+
+    Attributes
+    ----------
+    bound, distance : array, shape (n,)
+        Bound in the descent direction −r_j, and the distance of x_j to it.
+    room : array, shape (n,)
+        The distance, or the one to the farther bound if rounding hides the direction.
+    curved, objective : array
+        |xᵀP x| of each component, and Σ |c_j x_j| + |xᵀP x|.
     """
 
     def __init__(
@@ -151,7 +143,7 @@ class PrimalDualPoint:
     ) -> None:
         self.program, self.matrices, self.is_exact = program, program.matrices, is_exact
         m = self.matrices.sizes[0]
-        d, lower, upper = program.constraints.right, program.lower, program.upper
+        d, lower, upper = np.concatenate([program.h, program.b]), program.lower, program.upper
         is_limit = np.isfinite(d)
         sides = np.where(is_limit, d, 0.0)
         self.outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
@@ -170,19 +162,25 @@ class PrimalDualPoint:
                 self.matrices.gradient, np.concatenate([x, y]), program.c
             )
             excess = sums_without_rounding(self.matrices.rows, x, -sides)
-            self.doubt, row_doubt, self.product_doubt = 0.0, 0.0, 0.0
+            self.doubt = row_doubt = self.hidden = 0.0
         else:
             in_rows, in_P, in_columns = self.matrices.summands
             self.product = P @ x
             self.left = self.product + program.c + C.T @ y
             self.doubt = (in_P + in_columns + 3.0) * UNIT * terms
             excess, row_doubt = C @ x - sides, (in_rows + 3.0) * UNIT * self.terms_of_rows
-            self.product_doubt = (in_P + 3.0) * UNIT * self.bend
+            self.hidden = self._sums(self.of_x * ((in_P + 3.0) * UNIT * self.bend))
         self.excess = np.where(is_limit, excess, -np.inf)
         missed = np.concatenate([self.excess[:m], np.abs(self.excess[m:])])
         self.over = np.maximum(missed + row_doubt, 0.0)
         self.slack = np.where(self.of_y > 0.0, np.abs(excess) + row_doubt, 0.0)
         self.blur = BLUR * terms
+        self.bound = np.where(self.left > 0.0, lower, upper)
+        self.distance = np.abs(x - self.bound)
+        is_pushed = np.abs(self.left) > self.blur + self.doubt
+        self.room = np.where(is_pushed, self.distance, np.maximum(x - lower, upper - x))
+        self.curved = np.abs(self._sums(x * self.product)) + self.hidden
+        self.objective = self._sums(self.cost * self.of_x) + self.curved
         self.own = np.maximum(largest(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0))
         if self.matrices.has_short_rows:
             self.own = np.maximum(self.own, largest(of_C, np.ones(x.size)) == 0.0)
@@ -283,36 +281,12 @@ class PrimalDualPoint:
         return gap
 
     @cached_property
-    def room(self) -> FloatVector:
-        """Distance to the bound in the descent direction, or to the farther bound if rounding hides the direction."""
-        down, up = self.x - self.program.lower, self.program.upper - self.x
-        is_pushed = np.abs(self.left) > self.blur + self.doubt
-        room: FloatVector = np.where(
-            is_pushed, np.where(self.left > 0.0, down, up), np.maximum(down, up)
-        )
-        return room
-
-    @cached_property
     def size_of_gradient(self) -> FloatVector:
         """Largest term of each unknown's gradient."""
         of_P, _, of_columns = self.matrices.measured[2:]
         return np.maximum(
             np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
         )
-
-    @cached_property
-    def curved(self) -> FloatVector:
-        """|xᵀP x| of each component, with the rounding in it."""
-        return np.asarray(np.abs(self._sums(self.x * self.product)) + self._hidden)
-
-    @cached_property
-    def _hidden(self) -> Any:
-        return 0.0 if self.is_exact else self._sums(self.of_x * self.product_doubt)
-
-    @cached_property
-    def objective(self) -> FloatVector:
-        """Σ |c_j x_j| + |xᵀP x| of each component."""
-        return self._sums(self.cost * self.of_x) + self.curved
 
     @cached_property
     def matters(self) -> FloatVector:
@@ -327,11 +301,11 @@ class PrimalDualPoint:
         taken of the rows' terms with multipliers: no x of doubles makes |3 x - 0.3| zero.
         """
         value = np.abs(self._sums((self.program.c + self.product) * self.x))
-        value -= LEAST_SIZE * self.objective + self._hidden
-        dual: Any = np.maximum(self.curved - 2.0 * self._hidden, value)
+        value -= LEAST_SIZE * self.objective + self.hidden
+        dual: Any = np.maximum(self.curved - 2.0 * self.hidden, value)
         least: Any = 0.0
         if of_y is not None:
-            bound = np.where(self._distance <= self.of_x, np.abs(self._bound), 0.0)
+            bound = np.where(self.distance <= self.of_x, np.abs(self.bound), 0.0)
             terms = self._sums(np.abs(self.left) * bound, of_y * self.limits) + self.curved
             dual = np.maximum(dual, terms)
             least = LEAST_SIZE * self._sums(0.0 * self.x, of_y * self.terms_of_rows)
@@ -342,18 +316,9 @@ class PrimalDualPoint:
         return np.maximum(np.minimum(self.objective, dual), LEAST_SIZE * own), least
 
     @property
-    def _bound(self) -> FloatVector:
-        """Bound in the descent direction."""
-        return np.where(self.left > 0.0, self.program.lower, self.program.upper)
-
-    @property
-    def _distance(self) -> FloatVector:
-        return np.abs(self.x - self._bound)
-
-    @property
     def _least_norm(self) -> FloatVector:
         """The sizes of the multipliers of least norm that pull as much at the unknowns that have room."""
-        free, on = np.flatnonzero(self._distance > 0.0), np.flatnonzero(self.y)
+        free, on = np.flatnonzero(self.distance > 0.0), np.flatnonzero(self.y)
         if not (free.size and on.size):
             return self.of_y
         from scipy.sparse.linalg import lsmr

@@ -29,11 +29,11 @@ from ...engines.scaling import (
 )
 from .criterion import KKTErrors
 from .program import QuadraticProgram
-from .reductions import FoldedRows
 from .solution import QPSolution
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
 NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
+TINY = 2.0**-20  # x or multipliers that may all be noise, where solutions are about 1
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
 ATTEMPTS = (  # engine, tolerance of its own, units
     ("daqp", None, GIVEN),
@@ -117,7 +117,7 @@ def run_engine(
         raise UnsuitableProblem(
             f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
-    reduced = FoldedRows.of(program).reduced
+    reduced = program.folded.reduced
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors = KKTErrors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # a point that overflows fails the test
@@ -144,26 +144,31 @@ def run_engine(
 
 def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
     """Return x nearest to 0 within the bounds, without multipliers; in a linear program, x moved by its costs."""
-    reduced = FoldedRows.of(program).reduced
+    reduced = program.folded.reduced
     x = np.clip(0.0, reduced.lower, reduced.upper)
-    if not reduced.constraints.rows and not reduced.matrices.has_curvature:
+    rows = reduced.h.size + reduced.b.size
+    if not rows and not reduced.matrices.has_curvature:
         end = np.where(reduced.c > 0.0, reduced.lower, reduced.upper)
         x = np.where((reduced.c != 0.0) & np.isfinite(end), end, x)
-    return x, np.zeros(reduced.constraints.rows)
+    return x, np.zeros(rows)
 
 
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
     """Yield points that may be the solution near a point: the point, and polished, each with noise set to 0.
 
-    If the objective vanishes, multipliers may be noise; all of x may be, also if it does not.
+    If all of x is tiny, all of it may be noise; the same holds for the multipliers.
     """
-    zero, none = np.clip(0.0, statement.lower, statement.upper), np.zeros_like(point.y)
     for one in chain([point], polish_steps(statement, point, rounds)):
         yield one
         clean = quiet(one)
-        pairs = product((clean.x, zero), (clean.y, none))
+        pairs = product(*(_with_zero(values) for values in (clean.x, clean.y)))
         for x, y in islice(pairs, int(clean is one), None):  # the first may be the point again
             yield one._replace(x=x, y=y)
+
+
+def _with_zero(values: FloatVector) -> tuple[FloatVector, ...]:
+    """Return the values and, if all are tiny, zeros: in the units of an engine, its noise is below 2⁻²⁰."""
+    return (values, np.zeros_like(values)) if np.abs(values).max(initial=0.0) <= TINY else (values,)
 
 
 def quiet(point: EngineAnswer) -> EngineAnswer:

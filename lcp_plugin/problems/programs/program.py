@@ -37,6 +37,7 @@ from .no_minimum import (
     proof_of_no_minimum,
 )
 from .program_matrices import ProgramMatrices
+from .reductions import FoldedRows
 
 VECTORS = "c", "h", "b", "lower", "upper"
 SYMMETRIC_TO = 1e-12
@@ -198,6 +199,11 @@ class QuadraticProgram:
     def constraints(self) -> Constraints:
         """Constraints and bounds as rows of one matrix."""
         return Constraints.of(self)
+
+    @cached_property
+    def folded(self) -> FoldedRows:
+        """The program with bounds in place of rows of one variable."""
+        return FoldedRows.of(self)
 
     @cached_property
     def facts(self) -> ProgramFacts:

@@ -255,24 +255,25 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     (array([0.5, 0.5]), array([0.5]))
     """
     n, m = P.shape[0], C.shape[0]
-    K = sp.csr_array(sp.block_array([[P, C.T], [C, None]])) if m else P
+    below = sp.csr_array((C.data, C.indices, C.indptr), shape=(m, n + m))
+    K = sp.csr_array(sp.vstack([sp.hstack([P, sp.csr_array(C.T)], "csr"), below], "csr"))
     entries, twice = row_numbers(K), 1.0 + (row_numbers(K) == K.indices)
     right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
     counts = np.bincount(entries, twice, n + m) + SINGULAR
-    normal = sp.csr_array((twice, K.indices, K.indptr), shape=K.shape) + sp.diags_array(counts)
-    units = _powers(_conjugate_gradients(normal, np.asarray(-right, np.float64)))
+    pattern = sp.csr_array((twice, K.indices, K.indptr), shape=K.shape)
+    units = _powers(_conjugate_gradients(pattern, counts, -right))
     return units[:n], units[n:]
 
 
-def _conjugate_gradients(A: sp.csr_array, b: FloatVector) -> FloatVector:
-    """Return about A⁻¹b; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
-    x, rest, inverse = np.zeros(b.size), b, 1.0 / A.diagonal()
+def _conjugate_gradients(A: sp.csr_array, d: FloatVector, b: FloatVector) -> FloatVector:
+    """Return about (A + diag(d))⁻¹b; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
+    x, rest, inverse = np.zeros(b.size), b, 1.0 / (A.diagonal() + d)
     direction = inverse * rest
     size = rest @ direction
     for _ in range(FIT_STEPS):
         if not rest @ rest > (FIT_TO * FIT_TO) * (b @ b):
             break
-        product = A @ direction
+        product = A @ direction + d * direction
         step = size / (direction @ product)
         x, rest = x + step * direction, rest - step * product
         steepest = inverse * rest

@@ -41,7 +41,7 @@ class FoldedRows:
     --------
     >>> from lcp_plugin import QuadraticProgram
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2])
-    >>> folded = FoldedRows.of(program)
+    >>> folded = program.folded
     >>> print(folded.reduced)
     QuadraticProgram(n=2, 0 inequalities, 0 equalities)
     >>> folded.multipliers(np.array([0.0, 0.0, 0.0, 2.0]))
@@ -57,15 +57,8 @@ class FoldedRows:
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> FoldedRows:
-        """Return the reduction of a program, computed once per program."""
-        known: FoldedRows | None = program.__dict__.get("_folded")
-        if known is None:
-            known = program.__dict__["_folded"] = cls._of(program)
-        return known
-
-    @classmethod
-    def _of(cls, program: QuadraticProgram) -> FoldedRows:
-        matrices, right = program.matrices, program.constraints.right
+        """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
+        matrices, right = program.matrices, np.concatenate([program.h, program.b])
         if not matrices.has_short_rows and np.isfinite(right).all():
             own = np.full(program.n, OWN)
             return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))

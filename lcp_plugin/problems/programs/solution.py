@@ -11,7 +11,6 @@ import numpy as np
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidProblem
 from .criterion import PROGRAM_TOLERANCE, KKTErrors, checked_tolerance
-from .reductions import FoldedRows
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -103,7 +102,7 @@ class QPSolution:
         InvalidProblem
             If a multiplier of the program is beyond the range of doubles.
         """
-        folded = FoldedRows.of(program)
+        folded = program.folded
         reduced, m = folded.reduced, folded.reduced.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
         P, C = reduced.matrices.measured[:2]
@@ -183,8 +182,8 @@ class QPSolution:
 
     def errors_for(self, tolerance: float) -> KKTErrors:
         """Return both measures, or bounds of them if these meet the tolerance already."""
-        folded = FoldedRows.of(self.program)
-        y = self.multipliers[: self.program.constraints.right.size][folded.left]
+        folded = self.program.folded
+        y = self.multipliers[: self.program.h.size + self.program.b.size][folded.left]
         return KKTErrors.of(folded.reduced, self.x, y, tolerance)
 
     def __str__(self) -> str:

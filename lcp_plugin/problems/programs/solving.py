@@ -33,7 +33,6 @@ from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors
 from .engine_calls import NO_MINIMUM, EngineRun, attempts, nearest, run_engine
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import VECTORS, QuadraticProgram
-from .reductions import FoldedRows
 from .solution import QPSolution
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
@@ -280,15 +279,15 @@ class _ProgramRun:
 
     def all_runs(self) -> Iterator[EngineRun]:
         """Yield the runs of auto; a program with bounds only is a complementarity problem of n unknowns."""
-        reduced = FoldedRows.of(self.program).reduced
-        has_rows, matrices = bool(reduced.constraints.rows), reduced.matrices
-        if not has_rows and not matrices.has_curvature:
+        reduced = self.program.folded.reduced
+        rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
+        if not rows and not matrices.has_curvature:
             yield self._vertex_by_costs()
-        is_lcp_first = not has_rows and matrices.has_curvature and not matrices.is_small
+        is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             yield self.solve_lcp("auto", {}, ends_before=PIVOTS)
         yield from self.engine_runs(None)
-        if not is_lcp_first and reduced.n + reduced.constraints.rows <= FEW:
+        if not is_lcp_first and reduced.n + rows <= FEW:
             yield self.solve_lcp("auto", {})
 
     def engine_runs(self, engine: Engine | None) -> Iterator[EngineRun]:

@@ -89,9 +89,9 @@ class KKTErrors(NamedTuple):
             if not (gap <= tolerance).all():
                 point = PrimalDualPoint(program, x, y, is_exact=True)
                 primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
-            worst = (np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap))
+            worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
             is_excused = point.is_exact and bool((point.over > ROWS * point.own).any())
-        return cls(*map(float, worst), is_excused)
+        return cls(float(worst[0]), float(worst[1]), is_excused)
 
 
 def errors_of_each(
@@ -162,7 +162,8 @@ class PrimalDualPoint:
                 self.matrices.gradient, np.concatenate([x, y]), program.c
             )
             excess = sums_without_rounding(self.matrices.rows, x, -sides)
-            self.doubt = row_doubt = self.hidden = 0.0
+            self.doubt = row_doubt = 0.0
+            self.hidden: Any = 0.0
         else:
             in_rows, in_P, in_columns = self.matrices.summands
             self.product = P @ x

@@ -265,7 +265,7 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     return units[:n], units[n:]
 
 
-def _conjugate_gradients(A: sp.csr_array, d: FloatVector, b: FloatVector) -> FloatVector:
+def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> FloatVector:
     """Return about (A + diag(d))⁻¹b; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
     x, rest, inverse = np.zeros(b.size), b, 1.0 / (A.diagonal() + d)
     direction = inverse * rest

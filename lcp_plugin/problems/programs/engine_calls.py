@@ -182,7 +182,7 @@ def quiet(point: EngineAnswer) -> EngineAnswer:
 
 
 def _statements(reduced: QuadraticProgram, units: str) -> Iterator[ScaledProgram]:
-    """Yield the program in the units of an attempt: in fitted units, first without very large right-hand sides."""
+    """Yield the program as scaled for an attempt; if it is scaled, first without very large right-hand sides."""
     (P, G, A), one = reduced.matrices.arrays, reduced
     given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
     if units is GIVEN:

@@ -412,10 +412,10 @@ def test_constructed_points_are_refused(name: str, kind: Any) -> None:
     [(1e14, 1e14, []), (1e14, np.inf, []), (-np.inf, np.inf, [[0.0, 0.0, -1.0]])],
     ids=["fixed", "bound", "row"],
 )
-def test_contradictions_next_to_a_large_unknown_are_infeasible(
+def test_inconsistent_rows_next_to_a_large_unknown_are_infeasible(
     lower: float, upper: float, row: list[list[float]]
 ) -> None:
-    """x₁ + x₂ ≤ −1 contradicts x ≥ 0, although it is rounding error next to x₃ = 1e14 of the same component."""
+    """x₁ + x₂ ≤ −1 and x ≥ 0 are inconsistent; the violation is rounding error next to x₃ = 1e14 of this component."""
     G, h = [[1, 1, 0], [1, 0, -1], *row], [-1, 0, *(-1e14 for _ in row)]
     program = QuadraticProgram(
         None, [0, 0, 1], G, h, lower=[0, 0, lower], upper=[np.inf, np.inf, upper]

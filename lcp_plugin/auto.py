@@ -348,7 +348,7 @@ def run_on(
         run = Run(
             problem, method or "auto", settings, callback, clock, header=_header, polish=_polish
         )
-        goal = run.judge.goal
+        goal = run.test.goal
         stages = (
             plan(problem, goal, prove_infeasibility=proofs, begin=begin)
             if begin

@@ -7,7 +7,7 @@ Suggested reading order:
 3. ``certificates``: residuals with rounding errors, and the stopping criterion.
 4. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
    their compiled loops in ``kernels``.
-5. ``solving``: ``stage`` is one method and its budget, ``run`` the loop, ``judge`` the tests that end it; ``result``.
+5. ``solving``: ``stage`` is one method and its budget, ``run`` the loop, ``termination`` its test; ``result``.
 6. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; :mod:`lcp_plugin.auto`
    plans the stages of ``auto`` by them.
 """

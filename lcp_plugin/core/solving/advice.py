@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from ..algorithm import Algorithm
 from ..lcp import LCP
-from ..settings import Status
+from ..settings import Settings, Status
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
@@ -15,11 +14,7 @@ TRIED = "auto has tried all methods that suit this matrix"
 NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 
 
-def advice_of_run(
-    problem: LCP,
-    chosen: Any,
-    words: Mapping[Status, str],
-) -> dict[Status, str]:
+def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status, str]:
     """Return the advice of each possible termination status of the run.
 
     Parameters
@@ -27,15 +22,14 @@ def advice_of_run(
     problem : LCP
     chosen : str or Algorithm
         The algorithm of the call.
-    words : mapping from Status to str
-        Texts that replace the default text of a status.
+    settings : Settings
 
     Examples
     --------
-    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", {})[Status.MAX_ITERATIONS]
+    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", Settings())[Status.MAX_ITERATIONS]
     'iteration limit reached; next: raise max_iterations, or continue from z0=result.z'
     """
-    said = {status: words.get(status, status.value) for status in (*LIMITS, *WITHOUT_END)}
+    said = {status: status.value for status in (*LIMITS, *WITHOUT_END)}
     other = 'algorithm="auto"' if isinstance(chosen, Algorithm) else ""
     for status in LIMITS:
         said[status] += ", or continue from z0=result.z"
@@ -44,4 +38,8 @@ def advice_of_run(
     end = f"next: try {other}" if other else f"{TRIED}; next: try another start z0"
     if (negative := (problem.diagonal < 0.0)).any():
         end = f"M is not monotone (m_ii < 0 for i = {int(negative.argmax())}); {end}"
-    return {**words, **said, **{status: f"{said[status]}; {end}" for status in WITHOUT_END}}
+    for status in WITHOUT_END:
+        said[status] += f"; {end}"
+    if not settings.prove_infeasibility:
+        said[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
+    return said

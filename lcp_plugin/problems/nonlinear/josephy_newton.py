@@ -280,5 +280,5 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
     run = Run(problem, method or "auto", settings, None, clock)
-    stages = _stages_of_step(problem, method, run.judge.goal)
+    stages = _stages_of_step(problem, method, run.test.goal)
     return run.result(start, run.follow_all(stages, start))

@@ -136,8 +136,8 @@ def solve_nonlinear(
         newton = JosephyNewton(
             points=points, compared_with=reference, linear=algorithm, tolerance=settings.goal
         )
-        judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.problem, newton, settings, callback, clock, judge)
+        test = NonlinearTest(points, reference, first, settings)
+        run = Run(test.problem, newton, settings, callback, clock, test)
         try:
             if check_jacobian and problem.jacobian is not None:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
@@ -175,8 +175,8 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
         raise InvalidOption(str(error)) from error
 
 
-class NonlinearJudge(TerminationTest):
-    """Termination test that measures F; see :class:`TerminationTest`."""
+class NonlinearTest(TerminationTest):
+    """Residuals and certificates of points by F; see :class:`TerminationTest`."""
 
     words = {  # noqa: RUF012 - read only
         Status.SOLVED: "the residual is within the tolerance, as measured on F",
@@ -198,17 +198,15 @@ class NonlinearJudge(TerminationTest):
         self, points: Linearizations, reference: Reference, start: Linearization, settings: Settings
     ) -> None:
         self.points, self.compared_with = points, reference
-        self.problem, self.asked, self.settings = start.lcp, points.problem, settings
+        self.problem, self.user_problem, self.settings = start.lcp, points.problem, settings
         self.goal = settings.goal
         self.reference = 1.0  # the certificate divides each component by its reference
-        self.proof = self._certificate = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z by F(z) and F′(z)."""
-        if self._certificate is None or not np.array_equal(self._certificate.z, z):
-            self._certificate = NonlinearCertificate.at(self.points.at(z), self.compared_with)
-        latest: Certificate = self._certificate
-        return latest
+        if self._latest is None or not np.array_equal(self._latest[0], z):
+            self._latest = z.copy(), NonlinearCertificate.at(self.points.at(z), self.compared_with)
+        return self._latest[1]
 
     def measure(self, z: FloatVector) -> float:
         """Return the relative residual of z."""

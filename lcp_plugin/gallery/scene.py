@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.certificates.row_residuals import is_at_bound
 from ..core.checks import FloatVector, read_only
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
@@ -106,7 +105,8 @@ class Scene:
                     )
                 object.__setattr__(self, fact, read_only(values))
         if self.exact is not None and self.active_share is None and self.n:
-            share = float(np.mean(is_at_bound(self.problem, self.exact)))
+            lower, upper = self.problem.lower, self.problem.upper
+            share = float(np.mean((self.exact <= lower) | (self.exact >= upper)))
             object.__setattr__(self, "active_share", share)
         if self.coordinates is not None and self.grid is None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))

@@ -101,7 +101,7 @@ def finds(what: str, name: str) -> bool:
 
 def test_the_campaign_sees_a_false_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     """A certificate that finds every residual small is found out."""
-    monkeypatch.setattr(Certificate, "relative_above", lambda self, least, answered=None: 0.0)
+    monkeypatch.setattr(Certificate, "relative_above", lambda *_: 0.0)
     assert finds("false SOLVED", "small")
 
 

@@ -34,14 +34,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import FloatVector
+from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact, largest_in_rows
 from ..matrix.row_sums import BLOCK
 from ..matrix.structure import connected_components
 from ..rounding import compensated_product
-from .row_residuals import find_rounding_rows
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
@@ -334,6 +333,12 @@ def rounding_of_data(problem: LCP) -> float:
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / problem.matrix.residual_scale)
     return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
+
+
+def find_rounding_rows(residual: FloatVector, floor: FloatVector) -> BoolVector:
+    """Return the rows whose residual is at most four times its rounding level."""
+    with np.errstate(over="ignore"):
+        return (residual <= 4.0 * floor) & np.isfinite(floor)
 
 
 @fact

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import BoolVector, FloatVector, read_only, real_vector, restore_state
 from ..errors import InvalidProblem
+from ..kernels.floats import TINY
 from ..lcp import LCP
 from ..problem_classes import refusal
 from ..rounding import gamma
@@ -18,24 +19,18 @@ from .criterion import (
     POWER,
     RowsAtPoint,
     VectorEnds,
+    find_rounding_rows,
     references_of_components,
     row_data,
     rows_near_start,
     scaled_residual,
     sharp_residual_ends,
 )
-from .row_residuals import (
-    divide_nonnegative,
-    euclidean_norm,
-    find_rounding_rows,
-    largest_ratio,
-)
 
 if TYPE_CHECKING:
     from ..settings import Settings
 
 GAINED = 0.1  # of the reference
-DECIDED = 1e-12  # of the reference: rounding bounds below it may be plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +116,7 @@ class Certificate:
         with np.errstate(all="ignore"):
             residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
             if references.size > 1:  # the component with the largest relative residual
-                relative = divide_nonnegative(self._proved_rows, references)
+                relative = divide_nonnegative(self.residual_ends[1], references)
                 relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         return (float(residual[worst]), worst) if relative.size else (0.0, -1)
@@ -136,12 +131,10 @@ class Certificate:
         """‖r(z)‖∞ of the worst component, in the unit of z, as measured in double precision."""
         return self._worst[0]
 
-    @cached_property
+    @property
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ref_P of all components, rounded upwards; 0 for 0/0."""
-        if np.isinf(self.references[1]).any():
-            return np.nan
-        return largest_ratio(*self.residuals_of_components)
+        return self.relative_above(0.0)
 
     @cached_property
     def term_residuals(self) -> FloatVector:
@@ -152,17 +145,17 @@ class Certificate:
     @property
     def term_residual(self) -> float:
         """The least tolerance at which every row passes the componentwise test."""
-        return _largest(self.term_residuals)
+        return float(self.term_residuals.max(initial=0.0))
 
     def meets(
-        self, settings: Settings, answered: BoolVector | None = None, *, power: float = POWER
+        self, settings: Settings, solved: BoolVector | None = None, *, power: float = POWER
     ) -> bool:
         """Return whether z passes both tests of the criterion.
 
         Parameters
         ----------
         settings : Settings
-        answered : array of bool, shape (n,), optional
+        solved : array of bool, shape (n,), optional
             Rows that do not count.
         power : float
             Exponent of the tolerance, next to the terms of a row.
@@ -170,38 +163,36 @@ class Certificate:
         goal, least = settings.goal, settings.least_reference
         of_rows = self.term_residuals ** (POWER / power)
         if least:  # rows within the absolute tolerance
-            of_rows = np.where(self._scaled_ends[1] > goal * least, of_rows, 0.0)
-        if not _largest(of_rows) <= goal:
-            return False
-        if not self.relative_above(least, answered) <= goal and self._may_be_sharpened:
-            known = self.__dict__
-            known["_scaled_ends"] = sharp_residual_ends(self.problem, self.z)
-            known["_may_be_sharpened"] = False
-            for name in ("relative_residual", "_proved_rows"):
-                known.pop(name, None)
-        return self.relative_above(least, answered) <= goal
+            of_rows = np.where(self.residual_ends[1] > goal * least, of_rows, 0.0)
+        return bool(
+            of_rows.max(initial=0.0) <= goal and self.relative_above(least, solved, goal) <= goal
+        )
 
-    @cached_property
-    def _may_be_sharpened(self) -> bool:
-        """True if the rounding bound of a plain pass is too wide for a decision, so that compensated sums help."""
-        low, high = self._scaled_ends
-        return not self.is_linearised and bool((low < 0.99 * high).any())
+    def relative_above(
+        self, least: float, solved: BoolVector | None = None, goal: float = np.inf
+    ) -> float:
+        """Return the relative residual with no reference taken for less than `least`, in the unit of z.
 
-    @property
-    def residuals_of_components(self) -> VectorEnds:
-        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ref_P of each row, shape (n,), or (1,) if M is connected."""
-        with np.errstate(all="ignore"):
-            return row_data(self.problem).largest(self._proved_rows), self.references[0]
+        The `solved` rows, shape (n,), do not count. If rounding decides whether it is at most `goal`, compensated sums
+        replace the plain bounds.
+        """
+        low, high = (
+            self._relative(end if solved is None else np.where(solved, 0.0, end), least)
+            for end in self.residual_ends
+        )
+        if not low <= goal < high or self.is_linearised:
+            return high
+        self.__dict__["residual_ends"] = sharp_residual_ends(self.problem, self.z)
+        return self.relative_above(least, solved)
 
-    @cached_property
-    def _proved_rows(self) -> FloatVector:
-        """An upper bound of every |r_i|, sharp in components that z° solves: there only an exact 0 passes."""
-        ends = self._scaled_ends[1]
-        is_exact = (self.references[0] == 0.0) & (ends > 0.0) & (ends < np.inf)
-        return np.where(is_exact, self._sharp_ends(), ends) if is_exact.any() else ends
-
-    def _sharp_ends(self) -> FloatVector:
-        return sharp_residual_ends(self.problem, self.z)[1]
+    def _relative(self, residuals: FloatVector, least: float = 0.0) -> float:
+        """Return the largest of the residuals ≥ 0, shape (n,), relative to the reference of its component."""
+        smallest, largest = self.references
+        if np.isinf(largest).any():
+            return np.nan
+        if smallest.size == 1:
+            residuals = residuals.max(initial=0.0, keepdims=True)
+        return largest_ratio(residuals, np.maximum(smallest, least))
 
     @cached_property
     def references(self) -> VectorEnds:
@@ -212,12 +203,12 @@ class Certificate:
         return np.minimum(least, limit), np.minimum(most, limit)
 
     @cached_property
-    def _scaled_ends(self) -> VectorEnds:
-        """Bounds of every |r_i|."""
-        low, high = self._ends(self.problem.matrix.residual_scale)
-        is_open = (high > DECIDED * self.references[0]) & (low < 0.99 * high) & (high < np.inf)
-        # If rounding counts, compensated sums are sharper.
-        return sharp_residual_ends(self.problem, self.z) if is_open.any() else (low, high)
+    def residual_ends(self) -> VectorEnds:
+        """Bounds of every |r_i|; by compensated sums if rounding makes the largest one uncertain by 1 %."""
+        ends = self._ends(self.problem.matrix.residual_scale)
+        low, high = (self._relative(end) for end in ends)
+        is_certain = high <= 1e-12 or low >= 0.99 * high or self.is_linearised
+        return ends if is_certain else sharp_residual_ends(self.problem, self.z)
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
         with np.errstate(all="ignore"):
@@ -232,15 +223,16 @@ class Certificate:
     @cached_property
     def natural_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖∞."""
-        return _largest(self._natural)
+        return float(self._natural.max(initial=0.0))
 
     @cached_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
-        norm = euclidean_norm(self._natural)
-        return (
-            float(np.nextafter(norm * (1.0 + gamma(self.problem.n + 8)), np.inf)) if norm else 0.0
-        )
+        largest = self.natural_residual
+        if not 0.0 < largest < np.inf:
+            return largest
+        norm = largest * float(np.linalg.norm(self._natural / largest))
+        return float(np.nextafter(norm * (1.0 + gamma(self.problem.n + 8)), np.inf))
 
     @cached_property
     def bound_violation(self) -> float:
@@ -248,7 +240,7 @@ class Certificate:
         problem = self.problem
         with np.errstate(all="ignore"):
             outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
-        return _largest(np.maximum(outside, 0.0))
+        return float(outside.max(initial=0.0))
 
     @cached_property
     def complementarity(self) -> float:
@@ -258,7 +250,7 @@ class Certificate:
             above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
             below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
             larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
-            return _largest(np.abs(larger))
+            return float(np.abs(larger).max(initial=0.0))
 
     @cached_property
     def rounding_floor(self) -> FloatVector:
@@ -272,7 +264,7 @@ class Certificate:
     @cached_property
     def is_at_rounding_level(self) -> bool:
         """True if no row's residual exceeds four times its rounding floor."""
-        residual = self._scaled_ends[1]
+        residual = self.residual_ends[1]
         if not self.is_linearised:
             with np.errstate(all="ignore"):
                 residual = np.abs(scaled_residual(self.problem, self.z, self.w))
@@ -286,19 +278,8 @@ class Certificate:
         """
         if not self.is_at_rounding_level:
             return False
-        is_large = ~(divide_nonnegative(*self.residuals_of_components) <= GAINED)
+        is_large = ~(divide_nonnegative(self.residual_ends[1], self.references[0]) <= GAINED)
         return not (is_large & ~rows_near_start(self.problem)).any()
-
-    def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
-        """Return the relative residual with no reference taken for less than `least`, in the unit of z.
-
-        The `answered` rows, shape (n,), do not count.
-        """
-        if not least and answered is None:
-            return self.relative_residual
-        rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
-        references = np.maximum(self.references[0], least)
-        return largest_ratio(rows, np.broadcast_to(references, rows.shape))
 
     def __str__(self) -> str:
         lines = [
@@ -311,7 +292,29 @@ class Certificate:
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
 
 
-def _largest(values: FloatVector) -> float:
-    return (
-        float(values.max()) if values.size else 0.0
-    )  # NaN is the maximum of anything with NaN in it
+def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
+    """Return the largest quotient of numbers ≥ 0; 0 for 0/0, and for empty arrays, but not by underflow.
+
+    Examples
+    --------
+    >>> largest_ratio(np.array([1.0, 0.0]), np.array([4.0, 0.0])), largest_ratio(np.array([1e-320]), np.array([1e10]))
+    (0.25, 5e-324)
+    """
+    largest = float(divide_nonnegative(numerators, denominators).max(initial=0.0))
+    return largest or (TINY if numerators.any() else 0.0)
+
+
+def divide_nonnegative(numerators: FloatVector, denominators: FloatVector) -> FloatVector:
+    """Return the quotients of numbers that are ≥ 0, with 0/0 = 0; NaN stays NaN."""
+    with np.errstate(all="ignore"):
+        quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)
+    return quotients
+
+
+def ratio(numerator: float, denominator: float) -> float:
+    """Return numerator/denominator with 0/0 = 0; NaN stays NaN, and nothing can be measured against ∞."""
+    if denominator == np.inf:
+        return np.nan
+    if numerator == 0.0:
+        return 0.0
+    return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..algorithm import Algorithm, Step
 from ..certificates.criterion import POWER, measured_residual, rounding_of_data
-from ..certificates.residuals import Certificate
-from ..certificates.row_residuals import ratio
+from ..certificates.residuals import Certificate, ratio
 from ..checks import FloatVector, read_only
 from ..deadline import Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem

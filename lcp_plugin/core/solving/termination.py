@@ -18,8 +18,7 @@ from ..certificates.criterion import (
     scaled_residual,
     snap_to_bounds,
 )
-from ..certificates.residuals import GAINED, Certificate
-from ..certificates.row_residuals import divide_nonnegative, ratio
+from ..certificates.residuals import GAINED, Certificate, divide_nonnegative, ratio
 from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
 from ..settings import Settings, Status
@@ -110,9 +109,8 @@ class TerminationTest:
 
     def certify(self, z: FloatVector) -> float:
         """Return an upper bound of the relative residual of z, without the components that z° solves."""
-        return self.certificate_of(z).relative_above(
-            self.settings.least_reference, self.solved_rows
-        )
+        least = self.settings.least_reference
+        return self.certificate_of(z).relative_above(least, self.solved_rows, self.settings.goal)
 
     def is_passed(
         self, z: FloatVector, residual: float, iteration: int, power: float = POWER

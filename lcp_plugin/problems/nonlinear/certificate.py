@@ -32,8 +32,7 @@ import numpy as np
 
 from ...core.certificates.criterion import VectorEnds, row_data, scaled_residual
 from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import largest_ratio
-from ...core.checks import FloatVector, read_only
+from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -198,18 +197,17 @@ class NonlinearCertificate(Certificate):
         errors: FloatVector = np.fmin(strict, np.fmax(own, there))
         return errors
 
-    @cached_property
-    def relative_residual(self) -> float:
-        """The largest ‖r_P(x)‖∞ / reference, rounded upwards, or residual relative to terms."""
-        return max(largest_ratio(*self.residuals_of_components), self.term_residual)
+    def relative_above(
+        self, least: float, solved: BoolVector | None = None, goal: float = np.inf
+    ) -> float:
+        """Return the largest ‖r_P(x)‖∞ / reference, rounded upwards; without `least`, at least the term residual."""
+        relative = super().relative_above(least, solved)
+        return relative if least else max(relative, self.term_residual)
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
         """True if no row's residual exceeds four times its rounding floor, and the residual is small."""
         return self.relative_residual <= GAINED and self.is_at_rounding_level
-
-    def _sharp_ends(self) -> FloatVector:
-        return self._scaled_ends[1]  # of the numbers that F returns, nothing is summed here
 
     def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
         return _ends(self.problem, self.z, self.value, scale)

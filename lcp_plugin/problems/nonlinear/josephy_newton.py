@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ...auto import method_of, stages_of
 from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import row_data, scaled_residual
-from ...core.certificates.row_residuals import largest_ratio
+from ...core.certificates.residuals import largest_ratio
 from ...core.checks import FloatVector
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem

@@ -415,7 +415,7 @@ def test_constructed_points_are_refused(name: str, kind: Any) -> None:
 def test_inconsistent_rows_next_to_a_large_unknown_are_infeasible(
     lower: float, upper: float, row: list[list[float]]
 ) -> None:
-    """x₁ + x₂ ≤ −1 and x ≥ 0 are inconsistent; the violation is rounding error next to x₃ = 1e14 of this component."""
+    """x₁ + x₂ ≤ −1 and x ≥ 0 are inconsistent; the violation is small next to x₃ = 1e14 of this component."""
     G, h = [[1, 1, 0], [1, 0, -1], *row], [-1, 0, *(-1e14 for _ in row)]
     program = QuadraticProgram(
         None, [0, 0, 1], G, h, lower=[0, 0, lower], upper=[np.inf, np.inf, upper]

@@ -58,7 +58,7 @@ class NPSplitting(ScaledByRows):
         while not problem.n:  # SuperLU rejects a matrix without rows
             yield Step(z0, 0.0, work=0.0)
         splitting = self._matrix(problem)
-        step = self._scaling(problem)
+        step = self.row_scaling(problem)
         scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
         factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
@@ -79,17 +79,17 @@ class NPSplitting(ScaledByRows):
         splitting = self._matrix(problem)
         return IterationFacts(
             family=PROJECTED_SPLITTING,
-            scaling=self._scaling(problem),
+            scaling=self.row_scaling(problem),
             is_scaled=self.scaling is not None,
             splitting=splitting,
             is_part_of_matrix=isinstance(self.splitting, str),
         )
 
-    def _scaling(self, problem: LCP) -> FloatVector:
-        is_named = isinstance(self.splitting, str)
-        return self.row_scaling(
-            problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0
-        )
+    def automatic_factors(self, problem: LCP) -> FloatVector | float:
+        """Return θ, shape (n,), or 1 for a splitting of the user."""
+        if not isinstance(self.splitting, str):
+            return 1.0
+        return split_factors(problem.matrix, self.splitting)
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
         M = problem.csr

@@ -15,7 +15,6 @@ import numpy as np
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import (
-    pack_vectors,
     relaxation_sweep,
     row_splits,
     splitting_sweep,
@@ -49,7 +48,7 @@ def sweep(problem: RowsOnRanks, z: FloatVector, relaxation: float = 1.0) -> Iter
     pivots = _positive_diagonal(problem)
     if problem.is_symmetric and not halo.is_empty:
         pivots = pivots + pivot_weight(M, halo, relaxation)
-    rows = pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / pivots)
+    rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
     split, x = row_splits(M, backward=False), halo.whole(z)
     yield x[: problem.own], 0.0
     while True:
@@ -65,7 +64,8 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: flo
     pivot = step * problem.diagonal * (1.0 / alpha + 1.0) + 2.0
     if not halo.everywhere(pivot > 0.0):
         raise UnsuitableMatrix("an NP sweep needs m_ii/(α d_i) + m_ii/d_i + 2 > 0 in every row")
-    rows = pack_vectors(problem.q, problem.lower, problem.upper, step, step, 1.0 / pivot)
+    bounds = problem.lower, problem.upper
+    rows = np.column_stack([problem.q, *bounds, step, step, 1.0 / pivot])
     split, x = row_splits(M, backward=False), halo.whole(z)
     yield x[: problem.own], 0.0
     new = x.copy()

@@ -7,8 +7,8 @@ the columns that a Gauss–Seidel sweep in that direction has already updated (s
 Four techniques make the passes fast, each measured on the five-point matrix with n = 10⁶. Unsigned row positions avoid
 a wrap-around test at each access. Pivots are inverted beforehand. The updated neighbor nearest to the diagonal is taken
 out of the inner loop, because its value is still in a register and the next row has to wait only for this value.
-Vectors that are read once per row are packed side by side in `rows` (:func:`pack_vectors`), because a processor
-prefetches one wide stream better than six narrow streams.
+Vectors that are read once per row are the columns of one array `rows`, because a processor prefetches one wide stream
+better than six narrow streams.
 
 A comparison with NaN is false; every maximum below is written so that a NaN survives it.
 """
@@ -21,8 +21,6 @@ import numpy as np
 
 from .compilation import kernel, uintp
 from .rows import clamp, residual_of_row
-
-ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 
 
 @kernel
@@ -158,13 +156,3 @@ def row_splits(matrix: Any, *, backward: bool) -> Any:
     split = indptr[:-1] + before[indptr[1:]] - before[indptr[:-1]]
     split.flags.writeable = False
     return split
-
-
-def pack_vectors(*columns: Any) -> Any:
-    """Return the vectors, each of shape (n,), side by side in an array of shape (n, number of vectors)."""
-    rows = np.empty((columns[0].size, len(columns)))
-    for first in range(0, len(rows), ROWS_AT_ONCE):
-        part = slice(first, first + ROWS_AT_ONCE)
-        for k, column in enumerate(columns):
-            rows[part, k] = column[part]
-    return rows

@@ -50,16 +50,12 @@ class Splitting(Algorithm):
 
     def __post_init__(self) -> None:
         check_choice(self, "sweep", [*SWEEPS])
-        self.check_weights()
-
-    def check_weights(self) -> None:
-        """Raise unless α > 0 and β is finite."""
         if hasattr(self, "relaxation"):
             check_positive(self, "relaxation")
         if hasattr(self, "acceleration"):
             check_number(self, "acceleration")
 
-    def splitting(self) -> tuple[float, float]:
+    def weights(self) -> tuple[float, float]:
         """Return (α, β)."""
         alpha = float(getattr(self, "relaxation", 1.0))
         return alpha, float(getattr(self, "acceleration", alpha if self.is_coupled else 0.0))

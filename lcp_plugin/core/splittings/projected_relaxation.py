@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from ..algorithm import SWEEPS, Step, check_positive, require_positive_diagonal
+from ..algorithm import SWEEPS, Step, check_choice, check_positive, require_positive_diagonal
 from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..lcp import LCP
@@ -17,14 +17,9 @@ from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
 from ..matrix.row_sums import inverse_residual_scale, row_splits
 from . import Splitting
 
-# The automatic relaxation of PSOR.
-FIRST_WAIT, LONGEST_WAIT = 8, 4096
-LARGEST = 1.998
-WORTHWHILE = 0.05  # smallest step towards 2, as a share of 2 − ω, that pays for a new transient
-RECORD = 0.9
-LONGEST_TRIAL = 4  # periods
-HUMP = (
-    40.0  # times 1/(2 − ω): how far increments may rise during a trial that is still worth its end
+FIRST_WAIT = 8  # sweeps of a first phase of Gauss–Seidel
+WORTHWHILE = (
+    0.05  # smallest step of ω towards 2, as a share of 2 − ω, that pays for a new transient
 )
 
 
@@ -38,19 +33,17 @@ class _Relaxation(Splitting):
         "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
     )
 
+    is_automatic: ClassVar[bool] = False
+
     sweep: str = "forward"
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return ω and β, None if they are determined during the run, and the sweep."""
         require_positive_diagonal(problem, self.name)
-        omega, beta = self.weights()
+        omega, beta = (None, None) if self.is_automatic else self.weights()
         return IterationFacts(
             family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep
         )
-
-    def weights(self) -> tuple[float, float] | tuple[None, None]:
-        """Return (ω, β); each is None if the run must determine it."""
-        return self.splitting()
 
 
 class _InPlace(_Relaxation):
@@ -62,15 +55,13 @@ class _InPlace(_Relaxation):
 
         matrix, M = problem.matrix, problem.matrix.csr
         pivots = require_positive_diagonal(problem, self.name)
-        fixed, _ = self.weights()
-        adaptive = AdaptiveRelaxation() if fixed is None else None
-        relaxation = 1.0 if fixed is None else fixed
-        rows = kernels.pack_vectors(problem.q, problem.lower, problem.upper, 1.0 / pivots)
+        rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
         passes = SWEEPS[self.sweep]
         splits = {backward: row_splits(matrix, backward) for backward in passes}
-        z = z0
-        yield Step(z, work=0.0)
-        while True:
+        z, work = z0, float(len(passes))
+
+        def sweep(relaxation: float, *, is_settling: bool = False) -> tuple[Step, float]:
+            """Return the step of a sweep, and Σ|z⁺ − z|."""
             largest = total = 0.0
             for backward in passes:
                 change, change_sum = kernels.relaxation_sweep(
@@ -78,15 +69,14 @@ class _InPlace(_Relaxation):
                 )
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
-            is_settling = adaptive is not None and adaptive.is_settling
-            yield Step(
-                z,
-                increment=largest,
-                work=float(len(passes)),
-                is_settling=is_settling,
-            )
-            if adaptive:
-                relaxation = adaptive.next_relaxation(total, z)
+            return Step(z, increment=largest, work=work, is_settling=is_settling), total
+
+        yield Step(z, work=0.0)
+        if self.is_automatic:
+            yield from adaptive_sweeps(sweep, z)
+        relaxation, _ = self.weights()
+        while True:
+            yield sweep(relaxation)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,8 +102,8 @@ class PSOR(_InPlace):
 
     relaxation: float | str = "auto"
 
-    def check_weights(self) -> None:
-        """Raise unless ω is "auto" or in (0, 2)."""
+    def __post_init__(self) -> None:
+        check_choice(self, "sweep", [*SWEEPS])
         if not isinstance(self.relaxation, str):
             check_positive(self, "relaxation", below=2.0)
         elif self.relaxation != "auto":
@@ -121,9 +111,10 @@ class PSOR(_InPlace):
                 f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"'
             )
 
-    def weights(self) -> tuple[float, float] | tuple[None, None]:
-        """Return (ω, ω), or None for each where ω is "auto"."""
-        return (None, None) if isinstance(self.relaxation, str) else self.splitting()
+    @property
+    def is_automatic(self) -> bool:  # type: ignore[override]
+        """Whether ω is found during the run."""
+        return isinstance(self.relaxation, str)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,19 +136,13 @@ class _Simultaneous(_Relaxation):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        from ..kernels.splitting_sweeps import pack_vectors, splitting_sweep
+        from ..kernels.splitting_sweeps import splitting_sweep
 
-        omega, beta = self.splitting()
+        omega, beta = self.weights()
         with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
             step = omega / require_positive_diagonal(problem, self.name)
-        rows = pack_vectors(
-            problem.q,
-            problem.lower,
-            problem.upper,
-            inverse_residual_scale(problem.matrix),
-            step,
-            np.ones(problem.n),
-        )
+        inverse_scale, ones = inverse_residual_scale(problem.matrix), np.ones(problem.n)
+        rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale, step, ones])
         yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False), z0)
 
 
@@ -220,8 +205,8 @@ class GFP(_Simultaneous):
     relaxation: float = 1.0
 
 
-class AdaptiveRelaxation:
-    """Automatic choice of ω by trials, measured by the increments Σ|z⁺ − z|; a trial that does not pay is undone.
+def adaptive_sweeps(sweep: Callable[..., tuple[Step, float]], z: FloatVector) -> Iterator[Step]:
+    """Yield sweeps with automatic ω by trials, measured by the increments Σ|z⁺ − z|.
 
     A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive definite
     matrix, SOR with ω contracts by λ with (λ + ω − 1)² = λ ω² μ², and ω* = 2/(1 + √(1 − μ²)) is best. A trial with that
@@ -234,88 +219,58 @@ class AdaptiveRelaxation:
     the increments of a Gauss–Seidel sweep fall to 0, and they vanish at solutions only. Or from some point on
     all trials are undone: the remaining iteration is Gauss–Seidel.
 
+    Parameters
+    ----------
+    sweep : callable
+        Returns the step of a sweep of z with a relaxation, and Σ|z⁺ − z|.
+    z : ndarray, shape (n,)
+        Overwritten by each sweep.
+
     References
     ----------
     Hageman, Young: *Applied Iterative Methods*, Academic Press 1981, chapter 9.
     """
+    wait, record = FIRST_WAIT, math.inf
+    while True:
+        sizes: list[float] = []
+        while len(sizes) < wait:
+            step, size = sweep(1.0)
+            sizes.append(size)
+            yield step
+        record = min(record, size)
+        omega = best_relaxation(contraction(sizes), 1.0)
+        is_promising = omega > 1.0 + WORTHWHILE and record > 0.0
+        while is_promising:
+            before, sizes, is_over, is_lost = z.copy(), [], False, False
+            period = math.ceil(4.0 / (2.0 - omega)) + 8
+            while not (is_over or is_lost):
+                step, size = sweep(omega, is_settling=True)
+                sizes.append(size)
+                yield step
+                # Increments may rise during a trial that is still worth its end, but not without limit.
+                is_lost = not size <= 40.0 / (2.0 - omega) * record
+                is_long = len(sizes) >= 4 * period
+                is_over = is_long or (len(sizes) >= period and size <= 0.9 * record)
+            if not is_lost:
+                step, size = sweep(1.0, is_settling=True)
+                yield step
+            is_promising = not is_lost and size <= 0.9 * record
+            if is_promising:
+                record, wait = size, FIRST_WAIT
+                wanted = best_relaxation(contraction(sizes), omega)
+                if wanted > omega + WORTHWHILE * (2.0 - omega):
+                    omega = wanted
+            else:
+                np.copyto(z, before)
+        wait = min(2 * wait, 4096)
 
-    def __init__(self) -> None:
-        self.relaxation = self._omega = 1.0
-        self._wait = FIRST_WAIT
-        self._record = math.inf
-        self._sizes: list[float] = []
-        self._checkpoint: FloatVector | None = None
-        self._is_final_sweep = False
 
-    @property
-    def is_settling(self) -> bool:
-        """True if a trial is running: a rising residual is then not a sign of divergence."""
-        return self._checkpoint is not None
-
-    def next_relaxation(self, size: float, z: FloatVector) -> float:
-        """Return ω for the next sweep, given Σ|z⁺ − z| of the last sweep; z is restored after a failed trial."""
-        self._sizes.append(size)
-        if self._checkpoint is None:
-            if len(self._sizes) >= self._wait:
-                self._end_phase(z)
-        elif self._is_final_sweep:
-            self._end_trial(size, z)
-        elif not size <= self._record * HUMP / (2.0 - self._omega):
-            self._undo(z)
-        elif self._is_time_to_prove(size):
-            self._is_final_sweep = True
-            self.relaxation = 1.0
-        return self.relaxation
-
-    def _is_time_to_prove(self, size: float) -> bool:
-        """Return whether the trial has lasted one period, or four periods if its increments are still large."""
-        period = math.ceil(4.0 / (2.0 - self._omega)) + 8
-        sweeps = len(self._sizes)
-        return sweeps >= period and (
-            size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * period
-        )
-
-    def _end_phase(self, z: FloatVector) -> None:
-        """Begin a trial where Gauss–Seidel contracts and a larger ω could do better; else another phase."""
-        rate = self._rate(self._sizes)
-        self._record = min(self._record, self._sizes[-1])
-        self._omega = best_relaxation(rate, 1.0)
-        if self._omega > 1.0 + WORTHWHILE and self._record > 0.0:
-            self._begin_trial(z)
-        else:
-            self._wait = min(2 * self._wait, LONGEST_WAIT)
-            self._sizes = []
-
-    def _begin_trial(self, z: FloatVector) -> None:
-        self._checkpoint = z.copy()
-        self._sizes = []
-        self._is_final_sweep = False
-        self.relaxation = self._omega
-
-    def _end_trial(self, size: float, z: FloatVector) -> None:
-        if not size <= RECORD * self._record:
-            self._undo(z)
-            return
-        self._record, self._wait = size, FIRST_WAIT
-        wanted = best_relaxation(self._rate(self._sizes[:-1]), self._omega)
-        if wanted > self._omega + WORTHWHILE * (2.0 - self._omega):
-            self._omega = wanted
-        self._begin_trial(z)
-
-    def _undo(self, z: FloatVector) -> None:
-        if self._checkpoint is not None:
-            np.copyto(z, self._checkpoint)
-        self._checkpoint, self._sizes, self.relaxation = None, [], 1.0
-        self._wait = min(2 * self._wait, LONGEST_WAIT)
-
-    @staticmethod
-    def _rate(sizes: list[float]) -> float:
-        """Return the contraction per sweep over the second half of the sweeps; the first half is transient."""
-        half = len(sizes) // 2
-        if not sizes[-1 - half] > 0.0:
-            return 0.0
-        rate: float = (sizes[-1] / sizes[-1 - half]) ** (1.0 / half)
-        return rate
+def contraction(sizes: list[float]) -> float:
+    """Return the contraction per sweep over the second half of the increments; the first half is transient."""
+    half = len(sizes) // 2
+    if not sizes[-1 - half] > 0.0:
+        return 0.0
+    return float((sizes[-1] / sizes[-1 - half]) ** (1.0 / half))
 
 
 def best_relaxation(rate: float, omega: float) -> float:
@@ -329,4 +284,4 @@ def best_relaxation(rate: float, omega: float) -> float:
     if not omega - 1.0 < rate < 1.0:  # beyond ω* the rate is ω − 1, for any μ
         return omega
     mu_squared = ((rate + omega - 1.0) / omega) ** 2 / rate
-    return min(2.0 / (1.0 + math.sqrt(1.0 - mu_squared)), LARGEST) if mu_squared < 1.0 else omega
+    return min(2.0 / (1.0 + math.sqrt(1.0 - mu_squared)), 1.998) if mu_squared < 1.0 else omega

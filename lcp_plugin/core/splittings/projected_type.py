@@ -12,7 +12,8 @@ immediately, so that the rows after it already see the projected value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -53,9 +54,11 @@ class ScaledByRows(Algorithm):
                 f"with {self.scaling!r} it does nothing"
             )
 
-    def row_scaling(
-        self, problem: LCP, automatic: Callable[[], FloatVector | float]
-    ) -> FloatVector:
+    @abstractmethod
+    def automatic_factors(self, problem: LCP) -> FloatVector | float:
+        """Return the automatic θ, shape (n,) or a number."""
+
+    def row_scaling(self, problem: LCP) -> FloatVector:
         """Return the diagonal of S, shape (n,): ones, factor/m_ii, or θ/m_ii with automatic θ; finite.
 
         The scale of the residual replaces m_ii if m_ii ≤ 0 or tiny. A diagonal that is small relative to its row is
@@ -63,7 +66,7 @@ class ScaledByRows(Algorithm):
         """
         if self.scaling is None:
             return np.ones(problem.q.size)
-        factors = automatic() if self.scaling == "auto" else self.scaling_factor
+        factors = self.automatic_factors(problem) if self.scaling == "auto" else self.scaling_factor
         inverse = inverse_residual_scale(problem.matrix)
         with np.errstate(over="ignore", divide="ignore"):
             if problem.matrix.residual_scale is not problem.matrix.diagonal:
@@ -74,23 +77,12 @@ class ScaledByRows(Algorithm):
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after one projected Gauss–Seidel sweep, which puts active components at their bounds."""
-        from ..kernels.splitting_sweeps import pack_vectors, relaxation_sweep
+        from ..kernels.splitting_sweeps import relaxation_sweep
 
-        M = problem.matrix.csr
-        rows = pack_vectors(
-            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix)
-        )
-        cleaned = z.copy()
-        relaxation_sweep(
-            M.indptr,
-            row_splits(problem.matrix, False),
-            M.indices,
-            M.data,
-            rows,
-            1.0,
-            False,
-            cleaned,
-        )
+        M, split, cleaned = problem.matrix.csr, row_splits(problem.matrix, False), z.copy()
+        inverse_scale = inverse_residual_scale(problem.matrix)
+        rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale])
+        relaxation_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, False, cleaned)
         return cleaned
 
 
@@ -125,24 +117,21 @@ class ProjectedType(ScaledByRows, Splitting):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        from ..kernels.splitting_sweeps import pack_vectors, splitting_sweep
+        from ..kernels.splitting_sweeps import splitting_sweep
 
-        alpha, beta = self.splitting()
-        step = self._step(problem)
-        rows = pack_vectors(
-            problem.q,
-            problem.lower,
-            problem.upper,
-            inverse_residual_scale(problem.matrix),
-            step,
-            self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha),
+        alpha, beta = self.weights()
+        step = self.row_scaling(problem)
+        pivot = self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
+        inverse_scale = inverse_residual_scale(problem.matrix)
+        rows = np.column_stack(
+            [problem.q, problem.lower, problem.upper, inverse_scale, step, pivot]
         )
         yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), z0)
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise UnsuitableMatrix if a pivot is not positive."""
-        alpha, beta = self.splitting()
-        step = self._step(problem)
+        alpha, beta = self.weights()
+        step = self.row_scaling(problem)
         self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
         return IterationFacts(
             family=PROJECTED_TYPE,
@@ -153,11 +142,10 @@ class ProjectedType(ScaledByRows, Splitting):
             is_scaled=self.scaling is not None,
         )
 
-    def _step(self, problem: LCP) -> FloatVector:
-        alpha, beta = self.splitting()
-        return self.row_scaling(
-            problem, lambda: automatic_factors(problem.matrix, beta / alpha, self.sweep)
-        )
+    def automatic_factors(self, problem: LCP) -> FloatVector:
+        """Return θ, shape (n,)."""
+        alpha, beta = self.weights()
+        return automatic_factors(problem.matrix, beta / alpha, self.sweep)
 
     def _inverse_pivot(
         self, problem: LCP, scaled_diagonal: FloatVector, alpha: float

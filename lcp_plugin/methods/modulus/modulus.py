@@ -62,7 +62,7 @@ class ModulusBased(Splitting):
         """Return α, β, Ω and the sweep."""
         _require_lower_bounds_only(problem, self.name)
         diagonal = require_positive_diagonal(problem, self.name)
-        alpha, beta = self.splitting()
+        alpha, beta = self.weights()
         return IterationFacts(
             family=MODULUS,
             relaxation=alpha,
@@ -73,19 +73,17 @@ class ModulusBased(Splitting):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from ...core.kernels.splitting_sweeps import pack_vectors
         from .kernels.modulus_sweep import modulus_sweep
 
         _require_lower_bounds_only(problem, self.name)
         diagonal = require_positive_diagonal(problem, self.name)
-        weights = self.splitting()
+        weights = self.weights()
         omega = self._omega(problem, diagonal)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow shows in the residual
             inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
             q = problem.slack(problem.lower)
-        rows = pack_vectors(
-            q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot
-        )
+        inverse_scale = inverse_residual_scale(problem.matrix)
+        rows = np.column_stack([q, problem.lower, inverse_scale, omega, inverse_pivot])
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:

@@ -47,7 +47,7 @@ from .core.kernels.threads import threads_for
 from .core.lcp import LCP
 from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal
-from .core.matrix.symmetry import is_nearly_symmetric
+from .core.matrix.structure import is_nearly_symmetric
 from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
 from .core.solving.result import Result, StageRecord
 from .core.solving.run import Callback, Run
@@ -79,13 +79,20 @@ NEAR = 1e-2  # relative to the largest unknown: so near to a bound is not free
 
 
 def plan(
-    problem: LCP, goal: float, *, prove_infeasibility: bool = True, begin: str | None = None
+    problem: LCP,
+    method: Algorithm | None,
+    goal: float,
+    *,
+    prove_infeasibility: bool = True,
+    begin: str | None = None,
 ) -> Iterator[Stage]:
-    """Yield the stages of ``algorithm="auto"``, each after the one before has ended.
+    """Yield the stages of ``algorithm="auto"``, each after the one before has ended, or the stage of a method.
 
     Parameters
     ----------
     problem : LCP
+    method : Algorithm or None
+        None for auto. After another method that ends by itself a proof of infeasibility is tried.
     goal : float
         The relative residual that the run needs.
     prove_infeasibility : bool
@@ -93,8 +100,17 @@ def plan(
     begin : {"npsor", "psor", "multigrid"}, optional
         The method that solved a problem with this M before.
     """
+    if method is not None:
+        yield Stage(method)
+        is_unfit = method.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
+        if prove_infeasibility and not is_unfit:
+            from .methods.search.stages import FeasibilityCheck
+
+            yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
+        return
     from .methods.banded import Banded, banded_passes
     from .methods.direct import direct_methods
+    from .methods.lemke.games import is_game
 
     direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
     if begin is None:
@@ -103,7 +119,7 @@ def plan(
             yield Stage(Rounds(), GUESSED)
             yield from direct()
             return
-        if is_program or _is_game(problem):
+        if is_program or is_game(problem):
             yield from direct()
             return
         passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
@@ -203,15 +219,6 @@ def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
     return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
 
 
-def _is_game(problem: LCP) -> bool:
-    """Return whether it is a bimatrix game, which neither sweeps nor paths from r > 0 solve."""
-    if has_positive_diagonal(problem.matrix).any():
-        return False
-    from .methods.lemke.games import is_game
-
-    return is_game(problem)
-
-
 def takes_rounds(problem: LCP) -> bool:
     """Return whether auto begins with rounds on a dense M: a small problem, no tridiagonal M-matrix kept sparse."""
     if not is_small(problem):
@@ -262,27 +269,6 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
             f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
         )
     return create(algorithm, options)
-
-
-def stages_of(
-    problem: LCP, method: Algorithm | None, goal: float, *, prove_infeasibility: bool = True
-) -> Iterator[Stage]:
-    """Yield the stages of auto, or one stage for the method and a search for a proof if it ends by itself.
-
-    Parameters
-    ----------
-    method : Algorithm or None
-        None for auto.
-    """
-    if method is None:
-        yield from plan(problem, goal, prove_infeasibility=prove_infeasibility)
-        return
-    yield Stage(method)
-    is_unfit = method.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
-    if prove_infeasibility and not is_unfit:
-        from .methods.search.stages import FeasibilityCheck
-
-        yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
 
 
 @np.errstate(under="ignore")
@@ -349,11 +335,7 @@ def run_on(
             problem, method or "auto", settings, callback, clock, header=_header, polish=_polish
         )
         goal = run.test.goal
-        stages = (
-            plan(problem, goal, prove_infeasibility=proofs, begin=begin)
-            if begin
-            else stages_of(problem, method, goal, prove_infeasibility=proofs)
-        )
+        stages = plan(problem, method, goal, prove_infeasibility=proofs, begin=begin)
         try:
             return run.result(start, run.follow_all(stages, start))
         except KeyboardInterrupt:

@@ -31,7 +31,7 @@ from ..core.algorithm import Algorithm
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
-from ..core.matrix.symmetry import is_nearly_symmetric
+from ..core.matrix.structure import is_nearly_symmetric
 from ..core.solving.stage import Stage
 from ..core.splittings.projected_relaxation import PSOR
 from ..core.tuning import (

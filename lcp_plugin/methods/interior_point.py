@@ -15,8 +15,7 @@ from ..core.checks import FloatVector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.structure import row_numbers
-from ..core.matrix.symmetry import is_nearly_symmetric
+from ..core.matrix.structure import is_nearly_symmetric, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import Engine, ProgramData, SolverLimits
 from ..engines.piqp import PIQP

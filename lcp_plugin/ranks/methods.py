@@ -14,11 +14,8 @@ import numpy as np
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
-from ..core.kernels.splitting_sweeps import (
-    relaxation_sweep,
-    row_splits,
-    splitting_sweep,
-)
+from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
+from ..core.matrix.row_sums import split_rows
 from ..core.rounding import read_only_views
 from ..systems.hierarchy import sweeps
 from ..systems.hierarchy.vectors import prolong, restrict
@@ -49,7 +46,7 @@ def sweep(problem: RowsOnRanks, z: FloatVector, relaxation: float = 1.0) -> Iter
     if problem.is_symmetric and not halo.is_empty:
         pivots = pivots + pivot_weight(M, halo, relaxation)
     rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
-    split, x = row_splits(M, backward=False), halo.whole(z)
+    split, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
     while True:
         halo.fetch(x)
@@ -66,7 +63,7 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: flo
         raise UnsuitableMatrix("an NP sweep needs m_ii/(α d_i) + m_ii/d_i + 2 > 0 in every row")
     bounds = problem.lower, problem.upper
     rows = np.column_stack([problem.q, *bounds, step, step, 1.0 / pivot])
-    split, x = row_splits(M, backward=False), halo.whole(z)
+    split, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
     new = x.copy()
     while True:

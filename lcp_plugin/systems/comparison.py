@@ -16,8 +16,7 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scale_matrix, times_power
-from ..core.matrix.structure import row_numbers
-from ..core.matrix.symmetry import ROUNDED, mismatch
+from ..core.matrix.structure import ROUNDED, mismatch, row_numbers
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits

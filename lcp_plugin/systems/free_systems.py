@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from ..core.checks import BoolVector, FloatVector
 from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scale_matrix, times_power
-from ..core.matrix.symmetry import is_nearly_symmetric
+from ..core.matrix.structure import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise

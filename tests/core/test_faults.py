@@ -194,7 +194,8 @@ COMPILE = """
     from lcp_plugin.core.kernels import splitting_sweeps as kernels
     print(kernels.__file__)
     problem = LCP([[2, 1], [1, 2]], [-5, 1])
-    print(*kernels.row_splits(problem.csr, backward=False))
+    from lcp_plugin.core.matrix.row_sums import row_splits
+    print(*row_splits(problem.matrix, False))
 """
 SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.symmetry import (
+from lcp_plugin.core.matrix.structure import (
     is_nearly_symmetric,
 )
 from lcp_plugin.core.rounding import lower_end, upper_end

@@ -2,7 +2,7 @@
 
 Every sweep is one pass over the rows in the chosen direction. The matrix arrives as
 ``(indptr, split, indices, data)``; ``split`` cuts each row in two, so that one side of the cut holds exactly
-the columns that a Gauss–Seidel sweep in that direction has already updated (see :func:`row_splits`).
+the columns that a Gauss–Seidel sweep in that direction has already updated (see :func:`~lcp_plugin.core.matrix.row_sums.split_rows`).
 
 Four techniques make the passes fast, each measured on the five-point matrix with n = 10⁶. Unsigned row positions avoid
 a wrap-around test at each access. Pivots are inverted beforehand. The updated neighbor nearest to the diagonal is taken
@@ -14,10 +14,6 @@ A comparison with NaN is false; every maximum below is written so that a NaN sur
 """
 
 from __future__ import annotations
-
-from typing import Any
-
-import numpy as np
 
 from .compilation import kernel, uintp
 from .rows import clamp, residual_of_row
@@ -143,16 +139,3 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
         if change > largest or change != change:
             largest = change
     return largest, total
-
-
-def row_splits(matrix: Any, *, backward: bool) -> Any:
-    """Return, for each row i of a CSR array, the position of its first column ≥ i (backward: > i), shape (n,)."""
-    n, indptr = matrix.shape[0], matrix.indptr
-    first = np.repeat(
-        np.arange(int(backward), n + int(backward), dtype=matrix.indices.dtype), np.diff(indptr)
-    )
-    before = np.zeros(first.size + 1, indptr.dtype)
-    np.cumsum(matrix.indices[: first.size] < first, out=before[1:])
-    split = indptr[:-1] + before[indptr[1:]] - before[indptr[:-1]]
-    split.flags.writeable = False
-    return split

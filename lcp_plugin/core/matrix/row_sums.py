@@ -36,9 +36,15 @@ def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
 @fact
 def row_splits(matrix: Matrix, backward: bool) -> Any:
     """Return where the updated columns of each row end, for a sweep direction, shape (n,)."""
-    from ..kernels import splitting_sweeps as kernels
+    return split_rows(matrix.csr, backward=backward)
 
-    return kernels.row_splits(matrix.csr, backward=backward)
+
+def split_rows(M: sp.csr_array, *, backward: bool = False) -> Any:
+    """Return the position of the first column ≥ i of each row i, or > i if backward, shape (n,)."""
+    rows = row_numbers(M)
+    is_before = M.indices <= rows if backward else M.indices < rows
+    before = np.bincount(rows[is_before], minlength=M.shape[0])
+    return read_only((M.indptr[:-1] + before).astype(M.indptr.dtype))
 
 
 def triangle_sums(

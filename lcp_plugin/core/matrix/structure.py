@@ -1,6 +1,8 @@
-"""Structure of a matrix from its pattern of nonzeros: triangular form and connected components.
+"""Structure of a matrix: triangular form, connected components, and symmetry up to rounding.
 
-The components are those of the graph of M: no entry couples two of them.
+The components are those of the graph of M: no entry couples two of them. Symmetry is relative to the size of the rows:
+sweeps, factors and energies do not see a small entry in a row of large ones, and an assembly leaves rounding of these
+where an entry ought to be 0.
 """
 
 from __future__ import annotations
@@ -9,10 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from ..checks import read_only
+from ..checks import FloatVector, read_only
 from .matrix import Matrix, fact
 
+ROUNDED = 1e-13  # asymmetry relative to the size of the rows that rounding explains
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
 
 
@@ -60,7 +64,16 @@ def connected_components(matrix: Matrix) -> Components | None:
     >>> connected_components(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
     True
     """
-    if _is_seen_connected(matrix):
+    n, M = matrix.n, matrix.array
+    # Rows are connected if each but the first has an entry left of its diagonal, in a dense M also one above it.
+    if n < 2 or (matrix.is_dense and M[0].all()):
+        return None
+    if matrix.is_dense:
+        is_filled = np.tril((M != 0.0) | (M.T != 0.0), -1).any(axis=1)[1:].all()
+    else:
+        starts, first = M.indptr, np.arange(1, n, dtype=M.indices.dtype)
+        is_filled = (starts[2:] > starts[1:-1]).all() and (M.indices[starts[1:-1]] < first).all()
+    if is_filled:
         return None
     from scipy.sparse.csgraph import connected_components as labeled
 
@@ -68,17 +81,48 @@ def connected_components(matrix: Matrix) -> Components | None:
     return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
 
 
-def _is_seen_connected(matrix: Matrix) -> bool:
-    """Return whether each row except the first has an entry left of its diagonal: then all rows are connected."""
-    if matrix.n < 2:
-        return True
-    if matrix.is_dense and bool(matrix.array[0].all()):
-        return True
-    if matrix.is_dense:  # entries left of the diagonal, or mirrored above it
-        nonzero = matrix.array != 0.0
-        return bool(np.tril(nonzero | nonzero.T, -1).any(axis=1)[1:].all())
-    starts, indices = matrix.csr.indptr, matrix.csr.indices
-    is_filled = bool((starts[2:] > starts[1:-1]).all())
-    return is_filled and bool(
-        (indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all()
-    )
+@np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is large
+def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
+    """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
+
+    With this measure, a block in a small unit is not compared with a block in a large unit.
+
+    Parameters
+    ----------
+    M : ndarray or CSR array, shape (n, n)
+    size : array, shape (n,)
+        Not negative.
+    tolerance : float
+
+    Examples
+    --------
+    >>> M = np.array([[2.0, 1e-20], [0.0, 2.0]])
+    >>> mismatch(M, M.diagonal(), ROUNDED)
+    (1e-20, None)
+    """
+    if isinstance(M, np.ndarray):
+        is_mirror = np.array_equal(M, M.T)
+    else:  # a faster test than the difference
+        rows, columns = M.tocsr(), M.tocsc()
+        parts = ("indptr", "indices", "data")
+        is_mirror = all(
+            np.array_equal(getattr(rows, part), getattr(columns, part)) for part in parts
+        )
+    if is_mirror:
+        return 0.0, None
+    difference, root = sp.coo_array(M - M.T), np.sqrt(size)
+    if not difference.nnz:
+        return 0.0, None
+    i, j, distance = difference.row, difference.col, np.abs(difference.data)
+    excess = distance - tolerance * root[i] * root[j]
+    worst = int(np.argmax(excess))
+    return float(distance.max()), (int(i[worst]), int(j[worst])) if excess[worst] > 0.0 else None
+
+
+@fact
+def is_nearly_symmetric(matrix: Matrix) -> bool:
+    """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns.
+
+    An incorrect result would cost speed, not correctness: every z is tested by its residual.
+    """
+    return mismatch(matrix.array, matrix.residual_scale, ROUNDED)[1] is None

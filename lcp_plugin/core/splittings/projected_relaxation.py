@@ -33,14 +33,13 @@ class _Relaxation(Splitting):
         "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
     )
 
-    is_automatic: ClassVar[bool] = False
-
     sweep: str = "forward"
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return ω and β, None if they are determined during the run, and the sweep."""
         require_positive_diagonal(problem, self.name)
-        omega, beta = (None, None) if self.is_automatic else self.weights()
+        is_automatic = getattr(self, "relaxation", None) == "auto"
+        omega, beta = (None, None) if is_automatic else self.weights()
         return IterationFacts(
             family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep
         )
@@ -72,7 +71,7 @@ class _InPlace(_Relaxation):
             return Step(z, increment=largest, work=work, is_settling=is_settling), total
 
         yield Step(z, work=0.0)
-        if self.is_automatic:
+        if getattr(self, "relaxation", None) == "auto":
             yield from adaptive_sweeps(sweep, z)
         relaxation, _ = self.weights()
         while True:
@@ -110,11 +109,6 @@ class PSOR(_InPlace):
             raise InvalidOption(
                 f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"'
             )
-
-    @property
-    def is_automatic(self) -> bool:  # type: ignore[override]
-        """Whether ω is found during the run."""
-        return isinstance(self.relaxation, str)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import numpy as np
 from ...core.algorithm import Step
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.symmetry import is_nearly_symmetric
+from ...core.matrix.structure import is_nearly_symmetric
 from ...systems.equilibration import power_of_two
 from ...systems.hierarchy import sweeps, vectors
 from ...systems.hierarchy.levels import hierarchy_of

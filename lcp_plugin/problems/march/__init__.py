@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...api import solve
-from ...auto import parse_call, run_on, solve_lcp, stages_of
+from ...auto import parse_call, plan, run_on, solve_lcp
 from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector, check_kind, checked_start, is_number, real_array
 from ...core.deadline import Clock
@@ -111,7 +111,7 @@ def take_steps_on_band(
     if not isinstance(problem, LCP) or not problem.n:
         return
     method, settings = parse_call(algorithm, wishes)
-    begin = next(stages_of(problem, method, settings.goal))
+    begin = next(plan(problem, method, settings.goal))
     if (
         settings.record
         or settings.error_bound

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...auto import method_of, stages_of
+from ...auto import method_of, plan
 from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.criterion import row_data, scaled_residual
 from ...core.certificates.residuals import largest_ratio
@@ -258,7 +258,7 @@ def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
     """Yield the stages of a linearization: no proofs, pivots last, and no method twice."""
     tried: list[Algorithm] = []
-    for stage in stages_of(problem, method, goal, prove_infeasibility=False):
+    for stage in plan(problem, method, goal, prove_infeasibility=False):
         if stage.algorithm in tried:
             return
         if tried and isinstance(stage.algorithm, Lemke):

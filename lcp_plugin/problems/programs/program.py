@@ -26,7 +26,7 @@ from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.symmetry import mismatch
+from ...core.matrix.structure import mismatch
 from ...core.rounding import compensated_pair, compensated_product
 from .constraints import Constraints
 from .criterion import PROGRAM_TOLERANCE

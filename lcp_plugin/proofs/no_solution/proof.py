@@ -21,7 +21,7 @@ from ...core.certificates.criterion import (
 from ...core.checks import FloatVector
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.symmetry import is_nearly_symmetric
+from ...core.matrix.structure import is_nearly_symmetric
 from ...core.settings import Status
 from ..exact.rational import ZERO, Rational, integer_matrix, rounded_down
 from .free_motion import is_at_rest, moved_unknowns

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector, read_only
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.symmetry import is_nearly_symmetric
+from ...core.matrix.structure import is_nearly_symmetric
 from . import galerkin
 from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 

@@ -41,7 +41,7 @@ def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
 )
 def test_the_plan_begins_with_a_stage_that_suits_the_matrix(problem: LCP, first: str) -> None:
     """Narrow bands and small problems have a stage of their own; npsor begins otherwise."""
-    assert next(plan(problem, TARGET)).algorithm.name == first
+    assert next(plan(problem, None, TARGET)).algorithm.name == first
 
 
 @pytest.mark.parametrize("orientation", ["upper", "lower"])

@@ -12,9 +12,10 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lcp_plugin import LCP, QuadraticProgram, Status, solve
+from lcp_plugin import LCP, QuadraticProgram, Status, gallery, solve
 from lcp_plugin.core.deadline import OutOfTimeError, time_limit
 from lcp_plugin.systems import factors
+from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 
 
 def random_graph(n: int) -> LCP:
@@ -56,6 +57,13 @@ def test_no_factor_is_begun_that_would_end_after_the_limit(factorise: Callable[[
         assert factorise(M) is not None
     with time_limit(1000.0, is_enforced=True):
         assert factorise(M) is not None
+
+
+def test_no_hierarchy_is_built_after_the_limit() -> None:
+    """A limit that is over ends the set-up of multigrid between two grids, also on an easy matrix."""
+    M = gallery.build("obstacle_2d", size=20).problem.csr
+    with time_limit(-1.0, is_enforced=True), pytest.raises(OutOfTimeError):
+        build_hierarchy(M)
 
 
 @pytest.mark.full

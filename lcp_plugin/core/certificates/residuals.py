@@ -161,12 +161,12 @@ class Certificate:
             Exponent of the tolerance, next to the terms of a row.
         """
         goal, least = settings.goal, settings.least_reference
+        if not self.relative_above(least, solved, goal) <= goal:
+            return False
         of_rows = self.term_residuals ** (POWER / power)
         if least:  # rows within the absolute tolerance
             of_rows = np.where(self.residual_ends[1] > goal * least, of_rows, 0.0)
-        return bool(
-            of_rows.max(initial=0.0) <= goal and self.relative_above(least, solved, goal) <= goal
-        )
+        return bool(of_rows.max(initial=0.0) <= goal)
 
     def relative_above(
         self, least: float, solved: BoolVector | None = None, goal: float = np.inf

@@ -23,6 +23,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector, read_only
+from ...core.deadline import require_seconds
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import is_nearly_symmetric
 from . import galerkin
@@ -55,6 +56,11 @@ def build_hierarchy(
         If True, the restriction Pᵀ D⁻¹ first divides each row by its diagonal entry. Rows of M may then have any size,
         but coarse matrices of a symmetric M are not symmetric.
 
+    Raises
+    ------
+    OutOfTimeError
+        If an enforced time limit is over; it is checked twice on each grid.
+
     Examples
     --------
     >>> from lcp_plugin import gallery
@@ -67,6 +73,7 @@ def build_hierarchy(
     entries, work, has_jumps = max(grid.entries, 1), float(grid.entries), False
     products, strength = 0.0, STRENGTH_AMONG_POSITIVE
     while grid.n > coarsest:
+        require_seconds(0.0)
         if grid.entries > MOST_ENTRIES:
             return Hierarchy(alone, (), work, is_helpful=False)
         if strength != STRENGTH:  # coarser grids may lack the positive couplings of finer ones
@@ -86,6 +93,7 @@ def build_hierarchy(
         products += galerkin.count_products(grid.matrix, prolongation)
         if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > MOST_PRODUCTS * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
+        require_seconds(0.0)
         coarse = galerkin.product(grid.matrix, prolongation, restriction, P.shape[1])
         grid = grid_of(coarse, may_cut=not scales_rows)
         grids.append(grid)

@@ -51,7 +51,8 @@ TINY = 2.0**-1000
 class KKTErrors(NamedTuple):
     """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
 
-    `is_excused` is True if a row is violated relative to its terms, but only by rounding of large unknowns.
+    `is_excused` is True if a row is violated relative to its terms, but only by rounding of large unknowns. A violation
+    of at most 2⁻⁴⁴ of its coefficients does not count, because the right-hand side may be a rounded 0.
     """
 
     primal: Any
@@ -90,7 +91,7 @@ class KKTErrors(NamedTuple):
                 point = PrimalDualPoint(program, x, y, is_exact=True)
                 primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
             worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
-            is_excused = point.is_exact and bool((point.over > ROWS * point.own).any())
+            is_excused = point.is_exact and point.has_excused_rows()
         return cls(float(worst[0]), float(worst[1]), is_excused)
 
 
@@ -198,6 +199,11 @@ class PrimalDualPoint:
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
             of_bounds = ratio(of_bounds, np.maximum(bound, self.given))
         return np.concatenate([ratio(self.over, own), of_bounds])
+
+    def has_excused_rows(self) -> bool:
+        """Return whether a tolerated violation is more than the rounding error of a right-hand side next to its row."""
+        of_side = EXCUSED * largest(self.matrices.measured[3], np.ones(self.x.size))
+        return bool((self.over > np.maximum(ROWS * self.own, of_side)).any())
 
     @cached_property
     def reached(self) -> FloatVector:

@@ -265,7 +265,12 @@ def contact_data(
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         check_symmetric(W, "W")
     if given.ndim != 2 or given.shape[1] not in (2, 3) or given.size != len(W):
-        _refuse_velocities(len(W), given)
+        d = given.shape[-1] if given.ndim else 0
+        d = d if d in (2, 3) else 3 if len(W) % 3 == 0 else 2
+        raise InvalidProblem(
+            f"velocities must have shape ({len(W) // d}, {d}), one row (normal, tangents) per contact of W, got shape "
+            f"{given.shape}; the order is LCP.from_contacts(contacts, friction, velocities)"
+        )
     k, d = given.shape
     mu, edges = checked_friction(friction, k), _edges(d - 1, directions)
     warn_of_much_friction(mu, 4)
@@ -480,18 +485,3 @@ def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> Non
             f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
             "J m⁻¹ Jᵀ with the same J on both sides?"
         )
-
-
-def _refuse_velocities(size: int, velocities: FloatArray) -> None:
-    if not velocities.ndim:
-        raise InvalidProblem(
-            f"velocities must be an array, one row (normal, tangents) per contact, got the number {float(velocities)}; "
-            "friction comes before velocities: LCP.from_contacts(contacts, friction, velocities)"
-        )
-    last = velocities.shape[-1] if velocities.ndim > 1 else 0
-    d = last if last in (2, 3) else 3 if size % 3 == 0 else 2
-    given = velocities.shape[-2] if velocities.ndim > 1 else velocities.size
-    raise InvalidProblem(
-        f"velocities must have shape ({size // d}, {d}): one row (normal, tangents) per contact, W having {size} rows, "
-        f"got {velocities.shape}: too {'few' if given < size // d else 'many'}; of bodies give the mass matrix and u"
-    )

@@ -10,6 +10,7 @@ Convergence is not proved, because the problem is not convex.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ TO_THE_BOUNDARY = 0.9
 SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
 
-class CentralPath:
-    """The point x, y on the path, each of shape (k, d), of one contact problem.
+def central_path(stack: ConeStack, z: Any, share: float) -> Iterator[tuple[Any, float]]:
+    """Yield impulses on the path of one problem, in the user's cones, (1, k, d), and the work of each step.
 
     Parameters
     ----------
@@ -38,64 +39,60 @@ class CentralPath:
     share : float
         Distance of the start from z, relative to the largest velocity.
     """
+    scale = np.ones((stack.k, stack.m))
+    scale[:, 0] = np.maximum(stack.mu[0], LEAST_SLOPE)
+    speed = share * (float(np.abs(stack.q[0] / scale).max(initial=0.0)) or 1.0)
+    x, y = scale * z[0], np.zeros_like(scale)
+    d: Any = np.median(stack.d[0]) if stack.k else 1.0
+    if z.any():
+        y, d = stack.slack(z)[0], stack.d[0]
+        y[:, 0] = np.maximum(y[:, 0], 0.0) / scale[:, 0] + length(y[:, 1:])
+    x[:, 0] += speed / d
+    y[:, 0] += speed
+    while (step := take_step(stack, scale, x, y)) is not None:
+        x, y, entries = step
+        yield stack.project((x / scale)[None]), 2.0 + entries / max(stack.pattern.nonzeros, 1)
 
-    def __init__(self, stack: ConeStack, z: Any, share: float) -> None:
-        self.stack, self.slope = stack, np.maximum(stack.mu[0], LEAST_SLOPE)
-        self.scale = np.ones((stack.k, stack.m))
-        self.scale[:, 0] = self.slope
-        speed = float(np.abs(stack.q[0] / self.scale).max(initial=0.0)) or 1.0
-        self.x, self.y = self.scale * z[0], np.zeros_like(self.scale)
-        d: Any = np.median(stack.d[0]) if stack.k else 1.0
-        if z.any():
-            self.y, d = stack.slack(z)[0], stack.d[0]
-            self.y[:, 0] = np.maximum(self.y[:, 0], 0.0) / self.slope + length(self.y[:, 1:])
-        self.x[:, 0] += share * speed / d
-        self.y[:, 0] += share * speed
 
-    @property
-    def point(self) -> Any:
-        """Impulses in the user's cones, shape (1, k, d)."""
-        return self.stack.project((self.x / self.scale)[None])
+def take_step(
+    stack: ConeStack, scale: Cones, x: Cones, y: Cones
+) -> tuple[Cones, Cones, float] | None:
+    """Return the next x and y, and the entries that the factorization processed; None if no step is possible."""
+    H, root = nesterov_todd_scaling(x, y)
+    eye = np.eye(stack.m)
+    G = np.tile(eye, (stack.k, 1, 1))
+    G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), TINY)[:, None]
+    left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
+    by_z = G * scale[:, None] @ H * scale[:, None]
+    if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
+        return None
+    try:
+        factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
-    def step(self) -> float:
-        """Take a step; return its work in products with M, 0 if none is possible."""
-        x, y, scale, stack = self.x, self.y, self.scale, self.stack
-        H, root = nesterov_todd_scaling(x, y)
-        eye = np.eye(stack.m)
-        G = np.tile(eye, (stack.k, 1, 1))
-        G[:, 0, 1:] -= self.slope[:, None] * y[:, 1:] / np.maximum(length(y[:, 1:]), TINY)[:, None]
-        left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
-        by_z = G * scale[:, None] @ H * scale[:, None]
-        if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
-            return 0.0
-        try:
-            factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
+        def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
+            """Return dx, dy with H dx + dy = c that remove a share of the residual."""
+            dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
+            return dx, c - apply(H, dx)
 
-            def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
-                """Return dx, dy with H dx + dy = c that remove a share of the residual."""
-                dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
-                return dx, c - apply(H, dx)
-
-            dx, dy = direction(-y)
-            t = min(1.0, longest(x, dx), longest(y, dy))
-            mean = float((x * y).sum()) / len(x)
-            after = float(((x + t * dx) * (y + t * dy)).sum()) / len(x)
-            at, moved = apply(root, x), apply(root, dx)
-            right = product(moved, at + moved) - product(at, at)
-            right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
-            dx, dy = direction(apply(root, quotient(right, at)))
-            t = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
-            for sigma in CENTRED if t < SHORT else ():
-                right = -product(at, at)
-                right[:, 0] += sigma * mean
-                centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
-                further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
-                if further > t:
-                    (dx, dy), t = centring, further
-        except np.linalg.LinAlgError:
-            return 0.0
-        self.x, self.y = x + min(1.0, t) * dx, y + min(1.0, t) * dy
-        return 2.0 + factors.entries / max(stack.pattern.nonzeros, 1)
+        dx, dy = direction(-y)
+        t = min(1.0, longest(x, dx), longest(y, dy))
+        mean = float((x * y).sum()) / len(x)
+        after = float(((x + t * dx) * (y + t * dy)).sum()) / len(x)
+        at, moved = apply(root, x), apply(root, dx)
+        right = product(moved, at + moved) - product(at, at)
+        right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
+        dx, dy = direction(apply(root, quotient(right, at)))
+        t = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
+        for sigma in CENTRED if t < SHORT else ():
+            right = -product(at, at)
+            right[:, 0] += sigma * mean
+            centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
+            further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
+            if further > t:
+                (dx, dy), t = centring, further
+    except np.linalg.LinAlgError:
+        return None
+    return x + min(1.0, t) * dx, y + min(1.0, t) * dy, factors.entries
 
 
 def apply(blocks: NDArray[np.float64], x: Cones) -> Cones:

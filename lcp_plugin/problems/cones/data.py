@@ -149,12 +149,7 @@ class Blocks:
         starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
         part = Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
         if self.bodies is not None:
-            mass, J = sp.csr_array(self.bodies.mass), sp.csr_array(self.bodies.rows)[rows]
-            has_contact, is_there = np.zeros(mass.shape[0], np.bool_), np.bincount(J.indices) > 0
-            has_contact[: is_there.size] = is_there
-            coupled = sp.csgraph.connected_components(mass, directed=False)[1]
-            columns = np.flatnonzero(np.isin(coupled, coupled[has_contact]))
-            part.bodies = type(self.bodies)(mass[columns][:, columns], J[:, columns], None)
+            part.bodies = self.bodies._replace(rows=sp.csr_array(self.bodies.rows)[rows])
         return part
 
     def with_q(self, q: ArrayLike) -> Self:

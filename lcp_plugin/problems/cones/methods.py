@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...core.errors import InvalidOption, UnsuitableProblem
-from .central_path import CentralPath
+from .central_path import central_path
 from .newton import newton_steps
 from .programs import ConvexProgram
 from .stack import ConeStack
@@ -60,11 +60,8 @@ def newton_points(stack: ConeStack, z: Any, steps: int, goal: float, **options: 
 
 def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
     """Yield points of the central path from near z, and of Newton's method close to its end."""
-    path, best, least, near, since = CentralPath(stack, z, share), z, np.inf, NEAR, 0
-    for _ in range(PATH_STEPS):
-        if since > NO_GAIN or not (work := path.step()):
-            break
-        new = path.point
+    best, least, near, since = z, np.inf, NEAR, 0
+    for new, work in islice(central_path(stack, z, share), PATH_STEPS):
         size = float(stack.measure(new)[2][0])
         yield new, size, work
         best, least, since = (new, size, 0) if size < least else (best, least, since + 1)
@@ -74,6 +71,8 @@ def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
                 if point[1] <= goal:
                     return
             near = NEARER * min(near, size)
+        if since > NO_GAIN:
+            break
     yield from newton_points(stack, best, 40, goal)
 
 
@@ -138,8 +137,6 @@ class ConeNewton(ConeAlgorithm):
     ----------
     proximal : float
         Upper bound of ε of its systems, relative to d.
-    seed : int
-        If > 0, the start is perturbed at random, reproducibly for the same seed.
     """
 
     name = "newton"
@@ -149,18 +146,13 @@ class ConeNewton(ConeAlgorithm):
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
 
     proximal: float = 1e-3
-    seed: int = 0
 
     def __post_init__(self) -> None:
         if not (isinstance(self.proximal, int | float) and 0.0 < self.proximal < np.inf):
             raise InvalidOption(f"newton: proximal must be > 0 and finite, got {self.proximal!r}")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise InvalidOption(f"newton: seed must be an integer ≥ 0, got {self.seed!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per linear system, until no step reduces the residual."""
-        if self.seed:
-            z = move_at_random(stack, z, self.seed)
         options = {"patience": PATIENCE, "proximal": self.proximal}
         return newton_points(stack, z, NEWTON_STEPS, goal, **options)
 

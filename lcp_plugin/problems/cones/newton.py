@@ -174,7 +174,10 @@ def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> t
     rows = np.flatnonzero(free[pattern.of_row])
     if not pattern.is_sparse:
         return whole_systems(stack, mixed[None], by_w[None])[0][np.ix_(rows, rows)], rows
-    where, M = pattern.inner, pattern.M
-    entry = pattern.entry(*where)
-    of_w, of_z = (sp.csr_array((part[entry], where), shape=M.shape)[rows] for part in (by_w, mixed))
-    return (of_w @ M + of_z)[:, rows], rows
+    row, column = pattern.inner
+    entry, indptr = pattern.entry(row, column), np.searchsorted(row, np.arange(pattern.n + 1))
+    of_w, of_z = (
+        sp.csr_array((part[entry], column, indptr), shape=pattern.M.shape)[rows]
+        for part in (by_w, mixed)
+    )
+    return (of_w @ pattern.M + of_z)[:, rows], rows

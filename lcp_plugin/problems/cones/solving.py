@@ -193,10 +193,8 @@ def solve_cone_stack(
     """
     with np.errstate(all="ignore"):
         z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
-        found = measure_points(stack, z, tolerance)
-        residual, is_solved = found.worst(), found.is_solved & (is_warm | stack.is_answered.all(1))
-        z[is_solved] = found.z[is_solved]
-        for count, steps in SCHEDULE:
+        residual, is_solved = np.full(stack.B, np.inf), np.zeros(stack.B, np.bool_)
+        for count, steps in ((0, 0), *SCHEDULE) if is_warm else SCHEDULE:
             left = np.flatnonzero(~is_solved)
             if not left.size or not has_time():
                 break

@@ -137,16 +137,11 @@ class Contacts:
     def arrays(self) -> tuple[FloatArray, FloatArray]:
         """M, shape (n, n), and q, shape (n,), n = k (m + 2)."""
         k, d, m = *self.velocities.shape, len(self.edges)
-        rows, contact = np.zeros((k * (1 + m), k * d)), np.arange(k)
-        rows[contact, d * contact] = 1.0
-        for c in range(k):
-            rows[k + m * c : k + m * (c + 1), d * c + 1 : d * (c + 1)] = self.edges
-        pressing, n = len(rows), k * (m + 2)
-        M = np.zeros((n, n))
-        M[:pressing, :pressing] = rows @ self.W @ rows.T
-        M[pressing + contact, contact] = self.friction
-        edge = (k + m * contact[:, None]) + np.arange(m)
-        M[edge, (pressing + contact)[:, None]], M[(pressing + contact)[:, None], edge] = 1.0, -1.0
+        each, edges = np.eye(k), np.column_stack([np.zeros(m), self.edges])
+        rows = np.vstack([np.kron(each, np.eye(1, d)), np.kron(each, edges)])
+        of_slip = np.vstack([np.zeros((k, k)), np.kron(each, np.ones((m, 1)))])
+        of_cone = np.hstack([np.diag(self.friction), np.kron(each, -np.ones((1, m)))])
+        M = np.block([[rows @ self.W @ rows.T, of_slip], [of_cone, np.zeros((k, k))]])
         moving = self.velocities.copy()
         moving[:, 0] += self.closing
         return M, np.concatenate([rows @ moving.ravel(), np.zeros(k)])
@@ -425,15 +420,13 @@ def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
     windows = windows[
         (alone[windows] & (diagonal[windows] == diagonal[windows[:, :1]])).all(axis=1)
     ]
-    part = sp.coo_array(J[:, windows.ravel()])
-    pair, number = np.unique((part.row // d) * len(windows) + part.col // d, return_inverse=True)
-    own = np.zeros((pair.size, d, d))
-    own[number, part.row % d, part.col % d] = part.data
+    parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
+    own = parts.data
     products = own @ np.swapaxes(own, 1, 2)
     lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
     are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
     off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
-    contact = pair[are] // max(len(windows), 1)
+    contact = np.repeat(np.arange(J.shape[0] // d), np.diff(parts.indptr))[are]
     least = np.full(J.shape[0] // d, np.inf)
     # one body in whose translations they are unit vectors is enough
     np.minimum.at(least, contact, off)

@@ -232,18 +232,16 @@ class FrictionalContactBatch:
                 f"friction must be a number, or have shape ({k},) or (B, {k}), B = {count}, got {mu.shape}"
             )
         self.contacts = _checked_counts(contacts, count, k)
-        shapes = (count, n, n), (count, n), (count, k)
-        own: list[Any] = [
+        own = [
             np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
-            for array, shape in zip((matrices, offsets, mu), shapes, strict=True)
+            for array, shape in ((matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k)))
         ]
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
-            own = [one.copy() for one in own]
             is_row = np.repeat(is_there, d, axis=1)
-            own[0][~(is_row[:, :, None] & is_row[:, None])] = 0.0
-            own[0][:, range(n), range(n)] = np.where(is_row, own[0][:, range(n), range(n)], 1.0)
-            own[1][~is_row], own[2][~is_there] = 1.0, 0.0
+            is_entry = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
+            absent: Any = ((is_entry, np.eye(n)), (is_row, 1.0), (is_there, 0.0))
+            own = [np.where(has, one, other) for one, (has, other) in zip(own, absent, strict=True)]
         self.W, self.b, self.friction = map(read_only, own)
         warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
         with np.errstate(invalid="ignore", over="ignore"):

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -68,25 +68,26 @@ class ContactInfeasibility:
                 is_right &= sum(one**2 for one in y[a + 1 : b]) <= most
             if not is_right:
                 return False
-        return sum(Fraction(q) * one for q, one in zip(problem.q.tolist(), y, strict=True)) < 0
+        return self._value < 0
+
+    @property
+    def _value(self) -> Fraction:
+        """The exact qᵀy."""
+        pairs = zip(self.problem.q.tolist(), self.y.tolist(), strict=True)
+        return sum((Fraction(q) * Fraction(y) for q, y in pairs if y), Fraction(0))
 
     @property
     def margin(self) -> float:
         """Lower bound of the relative residual of every point, as the criterion measures it."""
         problem, stack = self.problem, ConeStack.of(self.problem)
         wide = stack.pattern.wide
-        total = sum(
-            Fraction(q) * Fraction(y)
-            for q, y in zip(problem.q.tolist(), self.y.tolist(), strict=True)
-            if y
-        )
         with np.errstate(all="ignore"):
             mu = np.where(problem.sizes > 1, problem.slope, 0.0)
             pulled = problem.rows.csr.T @ self.y
             of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
             weights = np.sqrt(1.0 + mu**2) * stack.d[0] * of_y + of_pull
             shares = np.where(weights > 0.0, weights * stack.reference[0], 0.0)
-            return float(-float(total) / shares.sum() * (1.0 - MARGIN))
+            return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
 
     def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:
         """Return whether the proof excludes SOLVED for every point."""
@@ -123,11 +124,10 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
         return None
     y = np.zeros(n)
     y[where] = np.asarray(found.z)[program.limits.size :]
-    size = np.abs(y).max(initial=0.0)
-    for grain in (DIGITS, 2.0**-8, 0.25):
-        rounded = np.round(y / (size * grain)) if size > 0.0 else y
+    unit = np.abs(y).max(initial=0.0) or 1.0
+    for grain in (DIGITS, 2.0**-8, 0.25, None):
+        rounded: Any = y if grain is None else np.round(y / (unit * grain))
         proof = ContactInfeasibility(problem, rounded)
         if rounded.any() and proof.verify():
             return proof
-    proof = ContactInfeasibility(problem, y)
-    return proof if y.any() and proof.verify() else None
+    return None

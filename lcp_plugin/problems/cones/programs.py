@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
+from ...core.deadline import seconds_left
 from ...core.errors import UnsuitableProblem
 from .data import Blocks
 
@@ -52,7 +53,7 @@ class ConvexProgram:
     def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
         """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
         settings = self.clarabel.DefaultSettings()
-        settings.verbose = False
+        settings.verbose, settings.time_limit = False, seconds_left()
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
         return self.clarabel.DefaultSolver(
             sp.csc_matrix(P), c, sp.csc_matrix(A), b, cones, settings

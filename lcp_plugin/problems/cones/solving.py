@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.algorithm import Step
 from ...core.checks import FloatVector, checked_start
 from ...core.deadline import Clock, time_limit
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.result import Result, Sample, StageRecord, stage_lines
+from ...core.solving.result import Result, Sample, stage_lines
+from ...core.solving.run_log import RunLog, say
+from ...core.solving.stage import Stage
 from ..contact import ContactMotion, motion_of
 from .certificate import ConeCertificate, measure_points
 from .data import Blocks
@@ -29,6 +32,9 @@ from .methods import (
     STOP,
     SWEEPS_PER_STEP,
     ConeAlgorithm,
+    ConeInteriorPoint,
+    ConeNewton,
+    ConeNPGS,
     FixedPoint,
     Points,
     move_at_random,
@@ -48,7 +54,7 @@ LONG_SCHEDULE = tuple((count, NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 STARTS = 17  # of Newton's method, moved at random
-GROWTH, VERBOSE_GROWTH = 1.05, 1.5  # of the iterations from one sample, or line, to the next
+GROWTH = 1.05  # of the iterations from one sample to the next
 WORST = (
     Status.SOLVED,
     Status.PRECISION_LIMIT,
@@ -73,7 +79,7 @@ SWEPT = "cheap sweeps over the blocks find most of the active set"
 FOLLOWS = "Newton's steps solve for the active set that the sweeps found"
 MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
 NEARBY = "from a point nearby"
-Stage = tuple[str, str, Points]  # name of the method, reason of its choice, points
+StagePlan = tuple[Any, str, Points]  # method, reason of its choice, points
 
 
 def solve_cones(
@@ -141,7 +147,7 @@ def solve_cones(
     words = dict(WORDS)
     if not prove_infeasibility:
         words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
-    stages = tuple(log.stages.values())
+    stages = tuple(record for stage in log.stages.values() for record in stage.records())
     if run.status is Status.SOLVED and not log.iterations:
         stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
     name = ", ".join(dict.fromkeys(stage.name for stage in stages))
@@ -164,7 +170,7 @@ def solve_cones(
         problem=problem,
     )
     if verbose:
-        print(f"{result.status.name}: {result.advice}", flush=True)
+        say(f"{result.status.name}: {result.advice}")
     return result
 
 
@@ -229,31 +235,25 @@ class Ended(Exception):
 
 
 class Log:
-    """Record of a run over all components: counts, samples, callback, printed lines."""
+    """Record of a run over all components: stages, samples, callback, printed lines, limits."""
 
     def __init__(
         self, problem: Blocks, settings: Settings, callback: Callback | None, clock: Clock
     ) -> None:
         self.settings, self.callback, self.clock = settings, callback, clock
         self.iterations, self.work, self.nonzeros = 0, 0.0, max(problem.nonzeros, 1)
-        self.stages: dict[tuple[str, str], StageRecord] = {}  # by name and reason
+        self.stages: dict[tuple[str, str], Stage] = {}  # by name and reason
         self.samples: list[Sample] = []
-        self._stage, self._next, self._next_line = "", 0, 0
-        if settings.verbose:
-            print(problem, flush=True)
-            print(
-                f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}",
-                flush=True,
-            )
+        self._next = 0
+        self._printed = RunLog(problem) if settings.verbose else None
 
-    def begin(self, name: str, because: str) -> None:
-        """Begin a stage; raise Ended if a limit is reached."""
-        self.stages.setdefault((name, because), StageRecord(name, because, 0, 0.0))
-        line = f"{name}: {because}" if because else name
-        if self.settings.verbose and line != self._stage:
-            print(line, flush=True)
-        self._stage, self._next_line = line, self.iterations
+    def begin(self, algorithm: Any, because: str) -> Stage:
+        """Return a stage, a new one or an earlier one of this name and reason; raise Ended if a limit is reached."""
+        stage = self.stages.setdefault((algorithm.name, because), Stage(algorithm, because))
+        if self._printed is not None:
+            self._printed.begin(stage)
         self._require_room()
+        return stage
 
     def _require_room(self) -> None:
         if self.iterations >= self.settings.max_iterations:
@@ -262,27 +262,21 @@ class Log:
         if self.clock.elapsed >= self.settings.max_seconds:
             raise Ended(Status.MAX_SECONDS)
 
-    def step(self, name: str, because: str, z: Any, residual: float, work: float) -> None:
+    def step(self, stage: Stage, z: Any, residual: float, work: float) -> None:
         """Count, record and print a step, and call back with z; raise Ended if the run ends with it."""
+        stage.count(Step(z, work=work))
         self.iterations, self.work = self.iterations + 1, self.work + work
-        before = self.stages[name, because]
-        self.stages[name, because] = before._replace(
-            iterations=before.iterations + 1, work=before.work + work
-        )
-        settings, wants_to_stop = self.settings, False
+        wants_to_stop = False
         with self.clock.pause():
-            sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
+            seconds, name = self.clock.read(), stage.algorithm.name
+            sample = Sample(self.iterations, self.work, seconds, residual, name)
             if self.callback is not None:
                 wants_to_stop = bool(self.callback(sample, z))
-            if settings.record and (self.iterations >= self._next or wants_to_stop):
+            if self.settings.record and (self.iterations >= self._next or wants_to_stop):
                 self._next = max(self.iterations + 1, int(self.iterations * GROWTH))
                 self.samples.append(sample)
-            if settings.verbose and self.iterations >= self._next_line:
-                self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
-                print(
-                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}",
-                    flush=True,
-                )
+            if self._printed is not None and self._printed.is_due(stage):
+                self._printed.step(stage, sample)
         if wants_to_stop:
             raise Ended(Status.INTERRUPTED)
         self._require_room()
@@ -331,13 +325,13 @@ class ConeRun:
     def solve(self, chosen: str | ConeAlgorithm) -> None:
         """Take the steps of all stages until a point passes, or rounding error explains why none passes."""
         try:
-            for name, because, points in self._stages(chosen):
-                self.log.begin(name, because)
+            for algorithm, because, points in self._stages(chosen):
+                stage = self.log.begin(algorithm, because)
                 for z, residual, work in points:
                     self._offer(z, residual)
                     shown = None if self.log.callback is None else self._shown(z)
-                    self.log.step(name, because, shown, residual, work * self.share)
-                if self.residual <= self.goal or name != "npgs":
+                    self.log.step(stage, shown, residual, work * self.share)
+                if self.residual <= self.goal or algorithm is not ConeNPGS:
                     self._measure_best()
                     if self.measures.is_solved[0] or self.measures.are_limited()[0]:
                         break
@@ -372,17 +366,17 @@ class ConeRun:
         z = self.stack.snap(self.best)
         self.measures = measure_points(self.stack, z, self.tolerance, self.absolute)
 
-    def _stages(self, chosen: str | ConeAlgorithm) -> Iterator[Stage]:
+    def _stages(self, chosen: str | ConeAlgorithm) -> Iterator[StagePlan]:
         """Yield the stages: the chosen method, or auto on the entire problem, then on each component."""
         stack, problem, goal = self.stack, self.problem, self.goal
         has_friction = problem.has_friction
         if isinstance(chosen, ConeAlgorithm):
-            yield chosen.name, "", chosen.points(problem, stack, self.start, goal)
+            yield chosen, "", chosen.points(problem, stack, self.start, goal)
             return
         if self.is_warm or stack.is_answered.all():
             self.residual = float(stack.measure(self.start)[2][0])
             if self.residual <= self.tolerance:
-                yield "npgs", SWEPT, iter(())
+                yield ConeNPGS, SWEPT, iter(())
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
             return
@@ -393,7 +387,7 @@ class ConeRun:
         yield from self._sweeps_and_newton(z, SCHEDULE[1:])
         if not has_friction:
             because = "for a symmetric M a convex program has the same solution"
-            yield "fixed_point", because, FixedPoint().points(problem, stack, stack.origin, goal)
+            yield FixedPoint, because, FixedPoint().points(problem, stack, stack.origin, goal)
         elif not self.is_warm:
             yield self._path(None)
         if self.log.settings.prove_infeasibility:
@@ -407,26 +401,26 @@ class ConeRun:
 
     def _sweeps_and_newton(
         self, z: Array, schedule: Any, because: str = SWEPT, **options: Any
-    ) -> Generator[Stage, None, Array]:
+    ) -> Generator[StagePlan, None, Array]:
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
             self.last = z
-            yield "npgs", because, sweep_points(self.stack, z, count, self.goal)
+            yield ConeNPGS, because, sweep_points(self.stack, z, count, self.goal)
             z = self.last
-            yield "newton", FOLLOWS, newton_points(self.stack, z, steps, self.goal, **options)
+            yield ConeNewton, FOLLOWS, newton_points(self.stack, z, steps, self.goal, **options)
         return z
 
-    def _path(self, share: float | None) -> Stage:
+    def _path(self, share: float | None) -> StagePlan:
         """Return the central path from a cold start, or from near the best point."""
         z = self.stack.origin if share is None else self.stack.snap(self.best)
-        return "interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal)
+        return ConeInteriorPoint, MIDDLE, path_points(self.stack, z, share or 1.0, self.goal)
 
-    def _late_stages(self) -> Iterator[Stage]:
+    def _late_stages(self) -> Iterator[StagePlan]:
         """Yield sweeps until nothing changes, then Newton's method from points nearby."""
 
-        def newton(z: Array, because: str) -> Stage:
+        def newton(z: Array, because: str) -> StagePlan:
             points = newton_points(self.stack, z, NEWTON_STEPS, self.goal, patience=PATIENCE)
-            return "newton", because, points
+            return ConeNewton, because, points
 
         stack = self.stack
         yield newton(stack.snap(self.best), "from the best point so far")

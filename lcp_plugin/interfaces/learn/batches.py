@@ -3,48 +3,133 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
+from ...problems.batches.batch_run import BatchAnswers
 from ...problems.cones.frictional_contact import FrictionalContact
 from ...problems.sensitivity import derivative
-from ...problems.sensitivity.batch_derivative import BatchDerivative
-from ...problems.sensitivity.contact_batch_derivative import ContactBatchDerivative
+from ...problems.sensitivity.batch_derivative import BatchGradient
 
 
-@dataclass(eq=False)
-class LayerOptions:
-    """Options of one call of a layer, and its derivative once it is found.
+class Layer(ABC):
+    """A batch of problems as a function of arrays: the solutions, and then their gradients by the arrays.
 
-    Attributes
+    Parameters
     ----------
-    options : dict
+    **options
         Options of :func:`lcp_plugin.solve_batch`.
-    M : sparse array, shape (n, n), or None
-        M if it is a constant of the layer.
-    found : BatchDerivative or ContactBatchDerivative or None
-        Derivative that PyTorch uses under any transformation of the call; JAX starts again from z.
     """
 
-    options: Mapping[str, Any]
-    M: Any = None
-    found: BatchDerivative | ContactBatchDerivative | None = None
+    def __init__(self, **options: Any) -> None:
+        self.options = options
+
+    @abstractmethod
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        """Return the results of the problems in arrays with these axes in front of the axes of a problem."""
+
+    @abstractmethod
+    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+        """Return the gradients by all arrays."""
+
+    def solve(self, *data: Any, z0: Any = None) -> Any:
+        """Return the solutions, shape (…, n), of problems whose matrix, vector, … have axes that broadcast.
+
+        Raises
+        ------
+        InvalidProblem
+            If numbers or shapes are not a valid problem.
+        NotConverged
+            If a problem is not solved.
+        """
+        self.data, self.axes = data, common_axes(*(array.shape for array in data))
+        n = data[1].shape[-1]
+        start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
+        self.found: Any = derivative(self._solved(self.axes, data, self.options | start))
+        if errors := self.found.errors:
+            is_none = any(isinstance(error, InvalidProblem) for error in errors.values())
+            raise _first(errors, self.axes, InvalidProblem if is_none else NotConverged)
+        return np.array(self.found.z).reshape(*self.axes, n)
+
+    def gradients(self, g: Any) -> tuple[Any, ...]:
+        """Return the gradients by the arrays of the last `solve`, in their shapes, from the gradient by z.
+
+        Raises
+        ------
+        UnsuitableProblem
+            If a problem that the loss depends on has no gradient.
+        """
+        found, rows = self.found, g.reshape(len(self.found), g.shape[-1])
+        gradient = found.vjp(rows)
+        if wrong := {k: error for k, error in found.errors.items() if rows[k].any()}:
+            raise _first(wrong, self.axes, type(next(iter(wrong.values()))))
+        pairs = zip(self._by(gradient), self.data, strict=True)
+        return tuple(self._summed(by, array.shape) for by, array in pairs)
+
+    def _summed(self, by: Any, shape: tuple[int, ...]) -> Any:
+        """Return gradients of each problem, or their sum, in the shape of an array that broadcasts."""
+        if by.size != math.prod(shape):
+            by = by.reshape(*self.axes, *by.shape[1:])
+            more = by.ndim - len(shape)
+            shared = [k for k, size in enumerate(shape, more) if size < by.shape[k]]
+            by = by.sum((*range(more), *shared))
+        return np.asarray(by).reshape(shape)
+
+
+class LCPLayer(Layer):
+    """LCPs as a function of M, q, lower and upper.
+
+    Parameters
+    ----------
+    M : sparse array, shape (n, n), or None
+        M if it is a constant of the layer; the array in its place has no entries.
+    """
+
+    def __init__(self, M: Any = None, **options: Any) -> None:
+        super().__init__(**options)
+        self.M = M
+
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        own = data[1].shape[-1:]
+        q, lower, upper = (stacked(one, axes, own) for one in data[1:])
+        M = matrices(data[0], axes) if self.M is None else self.M
+        return solve_batch(M, q, lower=lower, upper=upper, **options)
+
+    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+        M = gradient.M if self.M is None else np.zeros((0, 0))
+        return M, gradient.q, gradient.lower, gradient.upper
+
+
+class ContactLayer(Layer):
+    """Contact problems with friction as a function of W, b and friction."""
+
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        W, b, friction = data
+        of_worlds = {name: options.get(name) for name in ("contacts", "dimension")}
+        others = {name: wish for name, wish in options.items() if name not in of_worlds}
+        b = stacked(b, axes, b.shape[-1:])
+        friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
+        worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_worlds)
+        return solve_batch(worlds, **others)
+
+    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+        return gradient.M, gradient.q, gradient.friction
 
 
 def common_axes(
-    M: tuple[int, ...], q: tuple[int, ...], lower: tuple[int, ...] = (), upper: tuple[int, ...] = ()
+    M: tuple[int, ...], q: tuple[int, ...], *others: tuple[int, ...]
 ) -> tuple[int, ...]:
     """Return the batch axes: all axes in front of the last one (of M: in front of the last two).
 
     Raises
     ------
     InvalidProblem
-        If the axes do not broadcast, or a bound is not a number and has another length than q.
+        If the axes do not broadcast, or M has another shape than (…, n, n).
 
     Examples
     --------
@@ -53,110 +138,35 @@ def common_axes(
     """
     if not q:
         raise InvalidProblem("q must have shape (…, n), got a number")
-    for name, shape in (("lower", lower), ("upper", upper)):
-        if shape[-1:] not in ((), (1,), q[-1:]):
-            raise InvalidProblem(
-                f"{name} must be a number or have the length of q, {q[-1]}, got shape {shape}"
-            )
+    if M[-2:] not in ((0, 0), (*q[-1:], *q[-1:])):
+        raise InvalidProblem(f"M must have shape (…, n, n), n = {q[-1]} as q has, got {M}")
     try:
-        return np.broadcast_shapes(M[:-2], q[:-1], lower[:-1], upper[:-1])
+        return np.broadcast_shapes(M[:-2], q[:-1], *(one[:-1] for one in others))
     except ValueError:
         raise InvalidProblem(
-            f"the axes in front of a problem's own must broadcast, got M {M}, q {q}, lower {lower}, upper {upper}"
+            f"the axes in front of a problem's own must broadcast, got M {M}, q {q} and "
+            f"{', '.join(map(str, others))}"
         ) from None
 
 
-def is_one(M: Any) -> bool:
-    """Return whether an array or tensor of shape (…, n, n) is one matrix for all."""
-    return bool(math.prod(M.shape[:-2]) == 1)
+def check_bounds(q: Any, **bounds: Any) -> None:
+    """Raise InvalidProblem unless each bound is a number or has the length of q."""
+    for name, bound in bounds.items():
+        if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
+            raise InvalidProblem(
+                f"{name} must be a number or have the length of q, {q.shape[-1]}, got shape {tuple(bound.shape)}"
+            )
 
 
-def solved(
-    wishes: LayerOptions, M: Any, q: Any, lower: Any, upper: Any, z0: Any = None
-) -> tuple[BatchDerivative, Any]:
-    """Return the derivative of all solutions, and the axes of the batch.
-
-    Parameters
-    ----------
-    wishes : LayerOptions
-    M : array, shape (…, n, n), or None for ``wishes.M``
-    q, lower, upper, z0 : array, shape (…, n)
-
-    Raises
-    ------
-    InvalidProblem
-        If numbers or shapes are not a valid problem.
-    NotConverged
-        If a problem is not solved.
-    """
-    axes = common_axes(
-        () if M is None else M.shape, *(vector.shape for vector in (q, lower, upper))
-    )
-
-    def stacked(array: Any, own: tuple[int, ...]) -> Any:
-        return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
-
-    q, lower, upper, z0 = (
-        None if one is None else stacked(one, q.shape[-1:]) for one in (q, lower, upper, z0)
-    )
-    if M is not None:
-        M = M.reshape(M.shape[-2:]) if is_one(M) else stacked(M, M.shape[-2:])
-    M = wishes.M if M is None else M
-    answers = solve_batch(M, q, lower=lower, upper=upper, z0=z0, **wishes.options)
-    found = derivative(answers)
-    _check_solved(found, axes)
-    return found, axes
+def stacked(array: Any, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:
+    """Return an array with one axis in place of these axes in front of its own ones."""
+    return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
 
 
-def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[Any, ...]:
-    """Return the gradients by q and the bounds, each of the shape of g, (…, n) with the axes of the batch in front.
-
-    Raises
-    ------
-    UnsuitableProblem
-        If a problem that the loss depends on has no gradient.
-    """
-    rows = g.reshape(len(found), g.shape[-1])
-    gradient = found.vjp(rows)
-    wrong = {k: error for k, error in found.errors.items() if rows[k].any()}
-    if wrong:
-        raise _first(wrong, axes, type(next(iter(wrong.values()))))
-    answers = gradient.q, gradient.lower, gradient.upper
-    for one in answers:
-        one[[*found.errors]] = 0.0  # the loss does not depend on them
-    return tuple(one.reshape(g.shape) for one in answers)
-
-
-def contacts_solved(
-    wishes: LayerOptions, W: Any, b: Any, friction: Any, z0: Any = None
-) -> ContactBatchDerivative:
-    """Return the derivative of a batch of contact problems.
-
-    Parameters
-    ----------
-    wishes : LayerOptions
-        Options of FrictionalContact and of solve_batch.
-    W, b, friction, z0 : array, shapes (B, n, n), (B, n), (B, k), (B, n)
-
-    Raises
-    ------
-    InvalidProblem
-        If numbers or shapes are not a valid problem.
-    NotConverged
-        If a problem is not solved.
-    """
-    of_worlds = {name: wishes.options.get(name) for name in ("contacts", "dimension")}
-    others = {name: wish for name, wish in wishes.options.items() if name not in of_worlds}
-    worlds = FrictionalContact.worlds(W, b, friction, **of_worlds)
-    found: ContactBatchDerivative = derivative(solve_batch(worlds, z0=z0, **others))
-    _check_solved(found, (len(found),))
-    return found
-
-
-def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any) -> tuple[Any, ...]:
-    """Return the gradients by W, b and friction, from the gradient by z, shape (B, n)."""
-    gradient = found.vjp(g)
-    return gradient.M, gradient.q, gradient.friction
+def matrices(M: Any, axes: tuple[int, ...]) -> Any:
+    """Return one matrix for all problems, or a stack of matrices."""
+    own = M.shape[-2:]
+    return M.reshape(own) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, own)
 
 
 def no_second_derivative(remedy: str) -> UnsupportedModel:
@@ -165,13 +175,6 @@ def no_second_derivative(remedy: str) -> UnsupportedModel:
         "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
         f"is computed; {remedy}"
     )
-
-
-def _check_solved(found: Any, axes: tuple[int, ...]) -> None:
-    """Raise if a problem of the batch is not solved."""
-    if found.errors:
-        is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
-        raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -21,15 +22,7 @@ import jax.numpy as jnp
 
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
-from .batches import (
-    LayerOptions,
-    common_axes,
-    contact_gradients,
-    contacts_solved,
-    gradients,
-    is_one,
-    solved,
-)
+from .batches import ContactLayer, Layer, LCPLayer, check_bounds, common_axes
 
 __all__ = ["contact_layer", "lcp_layer"]
 
@@ -81,22 +74,17 @@ def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: 
             'lcp_layer works in double precision; begin the program with jax.config.update("jax_enable_x64", True)'
         )
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
-    wishes, M = (
-        (LayerOptions(options, M), None)
-        if sp.issparse(M)
-        else (LayerOptions(options), _array(M, "M"))
-    )
-    axes = common_axes(*(() if array is None else array.shape for array in (M, q, lower, upper)))
-    n = q.shape[-1]
-    if M is not None and M.shape[-2:] != (n, n):
-        raise InvalidProblem(f"M must have shape (…, n, n), n = {n} as q has, got {M.shape}")
-    data = [jnp.broadcast_to(vector, (*axes, n)) for vector in (q, lower, upper)]
-    if M is None or is_one(M):
-        M = jnp.zeros((0, 0)) if M is None else M.reshape(n, n)
-        M = M.reshape(*(1 for _ in axes), *M.shape)
+    check_bounds(q, lower=lower, upper=upper)
+    is_constant = sp.issparse(M)
+    layer = LCPLayer(M if is_constant else None, **options)
+    M = np.zeros((0, 0)) if is_constant else _array(M, "M")
+    axes = common_axes(*(array.shape for array in (M, q, lower, upper)))
+    data = [jnp.broadcast_to(vector, (*axes, q.shape[-1])) for vector in (q, lower, upper)]
+    if math.prod(M.shape[:-2]) == 1:  # one matrix for all
+        M = M.reshape(*(1 for _ in axes), *M.shape[-2:])
     else:
-        M = jnp.broadcast_to(M, (*axes, n, n))
-    z: jax.Array = _solution(M, *data, wishes)
+        M = jnp.broadcast_to(M, (*axes, *M.shape[-2:]))
+    z: jax.Array = _solution(layer, (M, *data))
     return z
 
 
@@ -139,105 +127,46 @@ def contact_layer(W: Any, b: Any, friction: Any, **options: Any) -> jax.Array:
             'contact_layer works in double precision; begin with jax.config.update("jax_enable_x64", True)'
         )
     W, b, friction = _array(W, "W"), _array(b, "b"), _array(friction, "friction")
-    axes = np.broadcast_shapes(W.shape[:-2], b.shape[:-1], friction.shape[:-1])
+    axes = common_axes(W.shape, b.shape, friction.shape)
     own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
-    z: jax.Array = _impulses(
-        *(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), LayerOptions(options)
-    )
+    data = tuple(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own)
+    z: jax.Array = _solution(ContactLayer(**options), data)
     return z
 
 
-def _called(function: Callable[..., Any], like: Any, own: tuple[int, ...], *data: Any) -> Any:
-    """Call a numpy function with one batch axis; `own` counts the other axes of each array.
-
-    vmap adds leading axes to all arrays, so that only the last `own` axes belong to a problem.
-    """
-
-    def call(*data: Any) -> Any:
-        axes = np.broadcast_shapes(
-            *(one.shape[: one.ndim - count] for one, count in zip(data, own, strict=True))
-        )
-        stacked = []
-        for one, count in zip(data, own, strict=True):
-            front, shape = one.shape[: one.ndim - count], one.shape[one.ndim - count :]
-            is_one = count == 2 and math.prod(front) == 1  # one matrix for all
-            whole = np.asarray(one) if is_one else np.broadcast_to(np.asarray(one), (*axes, *shape))
-            stacked.append(whole.reshape(1 if is_one else math.prod(axes), *shape))
-        answers = function(*stacked)
-        return jax.tree.map(lambda answer: answer.reshape(*axes, *answer.shape[1:]), answers)
-
-    return jax.pure_callback(call, like, *data, vmap_method="broadcast_all")
-
-
-def _like(*arrays: Any) -> tuple[Any, ...]:
-    return tuple(jax.ShapeDtypeStruct(one.shape, np.float64) for one in arrays)
-
-
-@partial(jax.custom_vjp, nondiff_argnums=(3,))
-def _impulses(W: Any, b: Any, friction: Any, wishes: LayerOptions) -> Any:
-    return _called(
-        lambda *data: np.array(contacts_solved(wishes, *data).batch.z),
-        _like(b)[0],
-        (2, 1, 1),
-        W,
-        b,
-        friction,
+def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
+    """Call a numpy function; vmap adds a leading axis to all arrays."""
+    return jax.pure_callback(
+        lambda *data: function(*map(np.asarray, data)), like, *data, vmap_method="broadcast_all"
     )
 
 
-def _impulses_forward(W: Any, b: Any, friction: Any, wishes: LayerOptions) -> tuple[Any, Any]:
-    z = _impulses(W, b, friction, wishes)
-    return z, (W, b, friction, z)
+def _like(array: Any) -> Any:
+    return jax.ShapeDtypeStruct(array.shape, np.float64)
 
 
-def _impulses_backward(wishes: LayerOptions, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
-    def differentiate(W: Any, b: Any, friction: Any, z: Any, g: Any) -> tuple[Any, ...]:
-        return contact_gradients(contacts_solved(wishes, W, b, friction, z), (), g)  # starts at z
-
-    by: tuple[Any, ...] = _called(differentiate, _like(*kept[:3]), (2, 1, 1, 1, 1), *kept, g)
-    return by
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _solution(layer: Layer, data: tuple[Any, ...]) -> Any:
+    return _called(copy(layer).solve, _like(data[1]), *data)
 
 
-_impulses.defvjp(_impulses_forward, _impulses_backward)
+def _solution_forward(layer: Layer, data: tuple[Any, ...]) -> tuple[Any, tuple[Any, ...]]:
+    z = _solution(layer, data)
+    return z, (data, z)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(4,))
-def _solution(M: Any, q: Any, lower: Any, upper: Any, wishes: LayerOptions) -> Any:
-    def solve(*data: Any) -> Any:
-        return np.array(solved(wishes, *_with_matrix(wishes, data))[0].z)
+def _solution_backward(layer: Layer, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
+    def differentiate(*arrays: Any) -> tuple[Any, ...]:
+        *data, z, g = arrays
+        at_z = copy(layer)
+        at_z.solve(*data, z0=z)
+        return at_z.gradients(g)
 
-    return _called(solve, _like(q)[0], (2, 1, 1, 1), M, q, lower, upper)
-
-
-def _solution_forward(
-    M: Any, q: Any, lower: Any, upper: Any, wishes: LayerOptions
-) -> tuple[Any, tuple[Any, ...]]:
-    z = _solution(M, q, lower, upper, wishes)
-    return z, (M, q, lower, upper, z)
-
-
-def _solution_backward(wishes: LayerOptions, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
-    def differentiate(*data: Any) -> tuple[Any, ...]:
-        *stated, g = data
-        found, axes = solved(wishes, *_with_matrix(wishes, stated))  # starts at z
-        return gradients(found, axes, g)
-
-    M, q, lower, upper, z = kept
-    by = _called(differentiate, _like(q, lower, upper), (2, 1, 1, 1, 1, 1), *kept, g)
-    if wishes.M is not None:
-        return jnp.zeros(M.shape), *by
-    by_M = by[0][..., :, None] * z[..., None, :]
-    shared = tuple(k for k in range(M.ndim - 2) if M.shape[k] == 1)
-    return by_M.sum(shared, keepdims=True), *by
+    data, z = kept
+    return (_called(differentiate, tuple(map(_like, data)), *data, z, g),)
 
 
 _solution.defvjp(_solution_forward, _solution_backward)
-
-
-def _with_matrix(wishes: LayerOptions, data: Any) -> list[Any]:
-    """Return the data, with None instead of M if M is a constant."""
-    M, *vectors = data
-    return [M if wishes.M is None else None, *vectors]
 
 
 def _array(values: Any, name: str) -> Any:

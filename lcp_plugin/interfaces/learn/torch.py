@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,16 +16,7 @@ except ImportError:
 
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
-from .batches import (
-    LayerOptions,
-    common_axes,
-    contact_gradients,
-    contacts_solved,
-    gradients,
-    is_one,
-    no_second_derivative,
-    solved,
-)
+from .batches import ContactLayer, Layer, LCPLayer, check_bounds, no_second_derivative
 
 __all__ = ["contact_layer", "lcp_layer"]
 
@@ -76,18 +66,12 @@ def lcp_layer(
     [[-0.5, 0.0], [0.0, -0.5]]
     """
     q, lower, upper = _tensor(q, "q"), _tensor(lower, "lower"), _tensor(upper, "upper")
-    wishes, M = (
-        (LayerOptions(options, M), None)
-        if sp.issparse(M)
-        else (LayerOptions(options), _tensor(M, "M"))
+    check_bounds(q, lower=lower, upper=upper)
+    is_constant = sp.issparse(M)
+    layer = LCPLayer(M if is_constant else None, **options)
+    return _Solution.apply(
+        layer, _tensor(np.zeros((0, 0)) if is_constant else M, "M"), q, lower, upper
     )
-    axes = common_axes(
-        *(() if tensor is None else tuple(tensor.shape) for tensor in (M, q, lower, upper))
-    )
-    q, lower, upper = (vector.expand(*axes, q.shape[-1]) for vector in (q, lower, upper))
-    if M is not None:
-        M = M.reshape(M.shape[-2:]) if is_one(M) else M.expand(*axes, *M.shape[-2:])
-    return _Solution.apply(M, q, lower, upper, wishes)
 
 
 def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: Any) -> torch.Tensor:
@@ -95,10 +79,9 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
 
     Parameters
     ----------
-    W : tensor, shape (B, n, n) or (n, n)
-        Matrix of :class:`lcp_plugin.FrictionalContact`, float64, on the CPU, like the other tensors; it is not copied.
-    b : tensor, shape (B, n)
-    friction : tensor, shape (B, k), (k,) or (), or number
+    W, b, friction : tensor, shapes (…, n, n), (…, n) and (…, k); friction also number
+        Arguments of :class:`lcp_plugin.FrictionalContact`, float64, on the CPU. Leading axes are batch axes, and
+        broadcast. W is not copied.
     z0 : tensor, shape (B, n), optional
         Warm starts, constants.
     **options
@@ -107,7 +90,7 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
 
     Returns
     -------
-    tensor, shape (B, n)
+    tensor, shape (…, n)
         The velocities are W z + b.
 
     Raises
@@ -132,76 +115,39 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
     -5.0
     """
     W, b, friction = _tensor(W, "W"), _tensor(b, "b"), _tensor(friction, "friction")
-    start = None if z0 is None else _numpy(_tensor(z0, "z0"))
-    if b.ndim != 2 or W.ndim not in (2, 3):
-        raise InvalidProblem(
-            f"W must have shape (B, n, n) or (n, n), and b (B, n), got {tuple(W.shape)} and {tuple(b.shape)}"
-        )
-    if W.ndim == 2:
-        W = W.expand(len(b), *W.shape)
-    if friction.ndim == 1:
-        friction = friction.expand(len(b), *friction.shape)
-    return _Impulses.apply(W, b, friction, start, LayerOptions(options))
+    if z0 is not None:
+        options["z0"] = _numpy(_tensor(z0, "z0"))
+    return _Solution.apply(ContactLayer(**options), W, b, friction)
 
 
-class _Impulses(torch.autograd.Function):  # type: ignore[misc]
-    """Impulses z of a batch of contact problems."""
+class _Solution(torch.autograd.Function):  # type: ignore[misc]
+    """Solutions z of a layer of problems as a function of its arrays."""
 
     @staticmethod
-    def forward(W: Any, b: Any, friction: Any, start: Any, run: LayerOptions) -> Any:
+    def forward(layer: Layer, *data: Any) -> Any:
         """Solve."""
-        run.found = contacts_solved(run, _numpy(W), _numpy(b), _numpy(friction), start)
-        return torch.from_numpy(run.found.batch.z.copy())
+        return torch.from_numpy(layer.solve(*map(_numpy, data)))
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], z: Any) -> None:
-        """Keep the data of the derivative."""
-        *given, _, ctx.run = inputs
-        ctx.has_one_friction = inputs[2].ndim == 0
-        ctx.save_for_backward(*given, z)
+        """Keep the layer, which has the derivative."""
+        ctx.layer, *data = inputs
+        ctx.save_for_backward(*data, z)
 
     @staticmethod
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
         *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
-        by_W, by_b, by_friction = _Gradient.apply(contact_gradients, ctx.run, z, g)
-        return by_W, by_b, by_friction.sum() if ctx.has_one_friction else by_friction, None, None
-
-
-class _Solution(torch.autograd.Function):  # type: ignore[misc]
-    """Solutions z; M of shape (n, n), or (…, n, n) with as many axes in front as the vectors, or None."""
-
-    @staticmethod
-    def forward(M: Any, q: Any, lower: Any, upper: Any, run: LayerOptions) -> Any:
-        """Solve."""
-        run.found, axes = solved(run, *map(_numpy, (M, q, lower, upper)))
-        return torch.from_numpy(run.found.z.reshape(*axes, q.shape[-1]).copy())
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], z: Any) -> None:
-        """Keep the data of the derivative."""
-        *given, ctx.run = inputs
-        ctx.save_for_backward(*given, z)
-
-    @staticmethod
-    def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
-        """Return the gradients by all arguments."""
-        M, *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
-        by_q, by_lower, by_upper = _Gradient.apply(gradients, ctx.run, z, g)
-        by_M = None
-        if ctx.needs_input_grad[0]:  # ∂L/∂m_ij is ∂L/∂q_i z_j, summed if one M is for all
-            by_M = by_q.unsqueeze(-1) * z.unsqueeze(-2)
-            by_M = by_M.sum_to_size(M.shape)
-        return by_M, by_q, by_lower, by_upper, None
+        return None, *_Gradient.apply(ctx.layer, z, g)
 
 
 class _Gradient(torch.autograd.Function):  # type: ignore[misc]
-    """Gradients by a function of batches.py at a solution z; a derivative of them is rejected."""
+    """Gradients of a layer at a solution z; a derivative of them is rejected."""
 
     @staticmethod
-    def forward(function: Callable[..., Any], run: LayerOptions, z: Any, g: Any) -> tuple[Any, ...]:
+    def forward(layer: Layer, z: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients."""
-        return tuple(map(torch.from_numpy, function(run.found, tuple(z.shape[:-1]), _numpy(g))))
+        return tuple(map(torch.from_numpy, layer.gradients(_numpy(g))))
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], answers: tuple[Any, ...]) -> None:
@@ -235,7 +181,7 @@ def _tensor(values: Any, name: str) -> Any:
 
 def _numpy(tensor: Any) -> Any:
     try:
-        return None if tensor is None else tensor.detach().numpy()
+        return tensor.detach().numpy()
     except RuntimeError as error:  # within vmap
         raise UnsupportedModel(
             "the layer was given a tensor that torch does not let it read, as under torch.func.vmap: give it the "

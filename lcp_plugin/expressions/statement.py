@@ -200,15 +200,13 @@ class Statement:
 
     # --- a complementarity problem ---
 
-    def square(self, variable_of: Indices, *, keeps_bounds: bool = False) -> SquareModel:
+    def square(self, variable_of: Indices) -> SquareModel:
         """Return the complementarity problem, with substituted definitions and matched equations.
 
         Parameters
         ----------
         variable_of : ndarray of int
             The variable of the language that each unknown is an entry of, by number.
-        keeps_bounds : bool
-            Whether unknowns that go with an equation keep their bounds, which relaxes the equation there.
 
         Raises
         ------
@@ -229,7 +227,7 @@ class Statement:
         lower, upper = self._bounds_of_pairs()
         bounded = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         dropped = free[:0]
-        if bounded.any() and not keeps_bounds:
+        if bounded.any():
             dropped = self._dropped(free)
             lower[free], upper[free] = -np.inf, np.inf
         columns, signs = _stacked(self.pairs, "z", "sign")

@@ -5,20 +5,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
-from ...expressions.statement import OUTSIDE, SquareModel, mismatches, solve_from
+from ...expressions.statement import SquareModel, mismatches, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
@@ -41,7 +40,6 @@ CODES = {
 }
 MAX_SEARCH_NODES = 1000  # of a search that the user did not request
 OBJECTIVE = 1e-3  # tolerance for the objective: an expanded one has lost digits
-STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,20 +150,19 @@ class ComplementarityModel(NLModel):
 
     @property
     def start(self) -> FloatVector:
-        """The start in the unknowns of the problem; 0 for unknowns without a start in the file."""
-        start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
+        """The start in the unknowns of the problem; the value nearest to 0 for unknowns without a start in the file."""
+        content = self.content
+        start = np.clip(content.start, content.lower, content.upper)
+        start = np.append(start, np.zeros(content.defined_trees.size))
         return start[self.unknowns][self.arrangement.elimination.kept]
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
-        start = self.start if self.content.has_start.any() else None
+        is_started = self.content.has_start.any() or self.beside.bounded.size
         options = {"algorithm": algorithm, **options}
-        result = solve_from(self.problem, start, options)
-        found = self._without_bounds(result, options)
+        found = solve_from(self.problem, self.start if is_started else None, options)
         x, duals = self.values(found.z, found.w)
         status, words = found.status, found.status.name.lower()
-        if result.is_solved and not found.is_solved:
-            words = STUCK
         if status is Status.SOLVED:
             rows = evaluated(self.content, x)[0]
             wrong = self._misreading(rows, found)
@@ -213,7 +210,9 @@ class ComplementarityModel(NLModel):
         )
         stated[is_row] = (rows - limits)[order[is_row]]
         # Equations, also definitions of variables, may leave a residual.
-        slip = float(np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair))).max(initial=0.0))
+        kept = self.unknowns[self.arrangement.elimination.kept]
+        is_of_pair = np.isin(kept, content.partners[self.pairs])
+        slip = float(np.abs(result.w[~is_of_pair]).max(initial=0.0))
         found = self.arrangement.first_mismatch(result.z, result.w, stated, slip)
         if found is None:
             return ""
@@ -233,31 +232,6 @@ class ComplementarityModel(NLModel):
     @property
     def _size(self) -> int:
         return self.known.size + self.content.defined_trees.size
-
-    @cached_property
-    def _is_of_pair(self) -> BoolVector:
-        """Mask of the rows that are complementarity rows of the file, shape (n,)."""
-        return np.isin(
-            self.unknowns[self.arrangement.elimination.kept], self.content.partners[self.pairs]
-        )
-
-    def _without_bounds(self, result: Result, options: dict[str, Any]) -> Result:
-        """Return the result, confirmed by a solve without the bounds of unknowns outside pairs."""
-        problem = self.problem
-        kept = ~self._is_of_pair & (np.isfinite(problem.lower) | np.isfinite(problem.upper))
-        if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
-            return result
-        lower, upper = (
-            np.where(kept, -np.inf, problem.lower),
-            np.where(kept, np.inf, problem.upper),
-        )
-        free = NonlinearProblem(problem.F, problem.jacobian, lower, upper)
-        found = solve_from(free, None, {**options, "z0": result.z})
-        beyond = np.maximum(problem.lower - found.z, found.z - problem.upper)[kept]
-        is_inside = bool((beyond <= OUTSIDE * (1.0 + np.abs(found.z[kept]))).all())
-        if not (found.is_solved and is_inside):
-            return replace(result, status=Status.STALLED)
-        return replace(found, iterations=result.iterations + found.iterations)
 
 
 @dataclass(eq=False, repr=False)

@@ -118,7 +118,7 @@ class SideConditions:
         count = int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
         others = f", nor {count - 1} more" if count > 1 else ""
         what = f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}"
-        return f"the complementarities are solved, but {what}" if count else ""
+        return f"the complementarities and equations are solved, but {what}" if count else ""
 
 
 def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:

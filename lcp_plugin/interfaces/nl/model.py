@@ -239,9 +239,7 @@ class FileStatement:
         for part in order[1]:
             statement.constrain(found.rows(part), right[part], right[part])
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
-        arrangement = statement.square(
-            (~statement.is_paired).astype(np.int64), keeps_bounds=not pairs.size
-        )
+        arrangement = statement.square((~statement.is_paired).astype(np.int64))
         bounded = found.unknowns[arrangement.dropped]
         beside = SideConditions(content, self.inequalities, bounded)
         return ComplementarityModel(

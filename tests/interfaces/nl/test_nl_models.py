@@ -500,7 +500,7 @@ def test_statuses_tell_the_truth() -> None:
     outside = model_of(content_of(1, circle, lower=[3.0], upper=[5.0], start=[4.0])).solve()
     assert outside.status is Status.STALLED
     assert outside.code == 500
-    assert "equations do not hold" in outside.message
+    assert "equations are solved, but variable 0 does not hold" in outside.message
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])

@@ -35,7 +35,6 @@ class NLSyntaxError(ValueError):
 class _Form:
     data: bytes
     at: int
-    name = b""
 
     def fail(self, what: str) -> NoReturn:
         """Raise NLSyntaxError at the last item read."""
@@ -51,8 +50,6 @@ class TextFormReader(_Form):
     ----------
     at : int
         The place of the line that has been read last.
-    name : bytes
-        The last word of a head that has one: of a function or a suffix.
     """
 
     def __init__(self, data: bytes, begin: int) -> None:
@@ -70,9 +67,7 @@ class TextFormReader(_Form):
 
     def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
         """Return the integers behind the letter."""
-        if has_name and self._words:
-            self.name = self._words.pop()
-        return self._numbers("i" * count, self._words)
+        return self._numbers("i" * count, self._words[: len(self._words) - has_name])
 
     def real(self, letter: str) -> float:
         """Return the number that follows a letter of type."""
@@ -130,9 +125,7 @@ class BinaryFormReader(_Form):
         """Return the integers behind the letter."""
         numbers = self._numbers("i" * count)
         if has_name:
-            (length,) = self._numbers("i")
-            begin = self._take(length)
-            self.name = self.data[begin : self._next]
+            self._take(self._numbers("i")[0])
         return numbers
 
     def real(self, letter: str) -> float:

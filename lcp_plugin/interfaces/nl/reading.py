@@ -26,7 +26,6 @@ from .content import (
     PIECEWISE,
     SUFFIX_IS_REAL,
     WITH_TOLERANCE,
-    Indices,
     NLContent,
     Token,
     Trees,
@@ -35,11 +34,10 @@ from .forms import NO_NUMBERS, BinaryFormReader, NLSyntaxError, TextFormReader
 
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
-#: How many numbers follow the letter of a segment; a name follows in F and S.
+#: How many numbers follow the letter of a segment; a name follows in S.
 HEADS = {
     letter: count for count, all in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in all
 }
-NAMED = "FS"
 SKIPPED = {"k": "i", "K": "i", "d": "id"}  # entries of each column, a start of multipliers
 TOKENS = dict.fromkeys("nls", Token.NUMBER) | {"v": Token.VARIABLE, "o": Token.OPERATOR}
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
@@ -177,25 +175,6 @@ def _read_head_line(
 # --- The segments ----------------------------------------------------------------------------------------------------
 
 
-class _Rows:
-    """Linear terms: indices and values of all rows, and the start and end of each row."""
-
-    def __init__(self) -> None:
-        self.indices, self.values = array("q"), array("d")
-        self.spans: dict[int, tuple[int, int]] = {}
-
-    def matrix(self, height: int, width: int) -> sp.csr_array:
-        """Return the terms as a CSR array."""
-        items, starts = _gathered(self.spans, height, (0, 0))
-        kind = np.int32 if max(items.size, width) < 2**31 else np.int64
-        parts = (
-            np.array(self.values)[items],
-            np.array(self.indices)[items].astype(kind),
-            starts.astype(kind),
-        )
-        return sp.csr_array(parts, shape=(height, width))
-
-
 class _Reader:
     """Items read from a file so far."""
 
@@ -217,7 +196,8 @@ class _Reader:
         }
         self.kinds, self.values, self.counts = bytearray(), array("d"), array("q")
         self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "COV"}
-        self.rows = {letter: _Rows() for letter in "JGVx"}
+        # Row, index and value of each linear term.
+        self.entries = {letter: (array("q"), array("q"), array("d")) for letter in "JGVx"}
         self.bounds: dict[str, list[tuple[float, float, int, int]]] = {"b": [], "r": []}
         self.is_maximized: dict[int, bool] = {}
 
@@ -228,7 +208,11 @@ class _Reader:
         while letter := source.letter():
             if letter not in HEADS:
                 source.fail(NO_SEGMENT)
-            numbers = source.integers(HEADS[letter], has_name=letter in NAMED)
+            if letter == "F":
+                raise UnsupportedModel(
+                    "the model calls external functions; write it with elementary functions"
+                )
+            numbers = source.integers(HEADS[letter], has_name=letter == "S")
             owner = self._owner(letter, numbers)
             if letter in "CO":
                 if letter == "O":
@@ -247,11 +231,6 @@ class _Reader:
                 self._read_bounds(letter)
             elif letter in SKIPPED:
                 self._skip(SKIPPED[letter], numbers[0])
-            elif letter == "F":
-                raise UnsupportedModel(
-                    f"the model calls the external function {source.name.decode(errors='replace')}; write it with "
-                    "elementary functions"
-                )
             else:  # a suffix; text has real numbers for whole ones too
                 is_real = numbers[0] & SUFFIX_IS_REAL or not header.is_binary
                 self._skip("id" if is_real else "ii", numbers[1])
@@ -315,21 +294,18 @@ class _Reader:
             self.source.fail(f"an operator cannot have {count} operands here")
 
     def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
-        """Read `count` indices below `reach` with their values, and keep them in order."""
-        source, rows, found = self.source, self.rows[letter], dict[int, float]()
+        """Read `count` indices below `reach` with their values."""
+        source, (rows, indices, values) = self.source, self.entries[letter]
         if count < 0:
             source.fail(NO_NUMBERS)
         for _ in range(count):
             index, value = source.row("id")
             self._require_below(index, reach, "an index")
-            if not math.isfinite(value) or index in found:
-                source.fail("the value of an index must be finite, and stand in one place")
-            found[index] = value
-        begin = len(rows.indices)
-        order = sorted(found)
-        rows.indices.extend(order)
-        rows.values.extend(map(found.__getitem__, order))
-        rows.spans[owner] = begin, len(rows.indices)
+            if not math.isfinite(value):
+                source.fail("the value of an index must be finite")
+            rows.append(owner)
+            indices.append(index)
+            values.append(value)
 
     def _read_bounds(self, letter: str) -> None:
         """Read lower and upper bound, partner and its finite bounds of each variable or row."""
@@ -369,14 +345,12 @@ class _Reader:
         header = self.header
         self._check_counts()
         n, m, o, d = header.variables, header.rows, header.objectives, header.defined
-        linear = self.rows["J"].matrix(m, n)
+        linear = self._matrix("J", m, n)
         lower, upper, _, _ = _columns(self.bounds["b"])
         row_lower, row_upper, partners, partner_bounds = _columns(self.bounds["r"])
         start, has_start = np.zeros(n), np.zeros(n, dtype=bool)
-        start[self.rows["x"].indices], has_start[self.rows["x"].indices] = (
-            self.rows["x"].values,
-            True,
-        )
+        _, indices, values = self.entries["x"]
+        start[indices], has_start[indices] = values, True
         return NLContent(
             lower=lower,
             upper=upper,
@@ -387,9 +361,9 @@ class _Reader:
             linear=linear,
             trees=self._trees("C", m),
             is_maximized=np.array([self.is_maximized[k] for k in range(o)], dtype=bool),
-            objective_linear=self.rows["G"].matrix(o, n),
+            objective_linear=self._matrix("G", o, n),
             objective_trees=self._trees("O", o),
-            defined_linear=self.rows["V"].matrix(d, n + d),
+            defined_linear=self._matrix("V", d, n + d),
             defined_trees=self._trees("V", d),
             is_integer=self._integers(),
             start=start,
@@ -404,7 +378,7 @@ class _Reader:
         """Raise if the head announces more than the file holds, before memory is allocated."""
         header, bounds, trees = self.header, self.bounds, self.trees
         pairs = header.linear_pairs + header.nonlinear_pairs
-        slopes, announced_slopes = len(self.rows["G"].values), header.objective_nonzeros
+        slopes, announced_slopes = len(self.entries["G"][2]), header.objective_nonzeros
         if 0 < slopes < announced_slopes:  # AMPL counts entries that simplifications removed later
             announced_slopes = slopes
         for line, announced, given, what in (
@@ -412,7 +386,7 @@ class _Reader:
             (2, header.rows, len(bounds["r"]), "bounds of rows"),
             (2, header.objectives, len(trees["O"]), "objectives"),
             (3, pairs, sum(row[2] >= 0 for row in bounds["r"]), "complementarity rows"),
-            (8, header.nonzeros, len(self.rows["J"].values), "nonzeros of the segments J"),
+            (8, header.nonzeros, len(self.entries["J"][2]), "nonzeros of the segments J"),
             (8, announced_slopes, slopes, "nonzeros of the segments G"),
             (10, header.defined, len(trees["V"]), "defined variables"),
         ):
@@ -420,15 +394,28 @@ class _Reader:
                 said = f"{announced} {what} are announced, {given} are there"
                 raise NLSyntaxError(header.places[line], said)
 
+    def _matrix(self, letter: str, height: int, width: int) -> sp.csr_array:
+        """Return linear terms as a CSR array; raise if a row has an index twice."""
+        *places, values = self.entries[letter]
+        kind = np.int32 if max(len(values), width) < 2**31 else np.int64
+        rows, indices = (np.array(one, dtype=kind) for one in places)
+        matrix = sp.coo_array((np.array(values), (rows, indices)), shape=(height, width)).tocsr()
+        if matrix.nnz < len(values):
+            what = f"an index stands in two places of a row in the segments {letter}"
+            raise NLSyntaxError(self.header.places[8], what)
+        matrix.sort_indices()
+        return matrix
+
     def _trees(self, letter: str, count: int) -> Trees:
         """Return a tree for each owner in order; the number 0 for an owner without a tree."""
         end = len(self.kinds)
-        items, starts = _gathered(self.trees[letter], count, (end, end + 1))
+        spans = [self.trees[letter].get(k, (end, end + 1)) for k in range(count)]
+        items = np.concatenate([np.zeros(0, np.int64), *(np.arange(*span) for span in spans)])
         return Trees(
             np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items],
             np.append(self.values, 0.0)[items],
             np.append(np.array(self.counts), 0)[items],
-            starts,
+            np.cumsum([0, *(last - first for first, last in spans)]),
         )
 
     def _integers(self) -> Any:
@@ -446,18 +433,6 @@ class _Reader:
                 raise NLSyntaxError(header.places[7], what)
             is_integer[end - count : end] = True
         return is_integer
-
-
-def _gathered(
-    spans: dict[int, tuple[int, int]], count: int, none: tuple[int, int]
-) -> tuple[Indices, Indices]:
-    """Return the items of all owners in order, and their starts; `none` fills empty ones."""
-    begins, ends = (
-        np.array([spans.get(k, none) for k in range(count)], dtype=np.int64).reshape(-1, 2).T
-    )
-    lengths = ends - begins
-    starts = np.append(0, np.cumsum(lengths))
-    return np.repeat(begins - starts[:-1], lengths) + np.arange(starts[-1]), starts
 
 
 def _columns(rows: list[tuple[float, float, int, int]]) -> Any:

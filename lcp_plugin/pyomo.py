@@ -66,7 +66,6 @@ without a pair get 0.
 from __future__ import annotations
 
 import shlex
-from ast import literal_eval
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
@@ -84,7 +83,7 @@ except ImportError as error:
 
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
-from .core.settings import Status
+from .core.settings import Status, parse_options
 from .interfaces.nl.writing import write_nl  # noqa: F401 - offered beside the solver
 from .interfaces.pyomo.answers import PyomoAnswer, answered, imported
 
@@ -146,8 +145,9 @@ class LCPPlugin:
 
     def set_options(self, options: Mapping[str, Any] | str) -> None:
         """Set options for all solves that follow, as names and values or as words: "tolerance=1e-10 threads=1"."""
-        given = _options_in(options) if isinstance(options, str) else options
-        self.options.update({name: value for name, value in given.items() if value is not None})
+        if isinstance(options, str):
+            options = parse_options(shlex.split(options.strip("\"' ")))
+        self.options.update({name: value for name, value in options.items() if value is not None})
 
     def config_block(self, init: bool = False) -> Any:
         """Return the options of the command ``pyomo solve --solver=lcp_plugin``."""
@@ -248,22 +248,6 @@ def _refuse(unknown: dict[str, Any]) -> None:
             f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
             'run go into options={"tolerance": 1e-10} or solver.options'
         )
-
-
-def _options_in(words: str) -> dict[str, Any]:
-    """Return the options of a command line, numbers as numbers."""
-    options: dict[str, Any] = {}
-    for word in shlex.split(words.strip("\"' ")):
-        name, is_given, value = word.partition("=")
-        if not is_given:
-            raise InvalidOption(
-                f"options must be written name=value, got {word!r}; for example tolerance=1e-10"
-            )
-        try:
-            options[name] = literal_eval(value)
-        except (ValueError, SyntaxError):
-            options[name] = value
-    return options
 
 
 def _results_of(answer: PyomoAnswer) -> Any:

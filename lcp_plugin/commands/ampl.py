@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import platform
-import re
+import shlex
 import sys
 import warnings
 from typing import TYPE_CHECKING, Any
 
 from .. import __version__
 from ..core.errors import InvalidOption, LCPError, did_you_mean
+from ..core.settings import Settings, parse_options
 
 if TYPE_CHECKING:
     from ..interfaces.nl.content import NLContent
@@ -22,21 +23,15 @@ NAME = "lcp-plugin-ampl"
 VARIABLE = "lcp_plugin_options"
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 FAILURE, INTERRUPTED = 500, 402
-KEYWORDS: dict[str, tuple[Any, str]] = {
-    "absolute_tolerance": (
-        float,
-        "residual that is small enough, in the unit of the variables (0) *",
-    ),
-    "algorithm": (str, "a name that lcp-plugin list shows (auto) *"),
-    "max_iterations": (int, "limit of iterations (100000), or of nodes (none)"),
-    "max_seconds": (float, "limit of wall-clock seconds (none)"),
-    "outlev": (int, "1 prints the run (0)"),
-    "prove": (
-        int,
-        "1 requests a proof of the gap, if an objective comes with complementarity conditions (0)",
-    ),
-    "threads": (int, "number of threads (all)"),
-    "tolerance": (float, "solved means a residual of at most this (1e-8), or such a gap (1e-6)"),
+KEYWORDS = {
+    "absolute_tolerance": "residual that is small enough, in the unit of the variables (0) *",
+    "algorithm": "a name that lcp-plugin list shows (auto) *",
+    "max_iterations": "limit of iterations (100000), or of nodes (none)",
+    "max_seconds": "limit of wall-clock seconds (none)",
+    "outlev": "1 prints the run (0)",
+    "prove": "1 requests a proof of the gap, if an objective comes with complementarity conditions (0)",
+    "threads": "number of threads (all)",
+    "tolerance": "solved means a residual of at most this (1e-8), or such a gap (1e-6)",
 }
 MARK = "* not for an objective next to complementarities, whose nodes and gap are SCIP's or our own"
 USAGE = f"""usage: {NAME} stub [-AMPL] [<keyword>=<value> ...]
@@ -44,7 +39,6 @@ USAGE = f"""usage: {NAME} stub [-AMPL] [<keyword>=<value> ...]
 Reads the model stub.nl and writes stub.sol; without -AMPL the message is printed as well. Assignments are on the
 command line or in the environment variable {VARIABLE}. -v prints the version, -= the keywords. Values of the
 variables: lcp-plugin solve stub.nl"""
-ASSIGNMENT = re.compile(r"\s*([^\s=]+)(?:\s*=\s*|\s+|$)(\"[^\"]*\"|'[^']*'|[^\s=]*)")
 
 
 def run() -> None:
@@ -88,31 +82,20 @@ def _information(words: list[str]) -> str | None:
     """Return the text that a call requests instead of a solution, or None."""
     if "-=" in words:
         width = max(map(len, KEYWORDS)) + 2
-        return "\n".join([*(f"{key:<{width}}{what}" for key, (_, what) in KEYWORDS.items()), MARK])
+        return "\n".join([*(f"{key:<{width}}{what}" for key, what in KEYWORDS.items()), MARK])
     if {"-v", "--version"} & {*words}:
         return f"lcp_plugin {__version__} ({platform.system()} {platform.machine()})"
     return USAGE if not words or {"-?", "-h", "--help"} & {*words} else None
 
 
-def assigned(text: str, where: str = "") -> dict[str, Any]:
-    """Return the values of keywords, written as key=value or key value."""
-    found: dict[str, Any] = {}
-    text, position = text.strip(), 0
-    while position < len(text):
-        match = ASSIGNMENT.match(text, position)
-        if match is None:
-            raise InvalidOption(f"key=value is needed, got {text[position:]!r}{where}")
-        name, value, position = match[1].lower(), match[2].strip("\"'"), match.end()
-        if name not in KEYWORDS:
-            raise InvalidOption(f"unknown keyword {name!r}{where}{did_you_mean(name, KEYWORDS)}")
-        kind, what = KEYWORDS[name]
-        try:
-            found[name] = kind(value)
-        except ValueError:
-            needed = {float: "a number", int: "an integer"}[kind]
-            raise InvalidOption(
-                f"{name} needs {needed}, got {value!r}{where}; it is: {what}"
-            ) from None
+def assigned(text: str) -> dict[str, Any]:
+    """Return the values of keywords, written as key=value."""
+    try:
+        found = parse_options(shlex.split(text))
+    except ValueError as error:
+        raise InvalidOption(f"{error} in {text!r}; close it") from error
+    for name in found.keys() - KEYWORDS.keys():
+        raise InvalidOption(f"unknown keyword {name!r}{did_you_mean(name, KEYWORDS)}")
     return found
 
 
@@ -122,11 +105,9 @@ def _solve(words: list[str], environment: str) -> int:
     if stub.startswith("-") or "=" in stub:
         raise InvalidOption(f"no stub is given; call {NAME} stub -AMPL, where stub.nl is the model")
     is_ampl = bool(rest) and rest[0] == "-AMPL"
-    settings = assigned(environment, f" in {VARIABLE}") | assigned(" ".join(rest[is_ampl:]))
+    settings = assigned(environment) | assigned(" ".join(rest[is_ampl:]))
     settings |= {"verbose": True} if settings.pop("outlev", 0) else {}
     settings |= {"prove": True} if settings.pop("prove", 0) else {}
-    from ..core.settings import Settings
-
     Settings(**{key: settings[key] for key in settings.keys() - {"algorithm", "prove"}})
     from ..interfaces.nl.reading import read_content, source_of
     from ..interfaces.nl.solution import write_sol

@@ -13,14 +13,13 @@ from ..algorithms import made
 from ..api import solve
 from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
-from ..core.settings import OF_SOLVE
+from ..core.settings import OF_SOLVE, parse_options
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
 from .target import Target, read_target
 from .terminal import moving_line, steps_on
 
-WORDS = {"none": None, "true": True, "false": False}
 MAX_VALUES = 20  # values of x that are printed
 
 
@@ -150,33 +149,12 @@ def _values(given: Target, answer: Any, x: Any) -> list[str]:
 
 
 def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
-    """Return the options of the algorithm; values are read as numbers, true/false/none, or words."""
-    own = ("problem", "algorithm", *OF_SOLVE)
-    options: dict[str, Any] = {}
-    for pair in [*([] if relaxation is None else [f"relaxation={relaxation}"]), *pairs]:
-        key, equals, text = pair.partition("=")
-        if not equals or not key:
-            raise InvalidOption(
-                f"--option requires name=value, got {pair!r}; write --option relaxation=1.5"
-            )
-        if key in own:
-            raise InvalidOption(
-                f"{key} is not an option of an algorithm; see lcp-plugin solve --help"
-            )
-        if key in options:
-            raise InvalidOption(f"the option {key} is given twice; once is enough")
-        options[key] = _value(text)
+    """Return the options of the algorithm."""
+    given = [] if relaxation is None else [f"relaxation={relaxation}"]
+    options = parse_options([*given, *pairs])
+    for key in options.keys() & {"problem", "algorithm", *OF_SOLVE}:
+        raise InvalidOption(f"{key} is not an option of an algorithm; see lcp-plugin solve --help")
     return options
-
-
-def _value(text: str) -> Any:
-    """Return an integer, a number, the meaning of a word, or the word."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return WORDS.get(text.lower(), text)
 
 
 def _shape_of(grid: str | None, plot: Path | None) -> tuple[int, ...] | None:

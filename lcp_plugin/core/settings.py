@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from ast import literal_eval
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any
@@ -14,6 +15,7 @@ from .checks import is_number
 from .errors import InvalidOption
 from .kernels.threads import usable_threads
 
+CONSTANTS = {"true": "True", "false": "False", "none": "None", "inf": "1e999"}
 NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
 
 
@@ -188,3 +190,32 @@ def checked_callback(callback: Any) -> Callable[..., Any] | None:
     if callback is not None and not callable(callback):
         raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
     return callback  # type: ignore[no-any-return]
+
+
+def parse_options(words: Iterable[str]) -> dict[str, Any]:
+    """Return options written as name=value; numbers, true, false and none are read as such, others are texts.
+
+    Raises
+    ------
+    InvalidOption
+        If a word has another form, or a name is given twice.
+
+    Examples
+    --------
+    >>> parse_options(["relaxation=1.5", "sweep=forward", "degenerate=true"])
+    {'relaxation': 1.5, 'sweep': 'forward', 'degenerate': True}
+    """
+    options: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = (part.strip() for part in word.partition("="))
+        if not (name and equals):
+            raise InvalidOption(
+                f"an option is written name=value, as tolerance=1e-10; got {word!r}"
+            )
+        if name in options:
+            raise InvalidOption(f"the option {name} is given twice; once is enough")
+        try:
+            options[name] = literal_eval(CONSTANTS.get(text.lower(), text))
+        except (ValueError, SyntaxError):
+            options[name] = text
+    return options

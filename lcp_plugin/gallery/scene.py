@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import functools
 import inspect
 import math
@@ -17,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.checks import FloatVector, read_only
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
+from ..core.settings import parse_options
 
 SIZES = {"n", "size", "block", "bumps", "goods", "steps"}  # parameters that are at least 1
 SYMMETRIC: dict[str, Any] = {"is_symmetric": True, "is_h_plus": True}
-WORDS = {"true": "True", "yes": "True", "false": "False", "no": "False"}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -310,16 +309,7 @@ def parse(text: str) -> Scene:
     require(isinstance(text, str), words)
     name, _, settings = text.strip().partition(":")
     builder = builder_of(name.strip())
-    values: dict[str, Any] = {}
-    for setting in filter(None, map(str.strip, settings.split(","))):
-        key, equals, value = (part.strip() for part in setting.partition("="))
-        fault = "repeats a parameter" if key in values else "" if equals else "has no '='"
-        require(not fault, f"{setting!r} in {text!r} {fault}; write scene:parameter=value,…")
-        try:
-            values[key] = ast.literal_eval(WORDS.get(value.lower(), value))
-        except (ValueError, SyntaxError):
-            values[key] = value
-    return builder(**values)
+    return builder(**parse_options(filter(None, map(str.strip, settings.split(",")))))
 
 
 def builder_of(name: str) -> Builder:

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
-from pyomo.core import Constraint, Objective, SortComponents, Suffix
-from pyomo.core.expr.visitor import identify_variables
+from pyomo.core import SortComponents, Suffix
 from pyomo.core.staleflag import StaleFlagManager
 
 from ...core.checks import FloatVector
@@ -114,14 +113,10 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
     found = problem.solve(**options)
     values, duals = ComponentMap(), ComponentMap()
     if found.x is not None and found.duals is not None:
-        own = [
-            (j, variable)
+        values.update(
+            (variable, float(found.x[j]))
             for j, variable in enumerate(statement.variables)
             if j not in statement.added
-        ]
-        values.update((variable, float(found.x[j])) for j, variable in own)
-        values.update(
-            (variable, _nearest_to_zero(variable)) for variable in _without_weight(model, values)
         )
         duals.update(
             (row.stated if isinstance(row, Pair) else row, float(dual))
@@ -131,41 +126,16 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
     return PyomoAnswer(statement, found, problem, values, duals)
 
 
-def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
-    """Return the variables of the model that its file omits: all their coefficients are 0."""
-    found = ComponentMap()
-    for stated_one in model.component_data_objects(
-        (Objective, Constraint), active=True, descend_into=True
-    ):
-        if stated_one.expr is not None:
-            found.update(
-                (one, None) for one in identify_variables(stated_one.expr, include_fixed=False)
-            )
-    return [one for one in found if one not in values and one.value is None]
-
-
-def _nearest_to_zero(variable: Any) -> float:
-    lower, upper = variable.bounds
-    return float(
-        max(0.0 if lower is None else lower, min(0.0, math.inf if upper is None else upper))
-    )
-
-
 def _problem(statement: PyomoStatement) -> NLModel:
+    content = statement.content
     try:
-        return model_of(statement.content)
+        return model_of(content)
     except UnsupportedModel as error:
-        added = (
-            [statement.content.names[j] for j in sorted(statement.added)]
-            if statement.content.names
-            else []
-        )
-        if not added or statement.content.row_lower.size <= statement.content.lower.size:
+        if not (statement.added and content.names and content.row_lower.size > content.lower.size):
             raise
-        others = ", …" if len(added) > SOME else ""
+        added = ", ".join(content.names[j] for j in sorted(statement.added)[:SOME])
         raise UnsupportedModel(
-            f"{error}; one of the equations is for {', '.join(added[:SOME])}{others}: its pair holds no variable, or "
-            "one that another pair holds"
+            f"{error}; one of the equations is for {added}: its pair holds no variable, or one that another pair holds"
         ) from error
 
 

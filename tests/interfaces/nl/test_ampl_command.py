@@ -149,7 +149,7 @@ def hard() -> NLContent:
         (best([0.0, 1.0]), ["threads=1", "algorithm=auto", "absolute_tolerance=0", "tolerance=1e-9"], 0, "optimal"),
         (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), ["prove=1"], 500, "not convex"),
         (best([0.0, 1.0]), ["algorithm=psor"], 500, "takes no algorithm, got 'psor'; leave it out"),
-        (best([0.0, 1.0]), ["absolute_tolerance=1"], 500, "takes no absolute_tolerance, got 1.0"),
+        (best([0.0, 1.0]), ["absolute_tolerance=1"], 500, "takes no absolute_tolerance, got 1"),
     ],
     ids=["optimal", "maximum", "unbounded", "infeasible", "no solution", "not convex", "nonlinear", "integer",
          "unknown", "nodes", "seconds", "harmless options", "proof", "algorithm", "absolute tolerance"],
@@ -205,11 +205,11 @@ def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
         (["--"], "no stub"),
         (["nothing"], r"no such file: nothing\.nl"),
         (["m", "-AMPL", "tolrance=1e-9"], r"unknown keyword 'tolrance'; did you mean 'tolerance'\?"),
-        (["m", "-AMPL", "tolerance=tiny"], "tolerance needs a number, got 'tiny'"),
+        (["m", "-AMPL", "tolerance=tiny"], "tolerance must be .*got 'tiny'"),
         (["-o"], "no stub is given"),
-        (["m", "-AMPL", "max_iterations=1.5"], "max_iterations needs an integer"),
+        (["m", "-AMPL", "max_iterations=1.5"], "max_iterations must be .*got 1.5"),
          (["m", "-AMPL", "timing=1"], "unknown keyword 'timing'"),
-        (["m", "-AMPL", "=3"], "key=value is needed, got '=3'"),
+        (["m", "-AMPL", "=3"], "name=value, .* got '=3'"),
          (["damaged", "-AMPL"], r"line 3 \("),
     ],
 )  # fmt: skip
@@ -228,10 +228,10 @@ def test_a_wrong_call_is_one_line_and_a_code(
     assert not list(tmp_path.rglob("*.sol"))
 
 
-def test_assignments_have_every_spelling() -> None:
-    """key=value, key value, quotes, several in one word."""
-    found = ampl.assigned("tolerance 1e-3 outlev=1 max_seconds = 7 algorithm='psor'")
-    assert found == {"tolerance": 1e-3, "outlev": 1, "max_seconds": 7.0, "algorithm": "psor"}
+def test_assignments_may_have_quotes() -> None:
+    """key=value, several in one word."""
+    found = ampl.assigned("tolerance=1e-3 outlev=1 max_seconds=7 algorithm='psor'")
+    assert found == {"tolerance": 1e-3, "outlev": 1, "max_seconds": 7, "algorithm": "psor"}
 
 
 def test_the_command_line_goes_before_the_environment(tmp_path: Path, capsys: Any) -> None:

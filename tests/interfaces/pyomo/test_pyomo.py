@@ -614,14 +614,3 @@ def test_a_variable_with_equal_bounds_is_a_number() -> None:
     m.equation = pe.Constraint(expr=m.y == m.x)
     with pytest.raises(LCPError, match="1 equation and 0 unknowns without a complementarity"):
         SOLVER.solve(m)
-
-
-def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:
-    """Pyomo's file omits the variable; after "optimal" its value is nearest to 0."""
-    model = pe.ConcreteModel()
-    model.x, model.y, model.z = pe.Var(bounds=(0, None)), pe.Var(bounds=(1, 3)), pe.Var()
-    model.goal = pe.Objective(expr=(model.x - 1) ** 2 + 0 * model.y)
-    model.row = pe.Constraint(expr=model.x + 0 * model.z >= 0.5)
-    found = pe.SolverFactory("lcp_plugin").solve(model)
-    assert str(found.solver.termination_condition) == "optimal"
-    assert [one.value for one in (model.x, model.y, model.z)] == pytest.approx([1.0, 1.0, 0.0])

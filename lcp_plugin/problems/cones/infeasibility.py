@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.settings import Status
 from .data import Blocks
-from .programs import ConvexProgram
+from .programs import clarabel_module, conic_rows, solve_conic
 from .stack import ConeStack, length
 
 DIGITS = 2.0**-20  # of the largest |y_i|: y is rounded to multiples, so that sums cancel exactly
@@ -106,8 +106,9 @@ class ContactInfeasibility:
 
 def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     """Return a proof of infeasibility, or None if Clarabel finds no certificate that verifies."""
-    program, n = ConvexProgram(problem), problem.n
-    engine, cones, places = program.clarabel, list(program.cones), [np.zeros(0, np.int64)]
+    engine, n = clarabel_module(), problem.n
+    rows, limits, cones = conic_rows(problem)
+    places = [np.zeros(0, np.int64)]
     for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):
         size = 1 if problem.has_friction else b - a
         if b - a > 1 or problem.is_free[k] or problem.is_half[k]:
@@ -117,13 +118,13 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     where = np.concatenate(places)
     if not where.size:
         return None
-    rows = sp.vstack([program.rows, -problem.rows.csr[where]])
-    limits = np.concatenate([program.limits, problem.q[where]])
-    found = program.solve(sp.csc_array((n, n)), np.zeros(n), rows, limits, cones)
+    all_rows = sp.vstack([rows, -problem.rows.csr[where]])
+    all_limits = np.concatenate([limits, problem.q[where]])
+    found = solve_conic(sp.csc_array((n, n)), np.zeros(n), all_rows, all_limits, cones)
     if "PrimalInfeasible" not in str(found.status):
         return None
     y = np.zeros(n)
-    y[where] = np.asarray(found.z)[program.limits.size :]
+    y[where] = np.asarray(found.z)[limits.size :]
     unit = np.abs(y).max(initial=0.0) or 1.0
     for grain in (DIGITS, 2.0**-8, 0.25, None):
         rounded: Any = y if grain is None else np.round(y / (unit * grain))

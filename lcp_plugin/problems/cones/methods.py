@@ -12,7 +12,7 @@ import numpy as np
 from ...core.errors import InvalidOption, UnsuitableProblem
 from .central_path import central_path
 from .newton import newton_steps
-from .programs import ConvexProgram
+from .programs import minimizers
 from .stack import ConeStack
 from .sweeps import sweep_blocks
 
@@ -193,18 +193,14 @@ class FixedPoint(ConeAlgorithm):
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per program until five gain nothing, and Newton's points."""
-        engine, pattern = ConvexProgram(problem), stack.pattern
         best, least, since = z, float(stack.measure(z)[2][0]), 0
-        while least > goal and since < PROGRAMS:
-            found = engine.minimize(pattern.flat(z)[0])
-            if found is None:
-                break
-            z = pattern.wide(found[None])
+        for found in minimizers(problem, stack.pattern.flat(z)[0]):
+            z = stack.pattern.wide(found[None])
             residual = float(stack.measure(z)[2][0])
             is_gain = residual < GAIN * least
             best, least, since = (z, residual, 0) if is_gain else (best, least, since + 1)
             yield z, residual, PROGRAM_WORK
-            if engine.is_final:
+            if least <= goal or since >= PROGRAMS:
                 break
         yield from newton_points(stack, best, 30, goal)
 

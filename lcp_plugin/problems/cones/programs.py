@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,55 +14,52 @@ from ...core.errors import UnsuitableProblem
 from .data import Blocks
 
 
-class ConvexProgram:
-    """Convex programs of one problem over cones, in the form of Clarabel."""
+def clarabel_module() -> Any:
+    """Return the module of Clarabel; raise UnsuitableProblem if it is not installed."""
+    try:
+        import clarabel
+    except ImportError as error:  # pragma: no cover - cvxpy installs it
+        raise UnsuitableProblem(
+            "fixed_point needs Clarabel; install it with: pip install clarabel"
+        ) from error
+    return clarabel
 
-    def __init__(self, problem: Blocks) -> None:
-        try:
-            import clarabel
-        except ImportError as error:  # pragma: no cover - cvxpy installs it
-            raise UnsuitableProblem(
-                "fixed_point needs Clarabel; install it with: pip install clarabel"
-            ) from error
-        self.problem, self.clarabel = problem, clarabel
-        M = sp.csc_array(problem.rows.csr)
-        self.symmetric = sp.csc_array(0.5 * (M + M.T))
-        self.rest = sp.csr_array(M - self.symmetric)
-        rows, limits, cones = conic_rows(problem, clarabel)
-        self.rows, self.limits, self.cones = sp.csc_array(rows), limits, cones
-        self.upper_half = sp.csc_array(sp.triu(self.symmetric))
 
-    @property
-    def is_final(self) -> bool:
-        """True if no data of the program depend on z, so that another program would be the same."""
-        return not (self.problem.has_friction or self.rest.count_nonzero())
-
-    def minimize(self, z: FloatVector) -> FloatVector | None:
-        """Return the minimiser with terms that depend on z fixed; None if not found."""
-        problem = self.problem
-        q = problem.q + self.rest @ z
+def minimizers(problem: Blocks, z: FloatVector) -> Iterator[FloatVector]:
+    """Yield the minimizers of convex programs, each with the terms that depend on z fixed at the last one."""
+    M = sp.csc_array(problem.rows.csr)
+    symmetric = sp.csc_array(0.5 * (M + M.T))
+    rest, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]
+    rows, limits, cones = conic_rows(problem)
+    is_final = not (problem.has_friction or rest.count_nonzero())
+    while True:
+        q = problem.q + rest @ z
         if problem.has_friction:
             w = problem.slack(z)
-            w[problem.starts[:-1]] = 0.0
-            q[problem.starts[:-1]] += problem.slope * np.sqrt(
-                np.add.reduceat(w * w, problem.starts[:-1])
-            )
-        found = self.solve(self.upper_half, q, self.rows, self.limits, self.cones)
-        z = np.asarray(found.x)
-        return problem.project(z) if z.size == problem.n and np.isfinite(z).all() else None
-
-    def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
-        """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
-        settings = self.clarabel.DefaultSettings()
-        settings.verbose, settings.time_limit = False, seconds_left()
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-        return self.clarabel.DefaultSolver(
-            sp.csc_matrix(P), c, sp.csc_matrix(A), b, cones, settings
-        ).solve()
+            w[first] = 0.0
+            q[first] += problem.slope * np.sqrt(np.add.reduceat(w * w, first))
+        z = np.asarray(solve_conic(P, q, rows, limits, cones).x)
+        if z.size != problem.n or not np.isfinite(z).all():
+            return
+        z = problem.project(z)
+        yield z
+        if is_final:  # another program would be the same
+            return
 
 
-def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[Any]]:
+def solve_conic(P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
+    """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
+    clarabel = clarabel_module()
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.time_limit = False, seconds_left()
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    P, A = sp.csc_matrix(P), sp.csc_matrix(A)
+    return clarabel.DefaultSolver(P, c, A, b, cones, settings).solve()
+
+
+def conic_rows(problem: Blocks) -> tuple[Any, FloatVector, list[Any]]:
     """Return A, b and cones such that z ∈ K is equivalent to b − A z ∈ cones."""
+    clarabel = clarabel_module()
     rows: list[Any] = []
     limits: list[FloatVector] = []
     cones: list[Any] = []

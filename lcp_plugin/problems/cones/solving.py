@@ -331,7 +331,7 @@ class ConeRun:
                     self._offer(z, residual)
                     shown = None if self.log.callback is None else self._shown(z)
                     self.log.step(stage, shown, residual, work * self.share)
-                if self.residual <= self.goal or algorithm is not ConeNPGS:
+                if algorithm is not ConeNPGS or not self.goal < self.residual < np.inf:
                     self._measure_best()
                     if self.measures.is_solved[0] or self.measures.are_limited()[0]:
                         break
@@ -374,9 +374,10 @@ class ConeRun:
             yield chosen, "", chosen.points(problem, stack, self.start, goal)
             return
         if self.is_warm or stack.is_answered.all():
-            self.residual = float(stack.measure(self.start)[2][0])
-            if self.residual <= self.tolerance:
+            residual = float(stack.measure(self.start)[2][0])
+            if residual <= self.tolerance:
                 yield ConeNPGS, SWEPT, iter(())
+            self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
             return

@@ -21,6 +21,7 @@ TINY = np.finfo(np.float64).tiny
 LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is not a scale
 DENSE_UP_TO = 300  # unknowns of a sparse problem that is stored as dense
 NOISE = 2.0**-42  # of the sum of a row's terms: bound of its rounding error
+INSIDE = 1.0 + 2.0**-50  # times μ z_N: so that the projection of a projection is the same
 Array = Any
 
 
@@ -301,7 +302,8 @@ class ConeStack:
         on_axis = (normal + self.mu * tangent) / (1.0 + self.mu**2)
         found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, TINY)[..., None])
         found[..., 0] = on_axis
-        found = np.where((tangent <= self.mu * normal)[..., None], z, found)
+        is_inside = tangent <= self.mu * normal * INSIDE
+        found = np.where(is_inside[..., None], z, found)
         found = np.where((on_axis <= 0.0)[..., None], 0.0, found)
         if self.pattern.has_rows:
             own = np.minimum(np.maximum(normal, self.low), self.high)
@@ -317,16 +319,15 @@ class ConeStack:
         self, w: Array, case: Array, x: Array, tangent: Array, axis: Array
     ) -> tuple[Array, Array]:
         """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
-        mu, share, eye = self.mu, 1.0 / (1.0 + self.mu**2), np.eye(self.m)
-        way = x[..., 1:] / np.maximum(tangent, TINY)[..., None]
-        radius = mu * (axis / np.maximum(tangent, TINY))
-        P = np.zeros((*w.shape, self.m))
-        P[..., 0, 0] = share
-        P[..., 0, 1:] = P[..., 1:, 0] = (mu * share)[..., None] * way
-        P[..., 1:, 1:] = (
-            (mu * mu * share - radius)[..., None, None] * way[..., :, None] * way[..., None, :]
-        )
-        P[..., 1:, 1:] += radius[..., None, None] * eye[1:, 1:]
+        mu, eye, tangents = self.mu, np.eye(self.m), np.diag(np.arange(self.m) > 0)
+        away = x / np.maximum(tangent, TINY)[..., None]
+        away[..., 0] = 0.0
+        edge = mu[..., None] * away
+        edge[..., 0] = 1.0
+        across = tangents - away[..., :, None] * away[..., None, :]
+        radius = (mu * (axis / np.maximum(tangent, TINY)))[..., None, None]
+        P = edge[..., :, None] * edge[..., None, :] / (1.0 + mu * mu)[..., None, None]
+        P += radius * across
         is_apex = (axis == 0.0) & (tangent == 0.0) & ~self.pattern.is_row  # belongs to all modes
         is_whole = ((case == WITHIN) | is_apex) & (mu > 0.0)
         if self.pattern.has_rows:

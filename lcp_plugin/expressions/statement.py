@@ -325,20 +325,11 @@ class Statement:
 
     # --- the best of all solutions ---
 
-    def best(
-        self,
-        goal: Rows,
-        sign: float = 1.0,
-        known: tuple[Any, FloatVector, float] | None = None,
-    ) -> EquilibriumProgram:
-        """Return the program: minimize sign · goal, of which ½ xᵀP x + cᵀx + r may be known as P, c, r."""
+    def best(self, goal: Rows, sign: float = 1.0) -> EquilibriumProgram:
+        """Return the program: minimize sign · goal."""
         seconds = [self._value_of(pair) for pair in self.pairs]
         n, goal = self.lower.size, goal.scaled(sign)
         quadratic, smooth = self._quadratic(goal), None
-        if known is not None:
-            more = n - known[1].size
-            P = sp.block_diag([sign * known[0], sp.csr_array((more, more))], format="csr")
-            quadratic = P, np.append(sign * known[1], np.zeros(more)), sign * known[2]
         linear = [one for one in self.rows if not one.rows.level]
         bent = [one for one in self.rows if one.rows.level]
         if bent or quadratic is None:

@@ -1,8 +1,6 @@
 """Objectives over complementarity constraints in cvxpy: the best of all solutions.
 
-Objectives and rows that follow cvxpy's rules of convexity and make a quadratic program are compiled by cvxpy: norms,
-maxima, absolute values. The expressions of this package read all other terms, of any curvature: products, smooth
-sides, integers.
+The objective and the rows are smooth, of any curvature; an absolute value becomes a pair.
 """
 
 from __future__ import annotations
@@ -11,22 +9,18 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from cvxpy.problems.problem import SolverStats
 
 from ..core.errors import UnsupportedModel
-from ..expressions.rows import Indices, Rows
+from ..expressions.rows import Indices
 from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ._compat import CVXPY_STATUS, dense, statistics
-from .compiled import CompiledProblem
 from .constraint import Complements, complements
 from .model import Model
 from .stated_terms import expression_of, sense_of
-
-COMPILED = -(2**62)  # key of the unknowns of a program that cvxpy compiled
 
 
 def stated_program(problem: Any) -> tuple[EquilibriumProgram, Model]:
@@ -35,43 +29,10 @@ def stated_program(problem: Any) -> tuple[EquilibriumProgram, Model]:
     Raises
     ------
     UnsupportedModel
-        Names a term that is neither convex nor smooth.
+        Names a term that is not smooth.
     """
     pairs = [one for one in problem.constraints if isinstance(one, Complements)]
     others = [one for one in problem.constraints if not isinstance(one, Complements)]
-    sides = [side.expression for pair in pairs for side in (pair.first, pair.second)]
-    rest = cp.Problem(problem.objective, others)
-    has_integers = any(one.boolean_idx or one.integer_idx for one in problem.variables())
-    refusal = UnsupportedModel("it is not convex by cvxpy's rules either")
-    is_convex = all(side.is_affine() for side in sides) and not has_integers and rest.is_dcp()
-    if is_convex and rest.variables():
-        try:
-            return _compiled(problem, rest, pairs)
-        except UnsupportedModel as error:
-            refusal = error
-    try:
-        return _read(problem, pairs, others)
-    except UnsupportedModel as error:
-        raise UnsupportedModel(f"{error} ({refusal})") from error
-
-
-def _compiled(problem: Any, rest: Any, pairs: list[Any]) -> tuple[EquilibriumProgram, Model]:
-    """Let cvxpy compile the objective and the constraints, and read the pairs."""
-    compiled = CompiledProblem.of(rest, is_folded=True)
-    model, program = Model([problem], takes_integers=True, compiled=compiled), compiled.program
-    statement = model.statement
-    statement.first[COMPILED] = 0
-    for matrix, low, high in ((program.G, -np.inf, program.h), (program.A, program.b, program.b)):
-        size = matrix.shape[0]
-        rows = Rows({COMPILED: sp.csr_array(matrix)}, np.zeros(size), (size,))
-        statement.constrain(rows, low, high)
-    model.add_pairs(pairs)
-    known = program.P, program.c, compiled.offset
-    return statement.best(Rows({}, np.zeros(1), (1,)), 1.0, known), model
-
-
-def _read(problem: Any, pairs: list[Any], others: list[Any]) -> tuple[EquilibriumProgram, Model]:
-    """Read objective, constraints and sides by our own expressions."""
     kinks: list[Complements] = []
     goal = _without_abs(problem.objective.args[0], kinks)
     rows = [_without_abs(expression_of(one), kinks) for one in others]

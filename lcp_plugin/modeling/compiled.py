@@ -108,16 +108,6 @@ class CompiledProblem:
         entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
         return cls(program, float(inverse[-1][settings.OFFSET]), entries)
 
-    def spans(self) -> dict[int, slice]:
-        """Return the unknowns of each variable, by its id; raise if they are not consecutive."""
-        found = {}
-        for key, one in self.entries.items():
-            first = int(one.places[0]) if one.places.size else 0
-            if (one.places != first + np.arange(one.places.size)).any() or (one.signs != 1.0).any():
-                raise UnsupportedModel("cvxpy ties entries of a variable; use plain variables")
-            found[key] = slice(first, first + one.places.size)
-        return found
-
     def values(self, x: FloatVector) -> dict[int, Any]:
         """Return the value of each variable by its id."""
         return {key: one.taken(x) for key, one in self.entries.items()}

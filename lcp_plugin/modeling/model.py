@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cvxpy as cp
@@ -73,8 +74,6 @@ class Model:
         Results that do not depend on parameters, kept from model to model.
     takes_integers : bool
         Whether variables may be integers.
-    compiled : CompiledProblem, optional
-        Program of other terms in the same variables: its unknowns come first.
 
     Attributes
     ----------
@@ -96,16 +95,10 @@ class Model:
         memo: dict[Any, Any] | None = None,
         *,
         takes_integers: bool = False,
-        compiled: Any = None,
     ) -> None:
         self.reader = Reader(memo, takes_integers=takes_integers)
         self.variables = list({v.id: v for one in stated for v in one.variables()}.values())
-        self.spans: dict[int, slice] = {} if compiled is None else compiled.spans()
-        size = 0 if compiled is None else compiled.program.n
-        for variable in self.variables:
-            if variable.id not in self.spans:
-                self.spans[variable.id] = slice(size, size + variable.size)
-                size += variable.size
+        self.spans, size = spans_of({one.id: one for one in self.variables})
         self.bounds: list[tuple[Indices, Any, Any, Any, Any]] = []
         #: Bounds that attributes of the variables state.
         self.declared = np.full(size, -np.inf), np.full(size, np.inf)
@@ -117,9 +110,6 @@ class Model:
                 ends = attribute_expressions(variable)
                 self.bounds.append((np.arange(size)[own], 1.0, None, *ends))
         lower, upper = (end.copy() for end in self.declared)
-        if compiled is not None:
-            lower[: compiled.program.n] = compiled.program.lower
-            upper[: compiled.program.n] = compiled.program.upper
         first = {key: span.start for key, span in self.spans.items()}
         # No reference to the model, which is freed at once then: a cycle waits for the collector.
         name = partial(_name_of, self.variables, self.spans)
@@ -450,6 +440,12 @@ class Model:
             f"{name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
             f"variables, and {expected:.9g} was computed"
         )
+
+
+def spans_of(leaves: dict[int, Any]) -> tuple[dict[int, slice], int]:
+    """Return the slice of each expression in their concatenation, and the number of entries."""
+    ends = np.cumsum([0, *(one.size for one in leaves.values())]).tolist()
+    return {key: slice(*pair) for key, pair in zip(leaves, pairwise(ends), strict=True)}, ends[-1]
 
 
 def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:

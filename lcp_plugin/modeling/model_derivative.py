@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import cvxpy as cp
@@ -26,7 +25,7 @@ from ..expressions.program import Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
 from . import _compat
-from .model import Model
+from .model import Model, spans_of
 from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem
 
@@ -57,9 +56,9 @@ class ParametricRows:
     def __init__(self, expressions: Iterable[Any], known: Changes) -> None:
         reader, each = Reader(held=known), {id(one): one for one in expressions}
         self._parameters = {p.id: p for one in each.values() for p in one.parameters()}
-        self._spans, n = _spans(self._parameters)
+        self._spans, n = spans_of(self._parameters)
         #: Slice of each expression among all entries, by its id.
-        self.spans, self.size = _spans(each)
+        self.spans, self.size = spans_of(each)
         starts = {key: span.start for key, span in self._spans.items()}
         self._program = Program.of(
             reader.compiler, [reader.rows(one) for one in each.values()], starts, n
@@ -95,12 +94,6 @@ class ParametricRows:
                 "edge of what its atoms accept"
             )
         return values
-
-
-def _spans(leaves: Changes) -> tuple[dict[int, slice], int]:
-    """Return the slice of each expression in their concatenation, and the number of entries."""
-    ends = np.cumsum([0, *(one.size for one in leaves.values())]).tolist()
-    return {key: slice(*pair) for key, pair in zip(leaves, pairwise(ends), strict=True)}, ends[-1]
 
 
 class ModelDerivative:

@@ -88,7 +88,7 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
 
 
 def relative_error(
-    z: FloatVector, exact: ExactPoint, unit: FloatVector, *, has_line: bool = False
+    z: FloatVector, exact: ExactPoint, unit: float | FloatVector, *, has_line: bool = False
 ) -> float:
     """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
 
@@ -97,7 +97,7 @@ def relative_error(
     z : ndarray, shape (n,)
         Finite.
     exact : sequence of Fraction, shape (n,)
-    unit : ndarray, shape (n,)
+    unit : number or ndarray, shape (n,)
     has_line : bool
         All z* + t with t ≥ 0 are also solutions; the distance is to the nearest one.
 
@@ -110,12 +110,10 @@ def relative_error(
     if has_line and difference:
         along = max((max(difference) + min(difference)) / 2, Fraction(0))
         difference = [value - along for value in difference]
-    units = [Fraction(value) for value in unit.tolist()]
-    error = max(
-        (abs(value) / u for value, u in zip(difference, units, strict=True)), default=Fraction(0)
-    )
-    largest = max(
-        (abs(value) / u for value, u in zip(exact, units, strict=True)), default=Fraction(0)
+    units = [Fraction(value) for value in np.broadcast_to(unit, z.shape).tolist()]
+    error, largest = (
+        max((abs(value) / u for value, u in zip(side, units, strict=True)), default=Fraction(0))
+        for side in (difference, exact)
     )
     if error == 0:
         return 0.0

@@ -124,8 +124,8 @@ def stability_atlas(
     algorithms : iterable of str and Algorithm, optional
         As the methods of :func:`lcp_plugin.evidence.study.study`; all registered names and "auto" by default.
     stresses : iterable of str, optional
-        Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
-        "cancellation", "one ulp". All by default.
+        Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range" and
+        "cancellation". All by default.
     quick : bool
         Fewer iterations, without the problem of 10 000 unknowns.
     progress : callable, optional
@@ -188,5 +188,5 @@ def _cell(family: str, case: StressCase, one: Method, limit: int) -> Cell:
         return Cell(*head, "ERROR", note=f"{type(failure).__name__}: {failure}")
     error = math.nan
     if case.exact is not None and np.isfinite(result.z).all():
-        error = relative_error(result.z, case.exact, case.units, has_line=case.has_line)
+        error = relative_error(result.z, case.exact, case.unit, has_line=case.has_line)
     return Cell(*head, result.status.name, result.certificate.relative_residual, error)

@@ -8,7 +8,7 @@ import os
 import platform
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
@@ -32,7 +32,6 @@ from .measurement import (
     POINT,
     RESIDUAL,
     TRUE_ERROR,
-    Measure,
     Measurement,
     error_measure,
     fresh,
@@ -57,6 +56,8 @@ ERROR_LABELS = {
     RESIDUAL: "relative residual",
 }
 LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution counts one pass
+
+NO_POINTS = np.zeros((0, len(POINT)))
 
 Progress = Callable[[str], object]
 
@@ -355,8 +356,7 @@ def study(
         raise InvalidOption(f"repeats must be an integer ≥ 1, got {repeats!r}")
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
-    limits = {"tolerance": tolerance, "max_seconds": max_seconds}
-    Settings(**limits)
+    Settings(tolerance=tolerance, max_seconds=max_seconds)
     entrants, built, wanted = methods_of(methods), _label_problems(problems), _checked_sizes(sizes)
     solvers = _checked_references(references)
     file = None if out is None else checked_path(out)
@@ -368,13 +368,15 @@ def study(
     try:
         for label, given in built.items():
             for size in wanted:
-                bench = _Bench(label, given, size, limits, repeats, progress or (lambda _: None))
-                for row in bench.rows(entrants, solvers):
+                blank = Measurement(label, size, 0, 0, "", "", "", "", tolerance)
+                say = progress or (lambda _: None)
+                for row in _measurements(
+                    blank, given, entrants, solvers, repeats, max_seconds, say, notes
+                ):
                     rows.append(row)
                     if file is not None:
                         with file.open("a", encoding="utf-8", newline="") as f:
                             f.write(csv_text(_lines(row)))
-                notes |= dict.fromkeys(bench.notes)
         is_complete = True
     except KeyboardInterrupt:
         notes["interrupted: the rows above are complete"] = None
@@ -420,92 +422,62 @@ def error_against_time(
     )
 
 
-class _Bench:
-    """Benchmark of one problem of one size."""
-
-    def __init__(
-        self,
-        label: str,
-        given: Any,
-        size: int | None,
-        limits: dict[str, Any],
-        repeats: int,
-        say: Progress,
-    ) -> None:
-        self.label, self.given, self.size = label, given, size
-        self.limits, self.repeats, self.say = limits, repeats, say
-        self.notes: list[str] = []
-
-    def rows(self, methods: Sequence[Method], references: Sequence[str]) -> Iterator[Measurement]:
-        """Yield a row per method and reference; an exception in code of the user is a row."""
-        try:
-            scene = _build_problem(self.given, self.label, self.size)
-            fresh(scene.problem)
-        except Exception as error:  # a function of the user may raise anything
-            for method in methods:
-                yield self._row(None, method, "REFUSED", "", note=_line(error))
-            return
-        self.say(f"{self.label}: kind of the error")
-        kind, measure, reason = error_measure(scene, self.limits["max_seconds"])
-        self.notes += [f"{self.label}: {reason}"] if reason else []
+def _measurements(
+    blank: Measurement,
+    given: Any,
+    methods: Sequence[Method],
+    references: Sequence[str],
+    repeats: int,
+    max_seconds: float,
+    say: Progress,
+    notes: dict[str, None],
+) -> Iterator[Measurement]:
+    """Yield a row per method and reference; an exception in code of the user is a row."""
+    label = blank.problem
+    try:
+        scene = _build_problem(given, label, blank.size)
+        fresh(scene.problem)
+    except Exception as error:  # a function of the user may raise anything
         for method in methods:
-            self.say(f"{self.label}, n = {scene.n}: {method.label}")
-            try:
-                status, points = measure_method(scene, method, measure, self.repeats, **self.limits)
-                yield self._row(scene, method, status, kind, points, method.note)
-            except (UnsuitableMatrix, UnsuitableProblem) as error:
-                yield self._row(scene, method, "REFUSED", kind, note=str(error))
-            except Exception as error:  # an algorithm of the user may raise anything
-                yield self._row(scene, method, "ERROR", kind, note=_line(error))
-        if references:
-            yield from self._references(scene, references, kind, measure)
+            yield _row(blank, method, "REFUSED", note=_line(error))
+        return
+    say(f"{label}: kind of the error")
+    kind, measure, reason = error_measure(scene, max_seconds)
+    blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)
+    notes |= {f"{label}: {reason}": None} if reason else {}
+    limits = {"tolerance": blank.tolerance, "max_seconds": max_seconds}
+    for method in methods:
+        say(f"{label}, n = {scene.n}: {method.label}")
+        try:
+            status, points = measure_method(scene, method, measure, repeats, **limits)
+            yield _row(blank, method, status, points, method.note)
+        except (UnsuitableMatrix, UnsuitableProblem) as error:
+            yield _row(blank, method, "REFUSED", note=str(error))
+        except Exception as error:  # an algorithm of the user may raise anything
+            yield _row(blank, method, "ERROR", note=_line(error))
+    if not references:
+        return
+    from .convex_program import PLAIN, ReferenceProgram, solve_by
 
-    def _references(
-        self, scene: Scene, names: Sequence[str], kind: str, measure: Measure
-    ) -> Iterator[Measurement]:
-        from .convex_program import PLAIN, ReferenceProgram, solve_by
+    convex = ReferenceProgram.of(scene.problem)
+    if convex.kind != PLAIN:
+        notes[f"{label}: no convex solver, {convex.evidence}"] = None
+        return
+    for name in references:
+        say(f"{label}, n = {scene.n}: {name}")
+        reply = solve_by(name, convex, max_seconds)
+        method, status, points = Method(name, name, "reference"), "ERROR", NO_POINTS
+        if reply.z is not None:
+            status = reply.status.upper()
+            points = np.array([(math.nan, math.nan, *[reply.seconds] * 3, *measure(reply.z))])
+        yield _row(blank, method, status, points, reply.status)
 
-        reason = "M is not symmetric"
-        convex = None
-        if not scene.is_declared or scene.is_symmetric:
-            convex = ReferenceProgram.of(scene.problem)
-            reason = convex.evidence
-        if convex is None or convex.kind != PLAIN:
-            self.notes.append(f"{self.label}: no convex solver, {reason}")
-            return
-        for name in names:
-            self.say(f"{self.label}, n = {scene.n}: {name}")
-            reply = solve_by(name, convex, self.limits["max_seconds"])
-            points, method = np.zeros((0, len(POINT))), Method(name, name, "reference")
-            if reply.z is not None:
-                seconds = [reply.seconds] * 3
-                points = np.array([(math.nan, math.nan, *seconds, *measure(reply.z))])
-            status = reply.status.upper() if reply.z is not None else "ERROR"
-            yield self._row(scene, method, status, kind, points, reply.status)
 
-    def _row(
-        self,
-        scene: Scene | None,
-        method: Method,
-        status: str,
-        kind: str,
-        points: FloatVector | None = None,
-        note: str = "",
-    ) -> Measurement:
-        n, nonzeros = (0, 0) if scene is None else (scene.n, scene.problem.nonzeros)
-        return Measurement(
-            self.label,
-            self.size,
-            n,
-            nonzeros,
-            method.label,
-            method.family,
-            status,
-            kind,
-            self.limits["tolerance"],
-            np.zeros((0, len(POINT))) if points is None else points,
-            note,
-        )
+def _row(
+    blank: Measurement, method: Method, status: str, points: FloatVector = NO_POINTS, note: str = ""
+) -> Measurement:
+    own = {"method": method.label, "family": method.family, "status": status}
+    return replace(blank, **own, points=points, note=note)
 
 
 def _line(error: BaseException) -> str:

@@ -17,6 +17,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.deadline import is_over
@@ -324,18 +325,17 @@ def independent_rows(rows: list[Row]) -> list[list[int]]:
     >>> independent_rows([{0: 1}, {1: 1, 2: 1}, {}, {0: 2}])
     [[0, 3], [1]]
     """
-    lot: dict[int, list[int]] = {}
-    for i, row in enumerate(rows):
-        met = {id(lot[j]): lot[j] for j in row if j in lot}.values()
-        # The rows of smaller lots go to the largest: each moves a few times only.
-        whole = max(met, key=len, default=[])
-        whole += [k for other in met if other is not whole for k in other]
-        whole.append(i)
-        for j in {j for other in met if other is not whole for k in other for j in rows[k]} | set(
-            row
-        ):
-            lot[j] = whole
-    return sorted(sorted(one) for one in {id(one): one for one in lot.values()}.values())
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    own = [i for i, row in enumerate(rows) for _ in row]
+    columns = [len(rows) + j for row in rows for j in row]
+    size = max([len(rows), *(j + 1 for j in columns)])
+    graph = sp.coo_array((np.ones(len(own)), (own, columns)), shape=(size, size))
+    labels = connected_components(graph, directed=False)[1]
+    lots: dict[int, list[int]] = {}
+    for i in dict.fromkeys(own):
+        lots.setdefault(labels[i], []).append(i)
+    return list(lots.values())
 
 
 def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | None:

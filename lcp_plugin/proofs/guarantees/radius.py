@@ -50,48 +50,35 @@ def jacobi_spectral_radius(problem: LCP) -> float:
     """Return ρ(|J|), J = D⁻¹(L + U) the Jacobi iteration matrix; ∞ if a diagonal entry is 0."""
     if not problem.diagonal.all():
         return np.inf
-    beside = abs(problem.csr - sp.diags_array(problem.diagonal))
-    return float(
-        np.mean(
-            nonnegative_radius(
-                sp.csr_array(sp.diags_array(1.0 / np.abs(problem.diagonal)) @ beside)
-            )
-        )
-    )
+    unit = abs(sp.diags_array(1.0 / problem.diagonal) @ problem.csr)
+    unit.setdiag(0.0)
+    return float(np.mean(nonnegative_radius(sp.csr_array(unit))))
 
 
 def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
     """Return T, shape (n, n), dense; None if P is singular."""
-    M, n = problem.csr, problem.n
-    alpha, beta = numbers(facts)
-    eye, is_backward = sp.eye_array(n, format="csr"), facts.sweep == "backward"
-    if facts.family == PROJECTED_RELAXATION:
-        unit = sp.csr_array(sp.diags_array(1.0 / problem.diagonal) @ M)
-        below, above = sp.tril(unit, -1, format="csr"), sp.triu(unit, 1, format="csr")
-        below, above = (above, below) if is_backward else (below, above)
-        right = abs(1.0 - alpha) * eye + abs(alpha - beta) * abs(below) + abs(alpha) * abs(above)
-        return _solved(sp.csr_array(eye - abs(beta) * abs(below)), sp.csr_array(right))
-    scaling = np.ones(n) if facts.scaling is None else facts.scaling
-    scaled = sp.csr_array(sp.diags_array(scaling) @ M)
-    D = sp.diags_array(scaled.diagonal(), format="csr")
+    (alpha, beta), eye = numbers(facts), np.eye(problem.n)
+    is_relaxation = facts.family == PROJECTED_RELAXATION
+    scaling = 1.0 / problem.diagonal if is_relaxation else facts.scaling
+    M = problem.csr.toarray() * (1.0 if scaling is None else np.reshape(scaling, (-1, 1)))
+    D = np.diag(M.diagonal())
+    below, above = np.tril(M, -1), np.triu(M, 1)
+    if facts.sweep == "backward":
+        below, above = above, below
+    splitting = (D + beta * below) / alpha
     if facts.family == PROJECTED_SPLITTING:
-        splitting = sp.csr_array(sp.diags_array(scaling) @ facts.splitting)
+        of_caller = sp.csr_array(facts.splitting).toarray()
+        splitting = of_caller if scaling is None else scaling[:, np.newaxis] * of_caller
+    rest = splitting - M
+    if is_relaxation:
+        P = eye - abs(beta * below)
+        right = abs(1.0 - alpha) * eye + abs((alpha - beta) * below) + abs(alpha * above)
+    elif facts.family == MODULUS:
+        omega = np.diag(np.asarray(facts.omega))
+        P, right = splitting + omega, abs(rest) + abs(omega - M)
     else:
-        part = (
-            sp.triu(scaled, 1, format="csr") if is_backward else sp.tril(scaled, -1, format="csr")
-        )
-        splitting = sp.csr_array((D + beta * part) / alpha)
-    if facts.family == MODULUS:
-        omega = sp.diags_array(np.asarray(facts.omega), format="csr")
-        P, right = splitting + omega, abs(splitting - scaled) + abs(omega - scaled)
-    else:
-        P, right = splitting + 2.0 * eye + D, abs(splitting - scaled + eye + D) + abs(scaled - eye)
-    return _solved(sp.csr_array(P), sp.csr_array(right))
-
-
-def _solved(P: Any, right: Any) -> Any:
-    """Return |P⁻¹| right, None if P is singular."""
+        P, right = splitting + 2.0 * eye + D, abs(rest + eye + D) + abs(M - eye)
     try:
-        return np.abs(np.linalg.inv(P.toarray())) @ right.toarray()
+        return np.abs(np.linalg.inv(P)) @ right
     except np.linalg.LinAlgError:
         return None

@@ -277,6 +277,13 @@ def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False
     return checked_vector(values, name, n, may_be_number=may_be_number, need=need)
 
 
+def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
+    """Return the finite change of a vector: zeros for None, n equal entries for a number where one may be given."""
+    if values is None or (may_be_number and np.ndim(values) == 0):
+        values = np.full(n, 0.0 if values is None else values)
+    return finite_vector(values, name, n)
+
+
 def checked_vector(
     values: Any,
     name: str,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -112,16 +113,10 @@ def draw(
 
 def checked_shape(shape: Any, n: int) -> tuple[int, ...]:
     """Return the shape of a grid of n unknowns, or raise InvalidOption."""
-    try:
-        sizes = tuple(int(size) for size in shape)
-        is_whole = bool(sizes) and all(
-            size == given > 0 for size, given in zip(sizes, shape, strict=True)
-        )
-    except (TypeError, ValueError):
-        is_whole = False
-    if not is_whole:
+    sizes = tuple(shape) if isinstance(shape, Iterable) else ()
+    if not sizes or not all(isinstance(one, int | np.integer) and one > 0 for one in sizes):
         raise InvalidOption(f"shape must hold integers > 0, as (rows, columns), got {shape!r}")
-    if (count := int(np.prod(sizes, dtype=object))) != n:
+    if (count := math.prod(map(int, sizes))) != n:
         raise InvalidOption(
             f"shape {sizes} has {count} unknowns, and the problem has {n}; pass the shape of its grid"
         )

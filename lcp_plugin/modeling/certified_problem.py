@@ -109,16 +109,17 @@ def _disagreement(problem: Any, compiled: CompiledProblem, x: FloatVector, toler
         if not abs(stated - value) <= tolerance * (size + abs(compiled.offset)):
             return f"the objective is {stated:.9g}, and {value:.9g} in the program that cvxpy makes"
         largest = float(program.constraints.excess(x).max(initial=0.0))
-        for constraint in problem.constraints:
-            violation = float(np.max(dense_value(constraint.residual), initial=0.0))
-            if not violation <= 10.0 * largest + tolerance * (1.0 + own.max(initial=0.0)):
-                return f"{name_of(constraint)} is violated by {violation:.3g}, and not in the program that cvxpy makes"
+        missed = [(name_of(one), dense_value(one.residual)) for one in problem.constraints]
         for variable in problem.variables():
-            entries = dense_value(leaf_value(variable))
-            lower, upper = attribute_bounds(variable)
-            violation = float(np.max(np.maximum(lower - entries, entries - upper), initial=0.0))
-            if not violation <= 10.0 * largest + tolerance * (1.0 + own.max(initial=0.0)):
-                return f"{variable.name()} misses its own attributes by {violation:.3g}"
+            entries, (lower, upper) = dense_value(leaf_value(variable)), attribute_bounds(variable)
+            name = f"the attributes of {variable.name()}"
+            missed.append((name, np.maximum(lower - entries, entries - upper)))
+        allowed = 10.0 * largest + tolerance * (1.0 + own.max(initial=0.0))
+        for name, violations in missed:
+            if not (violation := float(np.max(violations, initial=0.0))) <= allowed:
+                return (
+                    f"{name}: violated by {violation:.3g}, and not in the program that cvxpy makes"
+                )
     return ""
 
 

@@ -30,10 +30,6 @@ class LinearizedSystem:
         """Return the solution of J_FF x = right_F, or of the transposed system, 0 in the other rows."""
         raise NotImplementedError
 
-    def _acts(self, x: Any) -> bool:
-        """Return whether any entry is not 0."""
-        return bool(x.any())
-
     def tangent(self, h: Any, held: Any = None, more: Any = 0.0) -> Any:
         """Return dz.
 
@@ -46,13 +42,13 @@ class LinearizedSystem:
         more : array
             Other changes of R, for example by friction.
         """
-        if held is not None and self._acts(held):
+        if held is not None and held.any():
             return held + self._solve_free(-(self._by_slack(h + self._product(held)) + more))
         return self._solve_free(-(self._by_slack(h) + more))
 
     def adjoint(self, g: Any, by_w: Any) -> tuple[Any, Any, Any]:
         """Return ∂L/∂q, ∂L/∂b (valid at active bounds) and λ for a loss L with gradients g by z and by_w by w."""
-        by_z = g + self._product(by_w, transposed=True) if self._acts(by_w) else g
+        by_z = g + self._product(by_w, transposed=True) if by_w.any() else g
         multiplier = self._solve_free(by_z, transposed=True)
         change = self._by_slack(multiplier, transposed=True)
         return by_w - change, by_z - self._product(change, transposed=True), multiplier

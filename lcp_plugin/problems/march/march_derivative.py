@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, finite_vector, is_number, rectangular_matrix
+from ...core.checks import FloatVector, change_of_vector, is_number, rectangular_matrix
 from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -348,8 +348,9 @@ class MarchDerivative:
             np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
         )
         dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
-        low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
-        before = _vector(dz0, "dz0", n, may_be_number=False).copy()
+        low = change_of_vector(dlower, "dlower", n, may_be_number=True)
+        high = change_of_vector(dupper, "dupper", n, may_be_number=True)
+        before = change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
             changes = part.jvp(
@@ -433,15 +434,6 @@ def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
     if name == "dpropagator" and is_number(given):
         given = float(given) * sp.eye_array(n)
     return sp.csr_array(rectangular_matrix(given, name, n, n))
-
-
-def _vector(
-    given: ArrayLike | None, name: str, n: int, *, may_be_number: bool = True
-) -> FloatVector:
-    """Return a finite vector, zeros by default; a number is accepted if `may_be_number`."""
-    if given is None or (may_be_number and np.ndim(given) == 0):
-        given = np.full(n, 0.0 if given is None else given)
-    return finite_vector(given, name, n)
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:

@@ -19,7 +19,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
+from ...core.checks import (
+    BoolVector,
+    FloatVector,
+    change_of_vector,
+    finite_vector,
+    rectangular_matrix,
+)
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
@@ -279,7 +285,8 @@ class Derivative(LinearizedSystem):
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> FloatVector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
-        return self._product(self._checked(dz, "dz")) + self._change(dM, dq)
+        dz = finite_vector(dz, "dz", self.problem.n)
+        return self._product(dz) + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
@@ -301,8 +308,8 @@ class Derivative(LinearizedSystem):
         UnsuitableProblem
             If the block of M on more than 500 free rows is singular.
         """
-        problem = self.problem
-        g, by_w = self._checked(g, "g"), self._optional(gw, "gw")
+        problem, n = self.problem, self.problem.n
+        g, by_w = finite_vector(g, "g", n), change_of_vector(gw, "gw", n)
         rows, free = self._rows, self.free
         # w stays 0 in free rows, and its part would cancel only up to rounding
         by_w = np.where(free, 0.0, by_w)
@@ -315,26 +322,16 @@ class Derivative(LinearizedSystem):
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""
-        h = self._optional(dq, "dq")
         n = self.problem.n
+        h = change_of_vector(dq, "dq", n)
         return h if dM is None else h + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
         """Return the change of the active or, for free rows, the nearer bound."""
-        is_lower = ~self._rows.is_upper
-        return np.where(
-            is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper")
-        )
-
-    def _optional(self, values: ArrayLike | None, name: str) -> FloatVector:
-        """Return a finite vector, zeros by default; a change of bounds may be a number."""
-        if values is None or (name in ("dlower", "dupper") and np.ndim(values) == 0):
-            values = np.full(self.problem.q.size, 0.0 if values is None else values)
-        return self._checked(values, name)
-
-    def _checked(self, values: ArrayLike, name: str) -> FloatVector:
-        """Return a finite vector."""
-        return finite_vector(values, name, self.problem.q.size)
+        n = self.problem.n
+        lower = change_of_vector(dlower, "dlower", n, may_be_number=True)
+        upper = change_of_vector(dupper, "dupper", n, may_be_number=True)
+        return np.where(self._rows.is_upper, upper, lower)
 
     def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
         M = self.problem.matrix.array

@@ -107,18 +107,6 @@ def like(values: FloatVector, z: Any) -> Any:
     )
 
 
-def total(values: Sequence[Fraction]) -> Fraction:
-    """Return the sum of fractions, with one common divisor looked for in all.
-
-    Examples
-    --------
-    >>> total([Fraction(1, 2), Fraction(1, 3)]), total([])
-    (Fraction(5, 6), Fraction(0, 1))
-    """
-    whole, denominator = common_denominator(values)
-    return Fraction(sum(whole), denominator)
-
-
 def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
     """Return the vector in fractions, shape (n,).
 

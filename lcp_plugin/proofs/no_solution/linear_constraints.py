@@ -27,7 +27,6 @@ from ..exact.rational import (
     integers,
     power_of_two,
     rounded_down,
-    total,
 )
 
 BoolVector = NDArray[np.bool_]
@@ -184,7 +183,7 @@ class FarkasCertificate:
     @cached_property
     def radius(self) -> float:
         """Bound of the |x_j| without bounds that the proof covers: ∞, or the value that leaves half the margin."""
-        left = total([abs(value) for value in self.left.values()])
+        left = sum(map(abs, self.left.values()))
         return rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
 
     @property

@@ -204,19 +204,33 @@ def _reduced(node: Any) -> Indices:
     return moved.reshape((math.prod(shape[one] for one in axes), -1), order="F")
 
 
-def _multiplied(compiler: Compiler, factors: list[Rows]) -> Rows:
-    """Return the product of all, in pairs of pairs."""
-    while len(factors) > 1:
-        pairs = [
-            compiler.emit(functions.PRODUCT, *factors[k : k + 2])
-            for k in range(0, len(factors) - 1, 2)
-        ]
-        factors = pairs + factors[2 * len(pairs) :]
-    return factors[0]
+def _folded(compiler: Compiler, function: Function, terms: Rows, size: int) -> Rows:
+    """Return a function of two arguments of all terms, in pairs of pairs.
+
+    `size` results are made at once: the terms at one position of all are consecutive.
+    """
+    left: list[Rows] = []
+    count = terms.size // max(size, 1)
+    while count > 1:
+        half = count // 2 * size
+        if count % 2:
+            left.append(terms.taken(np.arange(2 * half, terms.size)))
+        halves = np.arange(half), np.arange(half, 2 * half)
+        terms = compiler.emit(function, *(terms.taken(places) for places in halves))
+        count //= 2
+    for other in left:
+        terms = compiler.emit(function, terms, other)
+    return terms
 
 
-def _product_of_entries(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return _multiplied(compiler, [arguments[0].taken(places) for places in _reduced(node)])
+def _along_axis(function: Function) -> Rule:
+    """Return the rule of an atom that folds a function along its axis."""
+
+    def rule(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+        groups = _reduced(node)
+        return _folded(compiler, function, arguments[0].taken(groups.ravel()), groups.shape[1])
+
+    return rule
 
 
 def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
@@ -228,29 +242,8 @@ def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows
     kept = np.flatnonzero(np.broadcast_to(getattr(node, "_keep", True), (rows.size,)))
     kept = kept if kept.size == len(weights) else np.arange(rows.size)
     factors = [(rows.taken(kept[k : k + 1]), weight) for k, weight in enumerate(weights) if weight]
-    return _multiplied(
-        compiler, [compiler.emit(functions.power(weight), row) for row, weight in factors]
-    )
-
-
-def _log_sum_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    """Add the exponentials in pairs of pairs, each pair by its logarithms: no exponential overflows."""
-    groups = _reduced(node)
-    terms: Rows = arguments[0].taken(
-        groups.ravel()
-    )  # entries at one position of all groups are consecutive
-    left: list[Rows] = []
-    count, size = groups.shape
-    while count > 1:
-        half = count // 2 * size
-        if count % 2:
-            left.append(terms.taken(np.arange(2 * half, terms.size)))
-        halves = np.arange(half), np.arange(half, 2 * half)
-        terms = compiler.emit(functions.LOG_ADD_EXP, *(terms.taken(places) for places in halves))
-        count //= 2
-    for other in left:
-        terms = compiler.emit(functions.LOG_ADD_EXP, terms, other)
-    return terms
+    powers = [compiler.emit(functions.power(weight), row) for row, weight in factors]
+    return _folded(compiler, functions.PRODUCT, stacked(powers), 1)
 
 
 def _logistic(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
@@ -304,9 +297,9 @@ SMOOTH: dict[Any, Rule] = {
     cp.xexp: _x_exp,
     cp.rel_entr: _relative_entropy,
     cp.kl_div: _kl_divergence,
-    Prod: _product_of_entries,
+    Prod: _along_axis(functions.PRODUCT),
     GeoMean: _geometric_mean,
-    cp.log_sum_exp: _log_sum_exp,
+    cp.log_sum_exp: _along_axis(functions.LOG_ADD_EXP),  # no exponential overflows
     cp.quad_over_lin: _quad_over_lin,
     QuadForm: _quad_form,
 }

@@ -18,7 +18,7 @@ from ...core.lcp import LCP
 from ...core.problem_classes import refusal
 from ..exact.upward import quotient_above, sum_above
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality, distance_above
-from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
+from .solution_bounds import EigenvalueBound, Family, bound_of_error, bounds_of
 
 SMALL = 1000  # up to here every stage is cheap
 STEPS = 12  # each takes two digits off the bound, at the cost of a third of a linear solve
@@ -143,13 +143,14 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def _bound(
-    problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool
-) -> ErrorBound:
-    if not bool(np.all(np.isfinite(z))):
-        return _nothing_known(problem, family.method)
+def _bound(problem: LCP, z: FloatVector, family: Family, *, sharp: bool) -> ErrorBound:
+    method = "2-norm, λ_min" if isinstance(family, EigenvalueBound) else "v-certificate"
+    if not np.isfinite(z).all():
+        is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+        y = np.full(problem.n, np.inf)
+        return ErrorBound(y, np.inf, np.inf, method, problem.lower == problem.upper, is_free)
     at = RowInequality.at(problem, z)
-    found = BestBound(z, at, family.of_error(at), family.method)
+    found = BestBound(z, at, bound_of_error(at, family), method)
     if sharp:
         _sharpen(found, family)
     return found.result()
@@ -196,7 +197,7 @@ class BestBound:
         return ErrorBound(y, infinity, relative, self.method, is_active, inactive, residual, near)
 
 
-def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
+def _sharpen(found: BestBound, family: Family) -> None:
     """Go to points nearer to the solution as long as that lowers the bound."""
     problem = found.at.problem
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
@@ -205,7 +206,7 @@ def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
         following = steps.next_point(point)
         if following is None:
             return
-        point, y = following, family.of_error(following)
+        point, y = following, bound_of_error(following, family)
         y = np.minimum(y, point.image(y))
         before = float(found.near_y.max(initial=0.0))
         if not float(y.max(initial=0.0)) < 0.5 * before:
@@ -223,9 +224,3 @@ def relative_to(infinity: float, size: float) -> float:
     if infinity == 0.0:
         return 0.0
     return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
-
-
-def _nothing_known(problem: LCP, method: str) -> ErrorBound:
-    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-    unknown = np.full(problem.n, np.inf)
-    return ErrorBound(unknown, np.inf, np.inf, method, problem.lower == problem.upper, is_free)

@@ -12,8 +12,7 @@ less if r is smooth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -44,42 +43,23 @@ class EigenvalueBound(NamedTuple):
     scale: FloatVector
 
 
-@dataclass(frozen=True, eq=False)
-class HPlusBounds:
-    """Error bounds from ⟨M⟩v > 0, v > 0 and M with a positive diagonal."""
-
-    matrix: Matrix
-    certificate: HCertificate
-
-    method: ClassVar[str] = "v-certificate"
-
-    def of_error(self, at: RowInequality) -> FloatVector:
-        """Return a bound of |z − z*|, shape (n,); the least t v that is one."""
-        return product_above(at.inflation(self.certificate), self.certificate.v)
+#: What bounds errors: v with ⟨M⟩v > 0 of an M with a positive diagonal, or λ.
+Family = HCertificate | EigenvalueBound
 
 
-@dataclass(frozen=True, eq=False)
-class DefiniteBounds:
-    """Error bounds from λ ≤ the eigenvalues of C (M + Mᵀ)/2 C."""
-
-    eigenvalue: EigenvalueBound
-
-    method: ClassVar[str] = "2-norm, λ_min"
-
-    def of_error(self, at: RowInequality) -> FloatVector:
-        """Return a bound of |z − z*|, shape (n,)."""
-        y = two_norm_bound(at.problem, at, self.eigenvalue)
-        return np.minimum(y, at.image(y))
-
-
-def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
-    """Return the error bounds by this M; None if it is neither proven H₊ nor proven positive definite."""
+def bounds_of(matrix: Matrix) -> Family | None:
+    """Return what bounds errors by this M; None if it is neither proven H₊ nor proven positive definite."""
     is_positive = bool(np.all(matrix.diagonal > 0.0))
     found = comparison_certificate(matrix) if is_positive else None
-    if found is not None:
-        return HPlusBounds(matrix, found)
-    eigenvalue = smallest_eigenvalue_bound(matrix)
-    return None if eigenvalue is None else DefiniteBounds(eigenvalue)
+    return smallest_eigenvalue_bound(matrix) if found is None else found
+
+
+def bound_of_error(at: RowInequality, family: Family) -> FloatVector:
+    """Return a bound of |z − z*|, shape (n,): the least t v that is one, or by the 2-norm."""
+    if isinstance(family, HCertificate):
+        return product_above(at.inflation(family), family.v)
+    y = two_norm_bound(at.problem, at, family)
+    return np.minimum(y, at.image(y))
 
 
 @fact

@@ -177,8 +177,16 @@ class EquilibriumProgram:
 
     @cached_property
     def all_cases(self) -> Cases:
-        """The branches of each pair, shape (k,)."""
-        lower, upper = np.isfinite(self.lower), np.isfinite(self.upper)
+        """The branches of each pair, shape (k,); if a z + b w = 0, z = 0 is a part of w = 0."""
+        A = sp.csr_array(self.program.A)
+        start = A.indptr[:-1][(np.diff(A.indptr) == 2) & (self.program.b == 0.0)]
+        start = start[A.data[start] * A.data[start + 1] != 0.0]
+        tied = set(map(frozenset, zip(A.indices[start], A.indices[start + 1], strict=True)))
+        pairs = map(frozenset, zip(self.first, self.second, strict=True))
+        has_own = np.array([pair not in tied for pair in pairs], bool)
+        lower, upper = (
+            np.isfinite(end) & (has_own | (end != 0.0)) for end in (self.lower, self.upper)
+        )
         cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
         return cases
 

@@ -49,7 +49,7 @@ class StressCase:
     @cached_property
     def exact(self) -> ExactPoint | None:
         """z* in fractions, verified exactly; None if no solution exists."""
-        return None if self.near is None else exact_answer(self.problem, np.asarray(self.near))
+        return None if self.near is None else exact_answer(self.problem, [*self.near])
 
 
 def grid(

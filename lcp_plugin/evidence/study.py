@@ -476,8 +476,8 @@ def _measurements(
 def _row(
     blank: Measurement, method: Method, status: str, points: FloatVector = NO_POINTS, note: str = ""
 ) -> Measurement:
-    own = {"method": method.label, "family": method.family, "status": status}
-    return replace(blank, **own, points=points, note=note)
+    label, family = method.label, method.family
+    return replace(blank, method=label, family=family, status=status, points=points, note=note)
 
 
 def _line(error: BaseException) -> str:

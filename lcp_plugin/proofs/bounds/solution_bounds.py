@@ -43,19 +43,19 @@ class EigenvalueBound(NamedTuple):
     scale: FloatVector
 
 
-#: What bounds errors: v with ⟨M⟩v > 0 of an M with a positive diagonal, or λ.
+#: Proof behind an error bound: v with ⟨M⟩v > 0 of an M with a positive diagonal, or λ.
 Family = HCertificate | EigenvalueBound
 
 
 def bounds_of(matrix: Matrix) -> Family | None:
-    """Return what bounds errors by this M; None if it is neither proven H₊ nor proven positive definite."""
+    """Return the proof behind error bounds for this M; None if M is neither proven H₊ nor positive definite."""
     is_positive = bool(np.all(matrix.diagonal > 0.0))
     found = comparison_certificate(matrix) if is_positive else None
     return smallest_eigenvalue_bound(matrix) if found is None else found
 
 
 def bound_of_error(at: RowInequality, family: Family) -> FloatVector:
-    """Return a bound of |z − z*|, shape (n,): the least t v that is one, or by the 2-norm."""
+    """Return a bound of |z − z*|, shape (n,), by the least t v or by the 2-norm."""
     if isinstance(family, HCertificate):
         return product_above(at.inflation(family), family.v)
     y = two_norm_bound(at.problem, at, family)

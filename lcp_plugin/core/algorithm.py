@@ -15,7 +15,6 @@ from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from .lcp import LCP
 from .matrix.iteration_facts import IterationFacts
 from .matrix.row_sums import has_positive_diagonal
-from .tuning import SWEEP_ENTRIES
 
 #: The `backward` flag of each pass of one iteration.
 SWEEPS = {"forward": (False,), "backward": (True,), "symmetric": (False, True)}
@@ -206,7 +205,7 @@ def check_choice(algorithm: Algorithm, option: str, choices: Sequence[str | None
 def count_driven_sweeps(problem: LCP, passes: float) -> float:
     """Return the number of sweeps, with the calls around each, that take as long as `passes` compiled passes over M."""
     entries = problem.matrix.nonzeros
-    return passes * entries / (entries + SWEEP_ENTRIES)
+    return passes * entries / (entries + 10_000.0)
 
 
 def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:

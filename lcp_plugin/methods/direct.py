@@ -35,11 +35,9 @@ from ..core.matrix.structure import is_nearly_symmetric
 from ..core.solving.stage import Stage
 from ..core.splittings.projected_relaxation import PSOR
 from ..core.tuning import (
-    INTERIOR_STEPS,
     LINEAR_PROGRAM_UP_TO,
     PIVOTED_UP_TO,
     PIVOTS_FIRST_UP_TO,
-    SEMIDEFINITENESS_UP_TO,
 )
 from ..proofs.no_solution.infeasibility import contradictory_row
 from ..proofs.verdicts.report import is_negative
@@ -49,16 +47,6 @@ from .lemke import Lemke, has_components_that_fit
 from .lemke.games import is_game
 from .newton.semismooth_newton import Newton
 
-# Turns of lemke, in pivots by n, and of newton, in steps.
-FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
-FULL_SHARE = 0.25  # of n² entries: the factorization of such an M is dense in any storage
-PIVOTS = 2.0
-PIVOTS_BEFORE_PIQP_UP_TO = (
-    2000  # rows: of frictional contact a path takes .1 (600 rows) to .4 (1 800) of PIQP's time
-)
-LARGE_FACTOR = (
-    1e8  # operations; factorizing the program with M in its rows takes 4 to 11 times as many
-)
 AGAIN = "the other methods found no solution"
 GAME_PIVOTS = (
     20.0  # times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
@@ -128,7 +116,7 @@ def factor_passes(problem: LCP) -> float:
 
     An operation of a factorization counts as an entry of a sweep: it takes .15 (cubes) to 2.5 times as long (strips).
     """
-    return INTERIOR_STEPS * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
+    return 20 * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
 
 
 def _exceeds_pivots(stage: Stage, problem: LCP, most: float) -> bool:
@@ -137,8 +125,8 @@ def _exceeds_pivots(stage: Stage, problem: LCP, most: float) -> bool:
 
 
 def _exceeds_steps(stage: Stage, goal: float) -> bool:
-    """Return whether newton has made as many factorizations as interior_point needs, and needs as many more."""
-    return stage.iterations >= INTERIOR_STEPS and stage.steps_to_go(goal) > INTERIOR_STEPS
+    """Return whether newton has made 20 factorizations, as interior_point needs, and needs as many more."""
+    return stage.iterations >= 20 and stage.steps_to_go(goal) > 20
 
 
 def _order(
@@ -147,25 +135,29 @@ def _order(
     """Return the methods by priority, with their budgets."""
     is_positive = bool(has_positive_diagonal(problem.matrix).all())
     is_symmetric = is_nearly_symmetric(problem.matrix)
-    is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
+    # The factorization of such an M is dense in any storage.
+    is_full = problem.is_dense or problem.nonzeros > 0.25 * problem.n**2
     steps = partial(_exceeds_steps, goal=goal)
-    pivots = partial(_exceeds_pivots, problem=problem, most=PIVOTS if is_positive else GAME_PIVOTS)
+    pivots = partial(_exceeds_pivots, problem=problem, most=2.0 if is_positive else GAME_PIVOTS)
     if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
         lemke.is_over = pivots
     if _seems_monotone(problem):
         if is_full and not is_positive:
-            few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
+            # A tenth of the work of an interior point on a dense M; a portfolio takes n/25 pivots.
+            few = Lemke(max_pivots=10 + problem.n // 8, restarts=0)
             first = Stage(few, "some pivots, before a factorization of a dense M")
             return [first, interior, check, newton, lemke]
         if is_full and not is_symmetric:
             lemke.is_over = pivots
             return [lemke, interior, check, newton]
-        if is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > LARGE_FACTOR:
+        # Factorizing the program with M in its rows takes 4 to 11 times as many operations.
+        if is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > 1e8:
             newton.is_over = steps
             return [newton, interior, check, lemke]
         return [interior, check, newton, lemke]
     newton.is_over = steps
-    up_to = PIVOTS_FIRST_UP_TO if is_positive else PIVOTS_BEFORE_PIQP_UP_TO
+    # On frictional contact a path takes .1 (600 rows) to .4 (1 800 rows) of PIQP's time.
+    up_to = PIVOTS_FIRST_UP_TO if is_positive else 2000
     if problem.is_dense or problem.n <= up_to:
         lemke.is_over = pivots
         return [newton, lemke, interior, check] if is_positive else [lemke, interior, check, newton]
@@ -218,6 +210,6 @@ def _seems_monotone(problem: LCP) -> bool:
         return False
     # The multipliers of a quadratic program have empty rows and columns there.
     rows = np.flatnonzero((twice != 0.0).sum(axis=1))  # the magnitudes may overflow
-    if rows.size > SEMIDEFINITENESS_UP_TO:
+    if rows.size > 20_000:  # a factorization for this question alone takes too long
         return False
     return not rows.size or is_semidefinite_to_rounding(twice[rows][:, rows]) is True

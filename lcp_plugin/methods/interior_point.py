@@ -26,9 +26,7 @@ from .newton.active_set import classify, is_near, signature, solve_active_set
 
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 CASES = 5  # that follow from a point of an engine; from a start, one
-FACTORS = 20  # that PIQP makes, about
 STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
-SHARP = {"eps_abs": 1e-13, "eps_rel": 1e-13}  # of a second run: M is singular on many active sets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +83,10 @@ class InteriorPoint(Algorithm):
                 SPARSE_OPERATIONS,
             )
         program = MonotoneProgram.of(problem)
-        for options in ({}, SHARP):
-            require_seconds(FACTORS * operations / speed)
+        # A second run is sharper: M is singular on many active sets.
+        for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
+            # PIQP makes about 20 factorizations.
+            require_seconds(20 * operations / speed)
             z, steps = program.answer(PIQP(max_iter=STEPS, **options))
             if not np.isfinite(z).all():
                 return

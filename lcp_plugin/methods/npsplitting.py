@@ -20,8 +20,6 @@ from ..core.matrix.row_sums import balanced_factors, triangle_sums, unit_triangl
 from ..core.splittings.projected_type import ScaledByRows
 from ..systems.factors import sparse_lu
 
-NAMED_SPLITTINGS = ("diagonal", "tridiagonal", "lower")
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NPSplitting(ScaledByRows):
@@ -50,7 +48,7 @@ class NPSplitting(ScaledByRows):
 
     def __post_init__(self) -> None:
         if isinstance(self.splitting, str):
-            check_choice(self, "splitting", NAMED_SPLITTINGS)
+            check_choice(self, "splitting", ("diagonal", "tridiagonal", "lower"))
         super().__post_init__()
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 
 Solver = Callable[[FloatVector], FloatVector]
 
-DENSE_UP_TO = 300  # rows; a dense LU of these is faster than a sparse one
-DIRECT_LIMIT = 5_000  # below, a sparse LU is as fast as a hierarchy
-KRYLOV_STEPS = 60
-
 
 def comparison_of(M: Any) -> sp.csr_array:
     """Return ⟨M⟩ for a CSR array, or for rows of an array whose first columns belong to these rows."""
@@ -76,7 +72,8 @@ class ComparisonMatrix:
         """Rhs ↦ matrix⁻¹ rhs by a factorization; None if the matrix is singular or too large."""
         if not factor_fits(self.matrix):
             return None
-        is_small = self.matrix.shape[0] <= DENSE_UP_TO
+        # A dense LU of so few rows is faster than a sparse one.
+        is_small = self.matrix.shape[0] <= 300
         factor = dense_lu(self.matrix.toarray()) if is_small else diagonal_pivot_factor(self.matrix)
         return None if factor is None else factor.solve
 
@@ -86,7 +83,8 @@ class ComparisonMatrix:
         The matrix is then singular, or too large for a factorization if multigrid fails. `tolerance` bounds
         ‖residual‖₂/‖rhs‖₂ if the solution is iterative.
         """
-        if rhs.size > DIRECT_LIMIT and not self._multigrid_failed:
+        # Below, a sparse LU is as fast as a hierarchy.
+        if rhs.size > 5_000 and not self._multigrid_failed:
             x = self.iterated(rhs, tolerance)
             if x is not None:
                 return x
@@ -100,7 +98,7 @@ class ComparisonMatrix:
 
         correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
         goal = tolerance * np.linalg.norm(correction.residual)
-        for _ in range(KRYLOV_STEPS):
+        for _ in range(60):
             if not np.linalg.norm(correction.residual) > goal or not correction.step():
                 break
         if not np.linalg.norm(correction.residual) <= goal:
@@ -116,12 +114,6 @@ class ComparisonMatrix:
 
 def _finite(x: FloatVector) -> FloatVector | None:
     return x if np.isfinite(x).all() else None
-
-
-POWER_STEPS = 30
-NODA_STEPS = 40
-ENOUGH = 1e-9  # relative width of a sufficient enclosure
-FACTOR_LIMIT = 2_000
 
 
 def nonnegative_radius(matrix: Any) -> tuple[float, float]:
@@ -161,10 +153,11 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     blocks = _IrreducibleBlocks(B, labels)
     x = blocks.power_steps(np.ones(n))
     best = blocks.bounds(x)
-    for better in blocks.noda_steps(x) if n <= FACTOR_LIMIT and factor_fits(B) else ():
+    for better in blocks.noda_steps(x) if n <= 2_000 and factor_fits(B) else ():
         now = blocks.bounds(better)
         best = max(best[0], now[0]), min(best[1], now[1])
-        if best[1] - best[0] <= ENOUGH * best[1]:
+        # The enclosure is narrow enough.
+        if best[1] - best[0] <= 1e-9 * best[1]:
             break
     return best
 
@@ -181,7 +174,7 @@ class _IrreducibleBlocks:
     def power_steps(self, x: FloatVector) -> FloatVector:
         """Return x after some steps of B plus a shift, which keeps bipartite graphs from swinging."""
         with np.errstate(all="ignore"):
-            for _ in range(POWER_STEPS):
+            for _ in range(30):
                 product = self.B @ x
                 shift = 0.5 * float(np.max(product / x))
                 new = product + shift * x
@@ -193,7 +186,7 @@ class _IrreducibleBlocks:
 
     def noda_steps(self, x: FloatVector) -> Iterator[FloatVector]:
         """Yield x after each step of Noda's iteration, all blocks at once, until a shifted matrix is singular."""
-        for _ in range(NODA_STEPS):
+        for _ in range(40):
             with np.errstate(all="ignore"):
                 ratio = (self.B @ x) / x
                 largest = np.maximum.reduceat(ratio[self.order], self.starts) * (1.0 + 1e-12)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix.structure import row_numbers
-from ..core.tuning import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
+from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
 FloatArray = NDArray[np.float64]
@@ -100,8 +100,9 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
             return False
         if (np.bincount(row_numbers(P), sizes, diagonal.size) - diagonal <= diagonal).all():
             return True  # no row is less than the sum of its other entries (Gershgorin)
-        is_full = filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > FULL_CHOLESKY_FROM * filled.size**2
-        if filled.size <= CHOLESKY_UP_TO or is_full:
+        # A dense factor is quicker if P is small, or full in no order that a sparse factor could use.
+        is_full = filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > 0.02 * filled.size**2
+        if filled.size <= 150 or is_full:
             P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
             diagonal = diagonal[filled]
     # Relative to √(p_ii p_jj), Cholesky's backward error is as small as for the scaled matrix (Demmel).

@@ -15,7 +15,6 @@ from ..core.matrix.structure import row_numbers
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
-LARGEST_EXPONENT = 1000.0
 
 
 def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
@@ -55,7 +54,7 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
         return None
     if is_symmetric:
         return unit_diagonal(pivots)
-    column = equilibrating_exponents(M, EQUILIBRATING_PASSES, LARGEST_EXPONENT).column
+    column = equilibrating_exponents(M, EQUILIBRATING_PASSES, 1000.0).column
     return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
 
 

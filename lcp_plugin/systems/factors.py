@@ -24,18 +24,12 @@ from ..core.matrix.structure import row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
 
-DENSE_UP_TO = 64  # a sparse block this small is factorised as a dense one
 DENSE_ABOVE_DENSITY = 0.25
-LARGEST_DENSE = 3000
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
-SYMMETRIC_SHARE = (
-    0.8  # of the entries that have one across the diagonal, from which on A is ordered as A + Aᵀ
-)
 SYMMETRIC_PIVOT = (
     0.01  # SuperLU keeps the diagonal pivot if it is at least this share of the column's largest
 )
 
-ALWAYS = 1_000  # rows; up to here any fill is cheap
 LARGEST_FILL = 2e8  # entries
 
 IN_ONE_ORDER = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
@@ -97,8 +91,9 @@ def factorise(
     if not sp.issparse(matrix):
         return _dense(matrix, is_symmetric)
     n = matrix.shape[0]
-    is_dense = matrix.nnz > DENSE_ABOVE_DENSITY * n * n and n <= LARGEST_DENSE
-    if n <= DENSE_UP_TO or is_dense:
+    is_dense = matrix.nnz > DENSE_ABOVE_DENSITY * n * n and n <= 3000
+    # A sparse block this small is factorized as a dense one.
+    if n <= 64 or is_dense:
         return _dense(matrix.toarray(), is_symmetric)
     if bandwidth is not None and sum(bandwidth) <= BANDED_UP_TO:
         return _banded_lu(matrix, *bandwidth)
@@ -215,7 +210,8 @@ def _suits_one_order(matrix: sp.csr_array) -> bool:
     if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
         return False
     pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
-    return bool(pattern.multiply(pattern.T).nnz >= SYMMETRIC_SHARE * matrix.nnz)
+    # If most entries have one across the diagonal, A is ordered as A + Aᵀ.
+    return bool(pattern.multiply(pattern.T).nnz >= 0.8 * matrix.nnz)
 
 
 def sparse_lu(matrix: Any, **options: Any) -> Any:
@@ -296,8 +292,9 @@ def factor_fits(matrix: Any) -> bool:
     """Return whether a factorization of a CSR or CSC array ends in reasonable time, by the counts of its columns."""
     from .minimum_degree import factor_sizes  # numba, which many a question does without
 
+    # On few rows any fill is cheap.
     return (
-        matrix.shape[0] <= ALWAYS
+        matrix.shape[0] <= 1_000
         or factor_sizes(matrix, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)[0] < np.inf
     )
 

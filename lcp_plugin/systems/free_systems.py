@@ -21,19 +21,15 @@ from .least_norm import pseudo_inverses
 
 REFINEMENTS = 3
 RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
-RIDGE_STEPS = 12
 CONSISTENT = 1e-10  # backward error below which a singular system counts as solved
 LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
-KRYLOV_STEPS = 60
 CONVERGED = (
     1e-9  # relative residual; a larger one means no convergence, unless it is at rounding level
 )
-ROUNDING = 2.0**-44  # of the terms of a row
 SINGULAR = (
     1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
 )
-BADLY_SCALED = 1e4  # residual scales that differ by more are equilibrated before a factorization
 
 
 class FreeSystem:
@@ -125,7 +121,7 @@ class FreeSystem:
             return self._extended(self._solved(self._factor, right, steps, scale=self._scale))
         attempts = []
         if self._ridge is not None:
-            attempts.append(self._refined(self._ridge, start, right, RIDGE_STEPS, self._scale))
+            attempts.append(self._refined(self._ridge, start, right, 12, self._scale))
             if (
                 self._backward_error(right - self.block @ attempts[0], attempts[0], right)
                 <= CONSISTENT
@@ -233,7 +229,8 @@ class FreeSystem:
 
     @property
     def _is_badly_scaled(self) -> bool:
-        return bool(self._scale.size and self._scale.max() > BADLY_SCALED * self._scale.min())
+        # Residual scales that differ by more are equilibrated before a factorization.
+        return bool(self._scale.size and self._scale.max() > 1e4 * self._scale.min())
 
     @property
     def _dense_block(self) -> Any:
@@ -406,11 +403,7 @@ class FreeSystem:
         for _ in range(REFINEMENTS):
             correction = KrylovCorrection(self._truncation, left.copy(), is_symmetric)
             steps, enough = 0, goal * begun / correction.unit
-            while (
-                size(correction.residual * unit) > enough
-                and steps < KRYLOV_STEPS
-                and correction.step()
-            ):
+            while size(correction.residual * unit) > enough and steps < 60 and correction.step():
                 steps += 1
             better = np.empty(right.size)
             correction.apply_to(x, better)
@@ -422,7 +415,8 @@ class FreeSystem:
             if size(left * unit) <= 10.0 * goal * begun:
                 return x
         terms = np.where(self.free, np.abs(right) + abs(matrix.array) @ np.abs(x), 0.0)
-        allowed = max(CONVERGED * begun, size(ROUNDING * terms * unit))
+        # 2⁻⁴⁴ of the terms of a row is rounding.
+        allowed = max(CONVERGED * begun, size(2.0**-44 * terms * unit))
         return x if size(left * unit) <= allowed else None
 
 

@@ -9,9 +9,6 @@ import numpy as np
 
 from ..core.checks import BoolVector
 
-SINGULAR = 2.0**-43  # of the largest singular value: rounding error of a zero singular value
-SPREAD, ROW_RATIO = 2.0**10, 2.0**4  # largest ratios of rows and columns, and in a row, in one unit
-HALF = 2.0**26  # size of terms relative to their sum, 1: half of the digits of a double cancel
 ALIKE, ENTRIES = (
     8,
     2**16,
@@ -28,7 +25,8 @@ def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
     ([[[0.125, 0.125], [0.125, 0.125]], [[0.25, 0.0], [0.0, 1.0]]], array([ True, False]))
     """
     left, sizes, right = np.linalg.svd(blocks)
-    is_kept = sizes > SINGULAR * sizes[:, :1]
+    # 2⁻⁴³ of the largest singular value is the rounding error of a zero singular value.
+    is_kept = sizes > 2.0**-43 * sizes[:, :1]
     reciprocal = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=is_kept)
     right, left = np.swapaxes(right, 1, 2), np.swapaxes(left, 1, 2)
     return (right * reciprocal[:, np.newaxis]) @ left, np.any(~is_kept, axis=1)
@@ -92,7 +90,8 @@ class FreeBlocks:
             with np.errstate(all="ignore"):
                 inverses = solved(blocks, np.broadcast_to(np.eye(count), blocks.shape))
                 terms = np.abs(blocks * inverses.swapaxes(1, 2)).sum(axis=2)
-            self.is_regular[items] = is_regular = (terms <= HALF).all(axis=1)
+            # At 2²⁶ half of the digits of a double cancel in the sum.
+            self.is_regular[items] = is_regular = (terms <= 2.0**26).all(axis=1)
             rest = np.flatnonzero(~is_regular)
             if rest.size:
                 inverses[rest], is_singular = _least(blocks[rest], own[rest])
@@ -132,6 +131,7 @@ def have_one_unit(blocks: Any) -> Any:
     """Return the mask of blocks whose diagonal, or the largest entries of all rows and columns, differ little."""
     sizes = np.abs(blocks)
     rows, sides = sizes.max(2), np.concatenate([sizes.max(2), sizes.max(1)], 1)
-    is_diagonal_large = rows <= ROW_RATIO * np.abs(np.diagonal(blocks, axis1=1, axis2=2))
+    is_diagonal_large = rows <= 2.0**4 * np.abs(np.diagonal(blocks, axis1=1, axis2=2))
     smallest = sides.min(1, initial=np.inf, where=sides > 0.0)
-    return is_diagonal_large.all(1) | (sides.max(1) <= SPREAD * smallest)
+    # Such rows and columns are in one unit.
+    return is_diagonal_large.all(1) | (sides.max(1) <= 2.0**10 * smallest)

@@ -21,14 +21,6 @@ import scipy.sparse as sp
 
 from ..core.kernels.compilation import helper, kernel
 
-# Rows with more entries than so many √n come last, for example a constraint that couples all unknowns. The second
-# number applies if counting takes too long with the first.
-FULL = (10.0, 1.0)
-TOUCHED, TOUCHED_AT_LEAST = (
-    6,
-    10_000_000,
-)  # of lists relative to their entries: grids take 2 to 10; the count ends at this limit
-
 
 def factor_sizes(
     matrix: Any, most_entries: float = np.inf, most_operations: float = np.inf
@@ -55,8 +47,11 @@ def factor_sizes(
     pattern = sp.csr_array(pattern + pattern.T)
     pattern.setdiag(0)
     pattern.eliminate_zeros()
-    most_touched, lengths = TOUCHED * pattern.nnz + TOUCHED_AT_LEAST, np.diff(pattern.indptr)
-    for full in FULL:
+    # Grids touch 2 to 10 times the entries; the count ends at this limit.
+    most_touched, lengths = 6 * pattern.nnz + 10_000_000, np.diff(pattern.indptr)
+    # Rows with more entries than `full` √n come last, for example a constraint that couples all unknowns. The second
+    # number applies if counting takes too long with the first.
+    for full in (10.0, 1.0):
         is_full = lengths > full * np.sqrt(n)
         others, last = np.flatnonzero(~is_full), int(np.count_nonzero(is_full))
         left = sp.csr_array(pattern[others][:, others]) if last else pattern

@@ -14,8 +14,6 @@ from .structure import row_numbers
 
 BLOCK = 16_384  # rows whose temporary vectors stay in a processor's cache
 
-# Automatic row scaling of NP.
-COUPLED = 0.9  # g θ ℓ stays this far below 1
 ROUNDED = 1e-13  # rows whose entries were rounded miss d_i = Σ|m_ij| by this share
 
 
@@ -117,7 +115,8 @@ def balanced_factors(
             break
         with np.errstate(divide="ignore", over="ignore"):
             quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
-            np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
+            # g θ ℓ stays below 1.
+            np.minimum(quick, 0.9 / (coupling * updated[rows]), out=factors[rows])
     if not is_dominant:
         factors.fill(1.0)
     factors.flags.writeable = False

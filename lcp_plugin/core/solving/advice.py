@@ -10,7 +10,6 @@ from ..settings import Settings, Status
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
-TRIED = "auto has tried all methods that suit this matrix"
 NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 
 
@@ -35,7 +34,8 @@ def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status,
         said[status] += ", or continue from z0=result.z"
         if other:
             said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
-    end = f"next: try {other}" if other else f"{TRIED}; next: try another start z0"
+    tried = "auto has tried all methods that suit this matrix; next: try another start z0"
+    end = f"next: try {other}" if other else tried
     if (negative := (problem.diagonal < 0.0)).any():
         end = f"M is not monotone (m_ii < 0 for i = {int(negative.argmax())}); {end}"
     for status in WITHOUT_END:

@@ -12,8 +12,6 @@ from ..matrix.matrix import Matrix
 from .result import Result, Sample
 from .stage import Stage
 
-GROWTH = 1.5  # of a stage's iterations from one line to the next
-
 Header = Callable[
     [Matrix], tuple[str, str]
 ]  # the classes of M, and a remark on it, '' where there is none
@@ -51,7 +49,7 @@ class RunLog:
 
     def step(self, stage: Stage, sample: Sample) -> None:
         """Print the line of an iteration."""
-        self._next = max(stage.iterations + 1, math.ceil(stage.iterations * GROWTH))
+        self._next = max(stage.iterations + 1, math.ceil(stage.iterations * 1.5))
         residual = math.nan if sample.residual is None else sample.residual
         say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}")
 

@@ -32,9 +32,6 @@ from ..matrix.row_sums import (
 )
 from . import Splitting
 
-SCALINGS = ("auto", "diagonal", None)
-REFERENCE = "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
-
 
 @dataclass(frozen=True, kw_only=True)
 class ScaledByRows(Algorithm):
@@ -43,10 +40,12 @@ class ScaledByRows(Algorithm):
     scaling: str | None = "auto"
     scaling_factor: float = 1.0
 
-    reference: ClassVar[str] = REFERENCE
+    reference: ClassVar[str] = (
+        "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
+    )
 
     def __post_init__(self) -> None:
-        check_choice(self, "scaling", SCALINGS)
+        check_choice(self, "scaling", ("auto", "diagonal", None))
         check_positive(self, "scaling_factor")
         if self.scaling != "diagonal" and self.scaling_factor != 1.0:
             raise InvalidOption(

@@ -17,11 +17,10 @@ from ...core.checks import FloatVector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...core.tuning import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
+from ...core.tuning import BANDED_PASSES
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
 
-DIRECT_COST = 3.0  # passes over a tridiagonal M: the contacts, the other rows, the residual
 TURNS = 30  # direct rounds in which the sides take turns
 TRIES = 10  # rounds without fewer wrong rows or fewer rows at bounds
 
@@ -100,12 +99,13 @@ def banded_passes(matrix: Matrix) -> float:
         return math.inf
     M, middle = matrix.csr, matrix.n // 2
     columns = M.indices[M.indptr[middle] : M.indptr[middle + 1]] if matrix.n else np.zeros(0)
-    if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > BANDED_PASSES:
+    if abs(columns - middle).max(initial=0) * 5.0 > BANDED_PASSES:
         return math.inf  # one row rules out most matrices without a scan of all rows
     below, above = bandwidth(matrix) or (0, 0)
-    rounds, cost = BANDED_ROUNDS, below + 2.0
+    rounds, cost = 5.0, below + 2.0  # on random bands
     if max(below, above) <= 1 and (band := bands(matrix)) is not None and band.is_tridiagonal_z:
-        rounds, cost = BOXED_ROUNDS, DIRECT_COST
+        # Passes over a tridiagonal M: the rows at bounds, the other rows, the residual.
+        rounds, cost = 3.0, 3.0
     return rounds * cost * (below + above + 1.0) * matrix.n / max(matrix.nonzeros, 1)
 
 

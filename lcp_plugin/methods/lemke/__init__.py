@@ -22,12 +22,7 @@ from ...systems.graph import block_rows
 from ..newton.active_set import classify, is_near, solve_active_set
 from .canonical_box import CanonicalBox, canonical_box
 
-PIVOTS_A_ROUND = (10, 100)  # times n + 10
-ARBITRARY_STARTS = (10, 600)  # at least and at most
-START_SIZES = 20_000  # n times the number of arbitrary starts, between those
-WORK_A_BLOCK = 5e7  # entries touched between two steps, about
 CAREFUL_BLOCK = 5
-CERTIFIED = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,9 +144,10 @@ class Lemke(Algorithm):
             return
         restarts = self.restarts
         if restarts is None:
-            restarts = int(np.clip(START_SIZES // path.n, *ARBITRARY_STARTS))
+            restarts = int(np.clip(20_000 // path.n, 10, 600))
         waiting: Any = starts(path, restarts)
-        rounds = PIVOTS_A_ROUND if self.max_pivots is None else (0,)
+        # Pivots of a round, times n + 10.
+        rounds = (10, 100) if self.max_pivots is None else (0,)
         for multiple in rounds:
             limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
             cut_off = []
@@ -173,8 +169,9 @@ class Lemke(Algorithm):
         from .tableau import GOING_ON, LOST, RAY, SOLVED
 
         usual = path.fresh_for
+        # About so many entries are touched between two steps.
         for block in (
-            min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 32, 200))),
+            min(usual, int(np.clip(5e7 / max(path.n, 1) ** 2, 32, 200))),
             CAREFUL_BLOCK,
         ):
             path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
@@ -240,6 +237,6 @@ def has_components_that_fit(problem: LCP) -> bool:
 
 def _is_good(problem: LCP, z: FloatVector) -> bool:
     certificate = Certificate.of(problem, z)
-    return certificate.relative_residual <= CERTIFIED or (
+    return certificate.relative_residual <= 1e-10 or (
         certificate.relative_residual <= 1e-4 and certificate.is_at_rounding_level
     )

@@ -14,10 +14,6 @@ from ...systems.equilibration import power_of_two
 FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]
 
-WELL_CONDITIONED = 1e8
-ALIKE, EQUILIBRATIONS = 10, 8  # log2 of the sizes of columns that stay; passes over M at most
-LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
-
 
 @dataclass(frozen=True, eq=False)
 class CanonicalBox:
@@ -82,7 +78,8 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)
     base = np.where(is_free, 0.0, np.where(sign > 0.0, problem.lower, problem.upper))
-    row_scale = np.minimum(row_scale, LARGEST_OFFSET - np.frexp(problem.q)[1])
+    # The scale of a row may take its q to the exponent 1000.
+    row_scale = np.minimum(row_scale, 1000 - np.frexp(problem.q)[1])
     M, column_scale, more = _equilibrated(np.ldexp(M, row_scale[:, None]))
     row_scale = row_scale + more
     is_void = (problem.q == 0.0) & ~M.any(axis=1)
@@ -102,9 +99,10 @@ def canonical_box(problem: LCP) -> CanonicalBox:
 def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, IndexVector, IndexVector]:
     """Return M with columns and rows of size 1 and the exponents of both, which are 0 if the units are alike."""
     column, row = np.zeros((2, len(M)), np.intp)
-    for _ in range(EQUILIBRATIONS):
+    for _ in range(8):
         change = -np.frexp(np.abs(M).max(axis=0, initial=0.0))[1]
-        if np.abs(change).max(initial=0) <= ALIKE:
+        # Columns whose sizes differ by less stay.
+        if np.abs(change).max(initial=0) <= 10:
             break
         M, column = np.ldexp(M, change), column + change
         change = 1 - np.frexp(np.abs(M).max(axis=1, initial=0.0))[1]
@@ -154,7 +152,7 @@ def _solved(
     except np.linalg.LinAlgError:
         return None
     condition = np.linalg.norm(inverse, 1) * np.linalg.norm(M[np.ix_(free, free)], 1)
-    if not condition < WELL_CONDITIONED:
+    if not condition < 1e8:
         return None
     right = np.column_stack([M[np.ix_(free, stays)], q[free]])
     return np.asarray(np.linalg.solve(M[np.ix_(free, free)], -right), dtype=np.float64)

@@ -39,7 +39,6 @@ from .tableau import (
 
 FloatMatrix = NDArray[np.float64]
 
-FRESH_FOR = 25  # pivots (or n, if larger) until the tableau is computed again, at about that cost
 ACCURATE = 1e-12
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
@@ -74,7 +73,8 @@ class LemkePath:
         )
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
         self.entries = self._reported = 0.0  # touched so far, and at the last report
-        self.fresh_for = max(FRESH_FOR, n)
+        # Pivots until the tableau is computed again, at about that cost.
+        self.fresh_for = max(25, n)
         self.pivots = self.age = 0
         self.basis[:] = n + np.arange(n)
 

@@ -22,10 +22,6 @@ AT_LOWER, BETWEEN, AT_UPPER, FIXED, NOT_STARTED = 0, 1, 2, 3, 4
 HELD = 8  # pivots whose products are added to a large tableau at once
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 TIE = 1e-12
-DOUBTFUL = (
-    1e-9  # of the largest entry in its column: a pivot so small is taken in a new tableau only
-)
-ADDED_AT_ONCE_UP_TO = 64  # rows: such a tableau stays in the cache
 OWN_BOUND, NOTHING = -1, -2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
@@ -51,7 +47,8 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
     is_fresh : bool
         True if the tableau has just been computed: a first pivot of any size is then accepted.
     """
-    size, most = 0.0, HELD if n > ADDED_AT_ONCE_UP_TO else 1
+    # A tableau of 64 rows stays in the cache.
+    size, most = 0.0, HELD if n > 64 else 1
     factors, rows = matrix[n : n + HELD], matrix[n + HELD : n + 2 * HELD]
     for i in range(n):
         size = max(size, abs(real[KEPT, i]))
@@ -72,11 +69,8 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
             _bring_up_to_date(matrix, n, factors, rows, held, whole[CANDIDATE, c])
         if count > 1:
             row = _first_in_order(whole, matrix, n, column, direction, count)
-        if (
-            row >= 0
-            and not (is_fresh and made == 0)
-            and abs(matrix[row, column]) < DOUBTFUL * largest
-        ):
+        # A pivot so small is taken in a new tableau only.
+        if row >= 0 and not (is_fresh and made == 0) and abs(matrix[row, column]) < 1e-9 * largest:
             outcome = LOST
             break
         left, driven, value, direction = _move(

@@ -21,27 +21,10 @@ from .multigrid_safeguard import GAINED, SETTLED, Advance, GridProblem, Safeguar
 if TYPE_CHECKING:
     from . import Multigrid
 
-COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
-COARSE_CHANGES = (
-    5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
-)
 COARSEST_SWEEPS = 50
-SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 LONG_CONJUGATE = 24  # if M is symmetric: conjugate gradients keep no directions
-KRYLOV_GAIN = 1e-2
 MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
-MOST_IDLE = 2  # such rounds without fewer changes: the free set moves slowly, or repeats
 ROUND_GAIN = 0.1
-JUMPS, ROUND_GAIN_AT_JUMPS = (
-    1e6,
-    1e-5,
-)  # of couplings: w of what is not quite solved has wrong signs
-TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, if such rounds have failed
-FALL_BACK_SWEEPS = 20
-NOTEWORTHY_CUT = (
-    1e-4  # share of unknowns clipped to a bound, above which the change of the energy is tested
-)
-HALVINGS = 4
 
 
 class MultigridRun:
@@ -60,8 +43,9 @@ class MultigridRun:
         self.tells_residual = np.array_equal(problem.residual_scale, problem.diagonal)
         self.truncation = Truncation(hierarchy)
         self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.has_jumps else 1
-        jumps = hierarchy.has_jumps and finest.spread > JUMPS
-        self.gain = ROUND_GAIN_AT_JUMPS if jumps else ROUND_GAIN
+        # If couplings jump so far, w of a row that is not quite solved has wrong signs.
+        jumps = hierarchy.has_jumps and finest.spread > 1e6
+        self.gain = 1e-5 if jumps else ROUND_GAIN
         self.has_tried_rounds = not self.is_symmetric
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
         self.size = finest.n
@@ -141,15 +125,16 @@ class MultigridRun:
     def _cycle_on(self, k: int, z: FloatVector) -> None:
         fine = self.problems[k]
         self.truncation.start_at(k)
-        few = COARSE_CHANGES * fine.q.size
-        for cycle in range(1, MOST_COARSE_CYCLES + 1):
+        # Unknowns that may still change sides when the finer grid takes over.
+        few = 5e-4 * fine.q.size
+        for cycle in range(1, 11):
             fine.sweep(z, backward=False)
             _, changed = self._look(k, z)
             self._correct(k, z)
             fine.sweep(z, backward=True)
             self.work += 2.0 * fine.entries
             if (
-                cycle >= COARSE_CYCLES and changed <= few
+                cycle >= 2 and changed <= few
             ):  # stop: few rows remain, and the finer grid moves them
                 break
 
@@ -198,7 +183,7 @@ class MultigridRun:
             self._look(0, z)
             yield from self._krylov(z, is_settled=False)
             return True
-        self.gain = max(TIGHTER * self.gain, LEAST_GAIN)
+        self.gain = max(1e-2 * self.gain, 1e-9)
         yield from self._fall_back(z)
         return guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
 
@@ -237,7 +222,8 @@ class MultigridRun:
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return
-        if cut > NOTEWORTHY_CUT * self.size:
+        # Few unknowns clipped to a bound change the energy little.
+        if cut > 1e-4 * self.size:
             self._shorten(before, z)
         self.truncation.spare.append(before)
 
@@ -254,7 +240,7 @@ class MultigridRun:
         curvature = dot(step, product)
         self.work += self.entries
         size = 1.0
-        for _ in range(HALVINGS):
+        for _ in range(4):
             if size * slope + 0.5 * size * size * curvature <= 0.0:
                 break
             size *= 0.5
@@ -271,9 +257,10 @@ class MultigridRun:
         sets). A single V-cycle cannot replace this method if few contacts carry much load.
         """
         fine, origin = self.problems[0], self.truncation.vector()
+        # Conjugate gradients (M symmetric) keep no directions.
         most, gain = (
-            (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV,
-            KRYLOV_GAIN,
+            (LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2,
+            1e-2,
         )
         if self.rounds > 1:
             most, gain = LONG_CONJUGATE, self.gain
@@ -298,7 +285,8 @@ class MultigridRun:
                 break
             largest, changed = self._look(0, z)
             fewest, idle = (changed, 0) if changed < fewest else (fewest, idle + 1)
-            if idle > MOST_IDLE:
+            # The free set moves slowly, or repeats.
+            if idle > 2:
                 self.rounds = 1
             if self.rounds == 1 or not changed:
                 break
@@ -319,7 +307,7 @@ class MultigridRun:
 
     def _fall_back(self, z: FloatVector) -> Generator[Step, None, float]:
         """Yield projected Gauss–Seidel sweeps; return the change of the last sweep."""
-        for _ in range(FALL_BACK_SWEEPS):
+        for _ in range(20):
             change = self.problems[0].gauss_seidel(z)
             self.work += self.problems[0].entries
             yield Step(z, increment=change, work=self._spent())

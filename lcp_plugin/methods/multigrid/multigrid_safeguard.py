@@ -56,13 +56,8 @@ if TYPE_CHECKING:
 SHRUNK = 0.9
 SUFFICIENT = 1e-4
 PATIENCE = 12  # cycles that may pass without an accepted one
-OUT_OF_HAND = 100.0  # times the least residual, which no patience is for
-CREEPING = 0.6  # times as many rows change sides as a cycle ago: the free set moves layer by layer
-CREPT_LONG = 2  # such cycles in a row
-SLOW = 0.1  # a contraction a cycle from which on Krylov steps pay
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
-MOST_FAILED_ROUNDS = 3
 
 
 class Safeguard:
@@ -89,7 +84,7 @@ class Safeguard:
         """Return whether z is not finite, or its residual is much larger and its energy has not fallen."""
         if not np.isfinite(z).all():  # a NaN is left out of the largest residual
             return True
-        if residual <= OUT_OF_HAND * self.least:
+        if residual <= 100.0 * self.least:
             return False
         return not (self.is_symmetric and np.isfinite(residual) and self._energy_change(z)[0] < 0.0)
 
@@ -128,7 +123,7 @@ class Safeguard:
         self._accept(z, residual)
         if not self.is_symmetric:
             self.least = residual
-        return self.failed_rounds < MOST_FAILED_ROUNDS
+        return self.failed_rounds < 3
 
     def take_products(self) -> int:
         """Return the products with M since the last call."""
@@ -218,15 +213,17 @@ class Advance:
 
     def take(self, residual: float, changed: float) -> None:
         """Record a cycle."""
-        self.is_slow = residual > SLOW * self.residual
-        self.crept = self.crept + 1 if changed > CREEPING * self.changed else 0
+        # Krylov steps pay from this contraction on.
+        self.is_slow = residual > 0.1 * self.residual
+        # Nearly as many rows change sides as a cycle ago: the free set moves layer by layer.
+        self.crept = self.crept + 1 if changed > 0.6 * self.changed else 0
         self.may_nest = self.may_nest and residual <= GAINED * self.nested_at
         self.residual, self.changed, self.nested_at = residual, changed, np.inf
 
     @property
     def is_creeping(self) -> bool:
         """True if the free set moves layer by layer, and no nested start has failed to help."""
-        return self.is_slow and bool(self.changed) and self.crept > CREPT_LONG and self.may_nest
+        return self.is_slow and bool(self.changed) and self.crept > 2 and self.may_nest
 
     def start_nested(self, size: float) -> None:
         """Record that coarser grids determine the free set again, so that `size` rows may change."""

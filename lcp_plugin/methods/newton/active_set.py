@@ -15,9 +15,7 @@ from ...core.lcp import LCP
 from ...systems.factors import factor_operations
 from ...systems.free_systems import FreeSystem
 
-LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorization
 LARGE_PATIENCE = 20
-NEAR = 0.1  # the active set of such a near start is likely the solution's active set
 
 
 class ActiveSetSolution(NamedTuple):
@@ -68,8 +66,9 @@ def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, 
 
 def is_near(problem: LCP, z: FloatVector) -> bool:
     """Return whether the residual of z is at most a tenth of the residual of the default start."""
+    # The active set of such a near start is likely the active set of the solution.
     return bool(
-        measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero)
+        measured_residual(problem, z) <= 0.1 * measured_residual(problem, problem.nearest_to_zero)
     )
 
 
@@ -180,7 +179,8 @@ class NewtonState:
     @property
     def is_large(self) -> bool:
         """True if steps without clear gain end after LARGE_PATIENCE."""
-        return self.problem.n > LARGE
+        # Steps that gain little are given up early: each costs a factorization.
+        return self.problem.n > 3000
 
     def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
         size: FloatVector = np.abs(scaled_residual(self.problem, z, w))

@@ -24,17 +24,7 @@ from .active_set import LARGE_PATIENCE, NewtonState, classify
 PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one per row up to PATIENT_ROWS
 PATIENT_ROWS = 250
 ROUNDS = 3
-BEGUN_AGAIN_UP_TO = 500  # rows: also from the point of the box nearest to 0
 
-# The line search:
-LONGEST_RUN = 150
-SUFFICIENT = 1e-4
-FULL_STEP_GAIN = 0.5  # a full active-set step must reduce ‖Φ‖ to this share
-HALVINGS = 25
-MEMORY = 5  # the line search compares with the worst of so many merits
-STAGNANT = (
-    25  # steps without a fall of ‖Φ‖ by one per cent; by thirty within LARGE_PATIENCE on large ones
-)
 SHIFT = 1e-3  # keeps the Jacobian regular if M is only P₀
 
 
@@ -88,9 +78,8 @@ class Newton(Algorithm):
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         start = np.clip(z0, problem.lower, problem.upper)
-        is_elsewhere = problem.n <= BEGUN_AGAIN_UP_TO and not np.array_equal(
-            start, problem.nearest_to_zero
-        )
+        # A second start of a small problem is the point of the bounds nearest to 0.
+        is_elsewhere = problem.n <= 500 and not np.array_equal(start, problem.nearest_to_zero)
         state = NewtonState(problem, start)
         yield state.step()
         if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
@@ -206,13 +195,15 @@ def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
     state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
     phi = fischer_burmeister(state.problem, state.z, state.w)
     recent, lowest, since = [phi.norm], phi.norm, 0
-    gain, patience = (0.7, LARGE_PATIENCE) if state.is_large else (0.99, STAGNANT)
-    for _ in range(LONGEST_RUN):
+    # Steps without a fall of ‖Φ‖ by 1 %; by 30 % on large problems.
+    gain, patience = (0.7, LARGE_PATIENCE) if state.is_large else (0.99, 25)
+    for _ in range(150):
         if not 0.0 < phi.norm < np.inf:
             return False
         full = _full_step(state, phi)
         is_settled = full is not None and full[1]
-        following = _searched(state, phi, max(recent[-MEMORY:])) if full is None else full[0]
+        # The line search compares with the worst of the last five merits.
+        following = _searched(state, phi, max(recent[-5:])) if full is None else full[0]
         if following is None:
             return False
         phi = following
@@ -236,7 +227,8 @@ def _full_step(state: NewtonState, phi: LinearizedPhi) -> tuple[LinearizedPhi, b
         return None
     w = state.slack(solution.z)
     found = fischer_burmeister(state.problem, solution.z, w)
-    if not found.norm <= FULL_STEP_GAIN * phi.norm:
+    # A full step to an active set must halve ‖Φ‖.
+    if not found.norm <= 0.5 * phi.norm:
         return None
     state.move(solution.z)
     again = classify(state.problem, state.z, state.w)
@@ -255,10 +247,10 @@ def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> Linea
         if not slope < -1e-14 * float(np.linalg.norm(gradient) * np.linalg.norm(direction)):
             continue
         length = 1.0
-        for _ in range(HALVINGS):
+        for _ in range(25):
             z = state.z + length * direction
             found = fischer_burmeister(state.problem, z, state.slack(z))
-            if 0.5 * found.norm**2 <= 0.5 * reference**2 + SUFFICIENT * length * slope:
+            if 0.5 * found.norm**2 <= 0.5 * reference**2 + 1e-4 * length * slope:
                 state.move(z)
                 return found
             length *= 0.5

@@ -16,8 +16,6 @@ from ...proofs.exact.rational import IntegerMatrix, integers, power_of_two
 Bound = int | None  # None: no bound
 Sides = tuple[FloatVector, FloatVector]  # lower, upper
 
-DIGIT = 30  # bits
-PASS = 100  # products of digits that take as long as the access to an entry
 QUANTUM = 5_000_000  # products of digits between two yields: tens of milliseconds
 
 
@@ -43,7 +41,8 @@ class Effort:
     def add(self, entries: int, bits: int) -> bool:
         """Count new entries of the given number of bits; return whether it is time to yield."""
         self.entries += entries
-        self.products += entries * (PASS + (bits // DIGIT) ** 2)
+        # A digit has 30 bits; the access to an entry takes as long as 100 products of digits.
+        self.products += entries * (100 + (bits // 30) ** 2)
         if self.products < self.due:
             return False
         self.due = self.products + QUANTUM

@@ -17,8 +17,6 @@ from ...proofs.no_solution.infeasibility import find_infeasibility
 from . import Effort, NoSolution, Solutions, explore
 from .simplex import QUANTUM
 
-CASES_A_STEP = 50
-MOST_EXACT = 20_000
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds
 
 
@@ -67,7 +65,7 @@ class ExhaustiveSearch(Algorithm):
         effort, reported = Effort(), Effort()
         for outcome in explore(problem, effort):
             is_due = (
-                effort.cases - reported.cases >= CASES_A_STEP
+                effort.cases - reported.cases >= 50
                 or effort.products - reported.products >= QUANTUM
             )
             if outcome is None and not is_due:
@@ -81,7 +79,7 @@ class ExhaustiveSearch(Algorithm):
                     step.remark = f"a search of all cases found a solution, but {error}"
             elif isinstance(outcome, NoSolution) and self.prove_infeasibility:
                 step.proof = outcome.infeasibility or outcome
-            elif effort.cases >= MOST_EXACT or effort.products >= MOST_PRODUCTS:
+            elif effort.cases >= 20_000 or effort.products >= MOST_PRODUCTS:
                 step.remark = (
                     f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
                 )

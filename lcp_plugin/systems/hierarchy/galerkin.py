@@ -22,7 +22,6 @@ from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 from .grids import Operator, pivots
 
-SMALLEST_PIECE = 16384  # rows
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
 
 
@@ -105,7 +104,7 @@ def update_product(*operands: Any) -> tuple[float, int]:
         counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
         return counts
 
-    products, changed = zip(*share(piece, r_indptr.size - 1, SMALLEST_PIECE), strict=True)
+    products, changed = zip(*share(piece, r_indptr.size - 1, 16384), strict=True)
     return sum(products), sum(changed)
 
 

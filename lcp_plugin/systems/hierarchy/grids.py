@@ -112,9 +112,7 @@ class Hierarchy:
     has_jumps: bool = False
 
 
-MOST_BLOCKS = 16
 SMALLEST_BLOCK = 8192  # rows
-REACHES = 4  # times as many rows as a row reaches far: what is done twice at the seams is little
 FEWEST = 4  # two of either kind
 
 
@@ -146,7 +144,8 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
                 (indices[indptr[1 : rows + 1] - 1] - row).max(),
             )
         )
-        count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
+        # A block has four times as many rows as a row reaches far: little is done twice at the seams.
+        count = min(16, rows // max(SMALLEST_BLOCK, 4 * reach)) // 2 * 2
     if count < FEWEST:
         count, reach = 1, 0
     edges = np.linspace(0, rows, count + 1).astype(np.int64)

@@ -32,13 +32,10 @@ from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 # Weaker couplings than this share of the row's largest do not interpolate. With positive couplings, as of a rotated
 # anisotropy, weak couplings are misleading.
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.4
-NOTEWORTHY_POSITIVE = 0.02  # share of the couplings
 NOTEWORTHY_LONELY = 5e-4  # share of the unknowns that depend on others, but on no coarse one
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 MOST_PRODUCTS = 45.0  # per entry of M; at most 32 occurred in cases that multigrid helps
-MOST_ENTRIES = 2**30  # pyamg counts in 32 bits
-PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
 
 
 def build_hierarchy(
@@ -74,7 +71,8 @@ def build_hierarchy(
     products, strength = 0.0, STRENGTH_AMONG_POSITIVE
     while grid.n > coarsest:
         require_seconds(0.0)
-        if grid.entries > MOST_ENTRIES:
+        # pyamg counts in 32 bits.
+        if grid.entries > 2**30:
             return Hierarchy(alone, (), work, is_helpful=False)
         if strength != STRENGTH:  # coarser grids may lack the positive couplings of finer ones
             strength = strength_of(float(positive_shares(grid.matrix, grid.split).mean()))
@@ -82,7 +80,8 @@ def build_hierarchy(
         if not transfers and lonely > NOTEWORTHY_LONELY * grid.n:
             has_jumps = True
             is_coarse, P, _ = _interpolation(grid, strength, second_pass=True)
-        work += PASSES_TO_COARSEN * grid.entries
+        # Couplings, dependents, choice (twice), interpolation (twice).
+        work += 6.0 * grid.entries
         R = P.T.tocsr()
         if scales_rows:
             with np.errstate(all="ignore"):
@@ -130,7 +129,7 @@ def positive_shares(matrix: Operator, split: NDArray[Any]) -> FloatVector:
 
 def strength_of(positive_share: float) -> float:
     """Return the least share of the largest coupling of a row with which a coupling interpolates."""
-    return STRENGTH_AMONG_POSITIVE if positive_share > NOTEWORTHY_POSITIVE else STRENGTH
+    return STRENGTH_AMONG_POSITIVE if positive_share > 0.02 else STRENGTH
 
 
 @np.errstate(all="ignore")

@@ -17,7 +17,6 @@ from .grids import Grid, Hierarchy
 from .vectors import add_both, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
-FACTORISED_UP_TO = 150  # unknowns: no slower than sweeps over a few thousand entries
 
 
 class TruncatedGrid:
@@ -49,7 +48,8 @@ class TruncatedGrid:
         If couplings jump, sweeps would converge slowly for blocks that are connected only by weak couplings.
         """
         n = self.grid.n
-        if self._is_factorised or n > FACTORISED_UP_TO:
+        # A factorization is no slower than sweeps over a few thousand entries.
+        if self._is_factorised or n > 150:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0

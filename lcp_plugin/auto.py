@@ -175,7 +175,7 @@ def _cycle_passes(problem: LCP) -> float:
 def _direct_passes(problem: LCP) -> float:
     """Return the predicted work of the direct methods in passes over M; ∞ on large sparse M."""
     if problem.matrix.is_dense:
-        # A third of what is measured for interior_point, as npsor promises too much.
+        # A third of the measured work of interior_point, because npsor seems faster than it is.
         return 10.0 if is_nearly_symmetric(problem.matrix) else max(10.0, 0.25 * problem.n)
     if problem.n > DIRECT_UP_TO:
         return math.inf

@@ -415,7 +415,7 @@ class FreeSystem:
             if size(left * unit) <= 10.0 * goal * begun:
                 return x
         terms = np.where(self.free, np.abs(right) + abs(matrix.array) @ np.abs(x), 0.0)
-        # 2⁻⁴⁴ of the terms of a row is rounding.
+        # 2⁻⁴⁴ of the terms of a row is the rounding level.
         allowed = max(CONVERGED * begun, size(2.0**-44 * terms * unit))
         return x if size(left * unit) <= allowed else None
 

@@ -48,7 +48,7 @@ class TruncatedGrid:
         If couplings jump, sweeps would converge slowly for blocks that are connected only by weak couplings.
         """
         n = self.grid.n
-        # A factorization is no slower than sweeps over a few thousand entries.
+        # A factorization is as fast as sweeps over a few thousand entries.
         if self._is_factorised or n > 150:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)

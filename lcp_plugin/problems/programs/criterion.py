@@ -278,13 +278,12 @@ class PrimalDualPoint:
 
     def gaps_without_rounding(self, tolerance: float) -> FloatVector:
         """Return the gaps; multipliers of least norm are computed if the sizes that bound theirs do not decide."""
-        gap = self.gaps(has_units=True)
-        if not (gap <= tolerance).all():
-            least = self.gaps(has_units=True, of_y=self.of_y)
-            if (least <= max(tolerance, PROGRAM_TOLERANCE)).all():
+        gap = self.gaps(has_units=True, of_y=self.of_y)
+        if (gap <= max(tolerance, PROGRAM_TOLERANCE)).all():
+            gap = self.gaps(has_units=True)
+            if not (gap <= tolerance).all():
                 of_y = np.minimum(self.of_y, self._least_norm)
-                return self.gaps(has_units=True, of_y=of_y)
-            gap = np.where(gap <= tolerance, gap, least)
+                gap = self.gaps(has_units=True, of_y=of_y)
         return gap
 
     @cached_property

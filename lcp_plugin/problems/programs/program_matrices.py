@@ -148,7 +148,7 @@ class ProgramMatrices:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         P, C = self.measured[:2]
         if sp.issparse(P) or sum(C.shape) > DENSE_FIT:
-            return fitted_units(self.sparse_P, self.rows)
+            return fitted_units(self.gradient, self.rows)
         return fit_units_of(P, C)
 
     @cached_property
@@ -164,7 +164,7 @@ class ProgramMatrices:
     @cached_property
     def gradient(self) -> sp.csr_array:
         """[P Gᵀ Aᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
-        return sp.csr_array(sp.hstack([self.sparse_P, self.rows.T], format="csr"))
+        return sp.csr_array(sp.hstack([self.sparse_P, sp.csr_array(self.rows.T)], format="csr"))
 
     @cached_property
     def row_sizes(self) -> FloatVector:
@@ -241,8 +241,10 @@ class ProgramMatrices:
         return {"P": self.P, "G": self.G, "A": self.A, "_of_rows": {}}
 
 
-def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVector]:
+def fitted_units(above: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVector]:
     """Return u and v, powers of two: least squares of the logarithms of |p_jk| u_j u_k and |c_ij| v_i u_j.
+
+    `above` is [P Cᵀ].
 
     References
     ----------
@@ -251,12 +253,13 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
 
     Examples
     --------
-    >>> fitted_units(sp.csr_array(np.diag([4.0, 1.0])), sp.csr_array(np.array([[1.0, 16.0]])))
+    >>> above = sp.csr_array(np.array([[4.0, 0.0, 1.0], [0.0, 1.0, 16.0]]))
+    >>> fitted_units(above, sp.csr_array(np.array([[1.0, 16.0]])))
     (array([0.5, 0.5]), array([0.5]))
     """
-    n, m = P.shape[0], C.shape[0]
+    m, n = C.shape
     below = sp.csr_array((C.data, C.indices, C.indptr), shape=(m, n + m))
-    K = sp.csr_array(sp.vstack([sp.hstack([P, sp.csr_array(C.T)], "csr"), below], "csr"))
+    K = sp.csr_array(sp.vstack([above, below], format="csr"))
     entries, twice = row_numbers(K), 1.0 + (row_numbers(K) == K.indices)
     right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
     counts = np.bincount(entries, twice, n + m) + SINGULAR

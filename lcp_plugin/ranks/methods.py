@@ -29,7 +29,6 @@ Iterates = Iterator[tuple[FloatVector, float]]  # z, shape (own,), and passes ov
 OUT_OF_HAND = 100.0  # times the least residual
 SHRUNK = 0.9  # of the least residual: a cycle that gains less is idle
 PATIENCE = 12  # idle cycles
-FALL_BACK_SWEEPS, MOST_FALL_BACKS = 20, 3
 SLOW, SETTLED = (
     0.1,
     1e-3,
@@ -77,8 +76,7 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: flo
 def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
     """Yield z after each sweep and correction: truncated V-cycles, or Krylov steps if those are slow.
 
-    A cold start comes from the coarser grids (nested iteration). After idle cycles the run goes back to its best point
-    and sweeps; it ends if that gains nothing either.
+    A cold start comes from the coarser grids (nested iteration). The run ends after idle cycles.
     """
     _positive_diagonal(problem)
     symmetric = problem.is_symmetric
@@ -92,23 +90,15 @@ def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
     if problem.halo.everywhere(z == problem.nearest_to_zero):
         whole[:] = 0.0
         run.start_from_coarser(whole)
-    best, least, before, idle, failed = whole.copy(), np.inf, np.inf, 0, 0
+    least, before, idle = np.inf, np.inf, 0
     while True:
         run.sweep(whole)
         largest, changed = run.look(whole)
         yield whole[own], run.take_work()
         idle = 0 if largest < SHRUNK * least else idle + 1
-        if largest < least:
-            least, best = largest, whole.copy()
+        least = min(least, largest)
         if not largest <= OUT_OF_HAND * least or idle >= PATIENCE:
-            failed += 1
-            if failed > MOST_FALL_BACKS:
-                return
-            whole[:], idle, before = best, 0, np.inf
-            for _ in range(FALL_BACK_SWEEPS):
-                run.sweep(whole)
-                yield whole[own], run.take_work()
-            continue
+            return
         if largest > SLOW * before and changed <= max(SETTLED * problem.n, 1.0):
             run.add_krylov_steps(whole)
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -397,12 +397,8 @@ def _of_search(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options that a search takes; raise InvalidOption for others."""
     from ...problems.equilibria.branch_and_bound import OPTIONS
 
-    plain = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}
-    taken = {*OPTIONS, "max_iterations"}
-    given = {name: wish for name, wish in options.items() if name != "threads"}
-    wishes = {
-        name: wish for name, wish in given.items() if name in taken or wish != plain.get(name)
-    }
+    taken = {name: wish for name, wish in options.items() if name != "threads"}
+    wishes = {name: wish for name, wish in taken.items() if (name, wish) != ("algorithm", "auto")}
     if "max_iterations" in wishes:
         wishes["max_nodes"] = wishes.pop("max_iterations")
     for name in wishes.keys() - {*OPTIONS}:

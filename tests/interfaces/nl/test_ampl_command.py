@@ -146,7 +146,7 @@ def hard() -> NLContent:
         (best([0.0, 1.0], objective_trees=UNKNOWN), [], 500, "SCIP knows no atan"),
         (hard(), ["max_iterations=2"], 400, "node limit reached"),
         (hard(), ["max_seconds=1e-9"], 401, "time limit reached; "),
-        (best([0.0, 1.0]), ["threads=1", "algorithm=auto", "absolute_tolerance=0", "tolerance=1e-9"], 0, "optimal"),
+        (best([0.0, 1.0]), ["threads=1", "algorithm=auto", "tolerance=1e-9"], 0, "optimal"),
         (best([0.0, 1.0], objective_trees=CONCAVE, upper=np.ones(2)), ["prove=1"], 500, "not convex"),
         (best([0.0, 1.0]), ["algorithm=psor"], 500, "takes no algorithm, got 'psor'; leave it out"),
         (best([0.0, 1.0]), ["absolute_tolerance=1"], 500, "takes no absolute_tolerance, got 1"),

@@ -114,16 +114,7 @@ def _solve(words: list[str], environment: str) -> int:
 
     content = read_content(stub)
     message, x, y, code = _answer(content, settings)
-    write_sol(
-        source_of(stub).with_suffix(".sol"),
-        message,
-        x,
-        y,
-        content.options,
-        code,
-        tolerance=content.tolerance,
-        sizes=(content.row_lower.size, content.lower.size),
-    )
+    write_sol(source_of(stub).with_suffix(".sol"), content, message, x, y, code)
     if not is_ampl:
         print(message)
     return 0

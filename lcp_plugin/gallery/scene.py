@@ -109,16 +109,8 @@ class Scene:
             object.__setattr__(self, "active_share", share)
         if self.coordinates is not None and self.grid is None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
-        if self.grid is not None:
-            lengths = tuple(axis.size for axis in self.coordinates or ()) or self.grid
-            fits = lengths == self.grid and len(self.axis_labels) == len(self.grid)
-            if math.prod(self.grid) != self.n or not fits:
-                raise InvalidProblem(
-                    f"grid {self.grid} must hold n = {self.n} nodes, with coordinates and a label per axis, got "
-                    f"axes of length {lengths} and labels {self.axis_labels}"
-                )
-        if self.steps > 1 and self.advance is None:
-            raise InvalidProblem(f"a march of {self.steps} steps needs advance, a callable z → q")
+        if self.grid is not None and math.prod(self.grid) != self.n:
+            raise InvalidProblem(f"grid {self.grid} must hold n = {self.n} nodes")
 
     @property
     def n(self) -> int:

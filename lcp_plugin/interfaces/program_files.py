@@ -86,26 +86,17 @@ def _contact(content: Arrays) -> Any:
 
 
 def _cones(content: Arrays) -> ConeProblem:
-    kinds, sizes = content["cone_kinds"], content["cone_rows"]
-    for name in ("cone_kinds", "cone_rows"):
-        if content[name].ndim != 1 or content[name].dtype.kind not in "iu":
-            given = content[name].tolist()
-            raise InvalidProblem(f"{name} must be a vector of integers, got {given!r}")
-    if kinds.shape != sizes.shape:
-        raise InvalidProblem(
-            f"cone_kinds names {kinds.size} cones, and cone_rows has the rows of {sizes.size}"
-        )
-    if kinds.size and not 0 <= kinds.min() <= kinds.max() < len(CONES):
-        raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds.tolist()}")
-    cones: list[Any] = [
-        (CONES[kind], size) for kind, size in zip(kinds, sizes.tolist(), strict=True)
-    ]
-    for k in np.flatnonzero(kinds == CONES.index("box")).tolist():
-        for name in ("lower", "upper"):
-            if name not in content or content[name].shape != (sizes.sum(),):
-                raise InvalidProblem(f"{name} must have shape ({sizes.sum()},) if there are boxes")
-        rows = slice(int(sizes[:k].sum()), int(sizes[: k + 1].sum()))
-        cones[k] = ("box", content["lower"][rows], content["upper"][rows])
+    kinds, sizes = content["cone_kinds"].tolist(), content["cone_rows"].tolist()
+    if not set(kinds) <= {*range(len(CONES))}:
+        raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds}")
+    cones: list[Any] = []
+    for kind, size, end in zip(kinds, sizes, np.cumsum(sizes, dtype=np.int64), strict=True):
+        own = slice(end - size, end)
+        is_box = CONES[kind] == "box"
+        bounds = [content[name][own] for name in ("lower", "upper") if is_box]
+        if any(bound.shape != (size,) for bound in bounds):
+            raise InvalidProblem("lower and upper must have an entry per row if there are boxes")
+        cones.append((CONES[kind], *bounds) if is_box else (CONES[kind], size))
     return ConeProblem(content["M"], content["q"], cones)
 
 
@@ -267,7 +258,7 @@ def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:
         raise UnreadableFile(
             f"{source} states a problem too large for the memory ({error})"
         ) from error
-    except (InvalidProblem, ValueError, IndexError, TypeError) as error:
+    except (InvalidProblem, ValueError, LookupError, TypeError) as error:
         raise UnreadableFile(f"{source} states no {kind.__name__}: {error}") from error
 
 
@@ -388,10 +379,9 @@ def _from_mps(source: Path) -> LoadedProgram:
             "state it in cvxpy, or as an EquilibriumProgram with integers=…"
         )
     n, m = linear.num_col_, linear.num_row_
-    matrix = linear.a_matrix_
-    is_columns = matrix.format_ == highspy.MatrixFormat.kColwise
-    kind = sp.csc_array if is_columns else sp.csr_array
-    A = sp.csr_array(kind((np.array(matrix.value_), matrix.index_, matrix.start_), shape=(m, n)))
+    matrix = linear.a_matrix_  # by columns, as a file is read
+    parts = np.array(matrix.value_), matrix.index_, matrix.start_
+    A = sp.csr_array(sp.csc_array(parts, shape=(m, n)))
     P: Any = sp.csr_array((n, n))
     if hessian.dim_:
         P = sp.csr_array(

@@ -21,7 +21,7 @@ from sol_files import read_sol
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
 from lcp_plugin.core import errors
 from lcp_plugin.interfaces.nl import read_content, read_nl, write_nl, write_sol
-from lcp_plugin.interfaces.nl.content import Trees
+from lcp_plugin.interfaces.nl.content import NLContent, Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
 SMALL = b"""g3 1 1 0	# two variables, x0 + exp(x1) - 2 complementary to x0 >= 0, x0 x1 = 1
@@ -259,9 +259,12 @@ def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
     """Message, values, multipliers and code are read, with and without values, for all options."""
     x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
     path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
-    write_sol(
-        path, message, x, y, options, 200, tolerance=0.5 if options[2] == 3 else None, sizes=(2, 3)
-    )
+    content = NLContent.of_rows(
+        np.zeros(3), np.ones(3), sp.csr_array((2, 3)), Trees.of_numbers(np.zeros(2)), (np.zeros(2), np.ones(2)),
+        np.full(2, -1), np.zeros(2, dtype=np.int64),
+    )  # fmt: skip
+    tolerance = 0.5 if options[2] == 3 else None
+    write_sol(path, replace(content, options=options, tolerance=tolerance), message, x, y, 200)
     found = read_sol(path)
     assert (found.options, found.code, found.rows, found.variables) == (options, 200, 2, 3)
     assert found.message.startswith("lcp_plugin: solved\n- Options")

@@ -713,9 +713,9 @@ def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
         ({"indices": [np.nan, 1, 2, 3]}, "indices must hold integers"),
         ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
         ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"),
-        ({"cone_kinds": [3]}, "cone_kinds names 1 cones"),
+        ({"cone_kinds": [3]}, "states no ConeProblem"),
         ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
-        ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"),
+        ({"cone_kinds": [2, 1], "lower": [0.0]}, "must have an entry per row"),
         ({"data": None}, "lacks the keys"),
     ],
 )

@@ -75,7 +75,8 @@ def checked_matrix(M: Any) -> Any:
         raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, "M")
-    _check_finite(matrix, "M")
+    if not np.isfinite(matrix).all():
+        raise _not_finite_entry(matrix, "M")
     n = matrix.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(matrix) > DENSE_ABOVE_DENSITY * n * n:
         return read_only(np.array(matrix, order="C"))  # the caller may change the original
@@ -101,10 +102,6 @@ def rectangular_matrix(
     InvalidProblem
         For another shape, for numbers that are not real or not finite, for corrupt sparse arrays.
     """
-    is_plain = type(values) is np.ndarray and values.dtype == DOUBLE and values.ndim == 2
-    if is_plain and rows in (None, values.shape[0]) and columns in (None, values.shape[1]):
-        _check_finite(values, name)
-        return read_only(values.copy() if is_copied else values)
     m, n = "any" if rows is None else rows, "any" if columns is None else columns
     need = f"{name} must be a real matrix of shape ({m}, {n})"
     is_sparse = not isinstance(values, np.ndarray) and sp.issparse(values)
@@ -131,15 +128,14 @@ def rectangular_matrix(
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, name, is_copied=is_copied)
-    _check_finite(matrix, name)
+    if not np.isfinite(matrix).all():
+        raise _not_finite_entry(matrix, name)
     return read_only(matrix.copy() if is_copied else matrix)
 
 
-def _check_finite(dense: NDArray[np.float64], name: str) -> None:
-    is_finite = np.isfinite(dense)
-    if not is_finite.all():
-        row, column = np.argwhere(~is_finite)[0]
-        raise _not_finite(name, f"{row}, {column}", dense[row, column])
+def _not_finite_entry(dense: NDArray[np.float64], name: str) -> InvalidProblem:
+    row, column = np.argwhere(~np.isfinite(dense))[0]
+    return _not_finite(name, f"{row}, {column}", dense[row, column])
 
 
 def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> InvalidProblem:
@@ -227,26 +223,35 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
         return array.astype(np.float64)
 
 
-def real_vector(
-    values: Any, name: str, length: int | None, *, may_be_number: bool = False, need: str = ""
+def checked_vector(
+    values: Any,
+    name: str,
+    length: int | None,
+    *,
+    is_finite: bool = True,
+    allow_plus_infinity: bool = False,
+    allow_nan: bool = False,
+    may_be_number: bool = False,
+    need: str = "",
 ) -> FloatVector:
-    """Return a read-only copy of a real vector of that length (any length for None); NaN and infinities pass.
+    """Return a read-only copy of a real vector of that length (any length for None).
 
     Parameters
     ----------
     values : array, shape (length,), or a number for a length of 1 where that may be
     name, need : str
         Texts for messages: the name, and the requirement if it exceeds a vector of that length.
+    is_finite : bool
+        False if NaN and infinities pass.
 
     Raises
     ------
     InvalidProblem
-        If it is not an array of real numbers, or has another shape.
+        If it is not an array of real numbers, for another shape, for numbers that are not finite (+∞ and NaN pass
+        where allowed).
     """
-    need = (
-        need
-        or f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
-    )
+    of_length = "real numbers" if length is None else f"length {length}"
+    need = need or f"{name} must be a vector of {of_length}"
     vector = real_array(values, need)
     if may_be_number and vector.ndim == 0 and length in (None, 1):
         vector = vector.reshape(1)
@@ -254,6 +259,14 @@ def real_vector(
         raise InvalidProblem(
             f"{need}, got shape {vector.shape}{_hint_at_vector(vector, name, length)}"
         )
+    is_valid = np.isfinite(vector)
+    if is_finite and not is_valid.all():
+        is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
+        if not is_valid.all():
+            at = int(np.argmin(is_valid))
+            raise _not_finite(
+                name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite"
+            )
     return read_only(vector.copy())
 
 
@@ -271,46 +284,11 @@ def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
     return f": {abs(surplus)} too {'many' if surplus > 0 else 'few'}"
 
 
-def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
-    """Return a read-only copy of a finite real vector of the length n of M; raise an error that names the entry."""
-    need = f"{name} must be a finite vector of length {n} (M is {n}×{n})"
-    return checked_vector(values, name, n, may_be_number=may_be_number, need=need)
-
-
 def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
     """Return the finite change of a vector: zeros for None, n equal entries for a number where one may be given."""
     if values is None or (may_be_number and np.ndim(values) == 0):
         values = np.full(n, 0.0 if values is None else values)
-    return finite_vector(values, name, n)
-
-
-def checked_vector(
-    values: Any,
-    name: str,
-    length: int | None,
-    *,
-    allow_plus_infinity: bool = False,
-    allow_nan: bool = False,
-    may_be_number: bool = False,
-    need: str = "",
-) -> FloatVector:
-    """Return a read-only copy of a real, finite vector, as `real_vector` does.
-
-    Raises
-    ------
-    InvalidProblem
-        For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
-    """
-    vector = real_vector(values, name, length, may_be_number=may_be_number, need=need)
-    is_valid = np.isfinite(vector)
-    if not is_valid.all():
-        is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
-        if not is_valid.all():
-            at = int(np.argmin(is_valid))
-            raise _not_finite(
-                name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite"
-            )
-    return vector
+    return checked_vector(values, name, n)
 
 
 def checked_answer(answer: Any, n: int) -> FloatVector:
@@ -339,18 +317,6 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
     return read_only(np.full(n, array))
 
 
-def checked_limit(values: Any, name: str, n: int) -> FloatVector:
-    """Return a bound as a vector of length n; ±1e20 and beyond means no bound (±∞), as in files and other solvers."""
-    if isinstance(values, float) and np.isinf(values):  # the defaults: 4 times as fast
-        return read_only(np.full(n, values))
-    return read_only(copy_limits(checked_bound(values, name, n)))
-
-
-def copy_limits(limits: NDArray[Any]) -> FloatVector:
-    """Return a copy of the limits in which ±1e20 and beyond is replaced by ±∞."""
-    return np.where(np.abs(limits) >= INFINITE_LIMIT, np.copysign(np.inf, limits), limits)
-
-
 def checked_right_side(
     values: Any, name: str, length: int | None, *, may_be_number: bool = False
 ) -> FloatVector:
@@ -370,23 +336,32 @@ def replace_huge_bounds_by_inf(
     return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
 
 
-def check_order(lower: FloatVector, upper: FloatVector, *, what: str = "") -> None:
-    """Raise InvalidProblem unless lower ≤ upper on every row, with a real number between them.
+def checked_bounds(
+    lower: Any, upper: Any, n: int, *, names: tuple[str, str] = ("lower", "upper")
+) -> tuple[FloatVector, FloatVector]:
+    """Return bounds as vectors of length n; lower ≤ −1e20 and upper ≥ 1e20 mean no bound, as in files.
 
-    `what` is appended to both names in the message, as "_rows".
+    Raises
+    ------
+    InvalidProblem
+        Unless lower ≤ upper on every row, with a real number between them.
     """
-    is_right = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
+    below, above = replace_huge_bounds_by_inf(
+        checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
+    )
+    is_right = (below <= above) & (below < np.inf) & (above > -np.inf)
     if not is_right.all():
         i = int(np.argmin(is_right))
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and admit a number, "
-            f"but lower{what}[{i}] = {lower[i]} and upper{what}[{i}] = {upper[i]}; "
+            f"but {names[0]}[{i}] = {below[i]} and {names[1]}[{i}] = {above[i]}; "
             + (
                 "swap them"
-                if upper[i] < lower[i]
+                if above[i] < below[i]
                 else "use -inf for no lower and inf for no upper bound"
             )
         )
+    return below, above
 
 
 def is_number(value: Any) -> bool:
@@ -406,7 +381,10 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
         nearest: FloatVector = problem.nearest_to_zero
         return nearest
     try:
-        start = finite_vector(z0, "z0", problem.q.size, may_be_number=problem.n == 1)
+        need = (
+            f"z0 must be a finite vector of length {problem.q.size} (M is {problem.n}×{problem.n})"
+        )
+        start = checked_vector(z0, "z0", problem.q.size, may_be_number=problem.n == 1, need=need)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     return np.clip(start, problem.lower, problem.upper)

@@ -13,12 +13,9 @@ from numpy.typing import ArrayLike
 
 from .checks import (
     FloatVector,
-    check_order,
-    checked_bound,
-    finite_vector,
+    checked_bounds,
+    checked_vector,
     read_only,
-    real_vector,
-    replace_huge_bounds_by_inf,
     restore_state,
 )
 from .matrix.matrix import Matrix
@@ -67,11 +64,9 @@ class LCP:
     ) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self.n = self.matrix.n
-        self.q: FloatVector = finite_vector(q, "q", self.n)
-        self.lower, self.upper = replace_huge_bounds_by_inf(
-            checked_bound(lower, "lower", self.n), checked_bound(upper, "upper", self.n)
-        )
-        check_order(self.lower, self.upper)
+        need = f"q must be a finite vector of length {self.n} (M is {self.n}×{self.n})"
+        self.q: FloatVector = checked_vector(q, "q", self.n, need=need)
+        self.lower, self.upper = checked_bounds(lower, upper, self.n)
         # The problem before a conversion; it recovers the original solution.
         self.origin: Any = None
 
@@ -139,7 +134,9 @@ class LCP:
         """
         matrix = self.matrix
         is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.n,)
-        w: FloatVector = matrix.array @ (z if is_vector else real_vector(z, "z", matrix.n))
+        w: FloatVector = matrix.array @ (
+            z if is_vector else checked_vector(z, "z", matrix.n, is_finite=False)
+        )
         w += self.q
         return w
 
@@ -170,7 +167,8 @@ class LCP:
             self.upper,
             self.nearest_to_zero,
         )  # checked, kept
-        other.q = finite_vector(q, "q", self.matrix.n)
+        need = f"q must be a finite vector of length {self.n} (M is {self.n}×{self.n})"
+        other.q = checked_vector(q, "q", self.n, need=need)
         return other
 
     @classmethod

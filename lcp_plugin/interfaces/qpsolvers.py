@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.checks import checked_limit, checked_vector
+from ..core.checks import checked_bound, checked_vector
 from ..core.errors import (
     InvalidOption,
     InvalidProblem,
@@ -123,7 +123,7 @@ def _program(problem: Problem) -> QuadraticProgram:
     P, q, G, h, A, b, lower, upper = problem.unpack()
     q = checked_vector(q, "q", None)
     below, above = (
-        default if bound is None else checked_limit(bound, name, q.size)
+        default if bound is None else checked_bound(bound, name, q.size)
         for bound, name, default in ((lower, "lb", -np.inf), (upper, "ub", np.inf))
     )
     return QuadraticProgram(P, q, G, h, A, b, below, above)

@@ -22,12 +22,9 @@ from ..core.checks import (
     FloatVector,
     canonical_csr,
     check_kind,
-    check_order,
-    checked_bound,
-    finite_vector,
+    checked_bounds,
+    checked_vector,
     read_only,
-    real_vector,
-    replace_huge_bounds_by_inf,
 )
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
@@ -74,11 +71,8 @@ class RowsOnRanks:
         self, rows: sp.csr_array, halo: Halo, q: ArrayLike, lower: ArrayLike, upper: ArrayLike
     ) -> None:
         self.rows, self.halo, self.n, self.own = rows, halo, halo.n, halo.own
-        self.q = finite_vector(q, "q", self.own)
-        self.lower, self.upper = replace_huge_bounds_by_inf(
-            checked_bound(lower, "lower", self.own), checked_bound(upper, "upper", self.own)
-        )
-        check_order(self.lower, self.upper)
+        self.q = checked_vector(q, "q", self.own)
+        self.lower, self.upper = checked_bounds(lower, upper, self.own)
         self.diagonal = read_only(np.asarray(rows.diagonal(), np.float64))
         self.residual_scale = residual_scales(self.diagonal, largest_in_rows(rows))
         self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
@@ -160,7 +154,7 @@ class RowsOnRanks:
 
     def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
         """Return a checked vector, shape (own,); all ranks reject a wrong part of one of them."""
-        return self.halo.together(lambda: real_vector(z, name, self.own))
+        return self.halo.together(lambda: checked_vector(z, name, self.own, is_finite=False))
 
     def slack(self, z: FloatVector) -> FloatVector:
         """Return the local part of w = M z + q."""

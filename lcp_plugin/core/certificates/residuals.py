@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import BoolVector, FloatVector, read_only, real_vector, restore_state
+from ..checks import BoolVector, FloatVector, checked_vector, read_only, restore_state
 from ..errors import InvalidProblem
 from ..kernels.floats import TINY
 from ..lcp import LCP
@@ -94,7 +94,7 @@ class Certificate:
         if not isinstance(problem, LCP):
             raise InvalidProblem(refusal("Certificate.of", problem))
         if type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
-            z = real_vector(z, "z", problem.n)
+            z = checked_vector(z, "z", problem.n, is_finite=False)
         else:
             z = read_only(z.copy())
         return cls(problem, z)

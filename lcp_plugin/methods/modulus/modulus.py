@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step, check_positive, require_positive_diagonal
-from ...core.checks import FloatVector, is_number, real_vector
+from ...core.checks import FloatVector, checked_vector, is_number
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import MODULUS, IterationFacts
@@ -91,7 +91,7 @@ class ModulusBased(Splitting):
             with np.errstate(over="ignore"):
                 return float(self.omega) * diagonal  # type: ignore[arg-type]
         try:
-            omega = real_vector(self.omega, "omega", problem.n)
+            omega = checked_vector(self.omega, "omega", problem.n, is_finite=False)
         except InvalidProblem as error:
             raise InvalidOption(
                 f"{self.name}: {error}, or a positive multiple of the diagonal"

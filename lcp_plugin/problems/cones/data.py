@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
     FloatVector,
-    checked_limit,
+    checked_bounds,
     checked_vector,
     is_number,
     read_only,
@@ -260,17 +260,12 @@ def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
     """Return lower and upper bounds of each row of a box; raise InvalidProblem for other shapes."""
     need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
     low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
-    lengths = {low.size, high.size} - {1} or {1}
-    if max(low.ndim, high.ndim) > 1 or len(lengths) > 1:
+    if max(low.ndim, high.ndim) > 1 or len({low.size, high.size} - {1}) > 1:
         raise InvalidProblem(
             f"{need}, got shapes {low.shape} and {high.shape}; write np.ravel(lower), np.ravel(upper) of one length"
         )
-    (rows,) = lengths
-    low, high = (
-        checked_limit(np.broadcast_to(one, rows), f"{word} of {name}", rows)
-        for one, word in ((low, "lower"), (high, "upper"))
-    )
-    return low, high
+    low, high = np.broadcast_arrays(low, high)
+    return checked_bounds(low, high, low.size, names=(f"lower of {name}", f"upper of {name}"))
 
 
 def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:

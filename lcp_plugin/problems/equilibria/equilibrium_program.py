@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
     FloatVector,
-    check_order,
-    checked_limit,
+    checked_bounds,
     checked_vector,
     rectangular_matrix,
 )
@@ -122,15 +121,13 @@ class EquilibriumProgram:
                     f"{name} must number variables from 0 to {n - 1}, got {given[(given < 0) | (given >= n)][0]}"
                 )
             object.__setattr__(self, name, given.astype(np.int64))
-        for name in ("lower", "upper"):
-            own = getattr(self.program, name)[self.first]
-            given = (
-                own
-                if getattr(self, name) is None
-                else checked_limit(getattr(self, name), name, own.size)
-            )
-            object.__setattr__(self, name, given)
-        check_order(self.lower, self.upper)
+        lower, upper = checked_bounds(
+            self.program.lower[self.first] if self.lower is None else self.lower,
+            self.program.upper[self.first] if self.upper is None else self.upper,
+            self.first.size,
+        )
+        object.__setattr__(self, "lower", lower)
+        object.__setattr__(self, "upper", upper)
 
     @classmethod
     def of_rows(

@@ -14,9 +14,8 @@ from ...core.checks import (
     BoolVector,
     FloatVector,
     check_kind,
-    check_order,
     checked_bound,
-    checked_limit,
+    checked_bounds,
     checked_vector,
     is_number,
     read_only,
@@ -91,8 +90,7 @@ class BoundedLeastSquares:
         if getattr(b, "ndim", 1) == 2:
             need += " (for many right-hand sides: solve_batch([BoundedLeastSquares(A, column) for column in b.T]))"
         self.b = checked_vector(b, "b", m, need=need)
-        self.lower, self.upper = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
-        check_order(self.lower, self.upper)
+        self.lower, self.upper = checked_bounds(lower, upper, n)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
         if self.weights is not None and (self.weights < 0.0).any():
             i = int(np.flatnonzero(self.weights < 0.0)[0])
@@ -155,9 +153,9 @@ class BoundedLeastSquares:
         made.b = self.b if b is None else checked_vector(b, "b", m)
         if self.has_entries:
             made._check_range("b", made.b, "b, lower and upper")
-        made.lower = self.lower if lower is None else checked_limit(lower, "lower", n)
-        made.upper = self.upper if upper is None else checked_limit(upper, "upper", n)
-        check_order(made.lower, made.upper)
+        made.lower, made.upper = checked_bounds(
+            self.lower if lower is None else lower, self.upper if upper is None else upper, n
+        )
         made.l1 = self.l1 if l1 is None else _checked_penalty(l1, n)
         _ = self.column_scales, self.root_weights  # shared from now on
         made.__dict__.update(column_scales=self.column_scales, root_weights=self.root_weights)

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
-    check_order,
-    checked_limit,
+    checked_bounds,
     checked_vector,
     read_only,
     real_array,
@@ -90,9 +89,7 @@ class NonlinearProblem:
             self._set_bounds(self.n)
 
     def _set_bounds(self, n: int) -> None:
-        self.lower: FloatVector = checked_limit(self._bounds[0], "lower", n)
-        self.upper: FloatVector = checked_limit(self._bounds[1], "upper", n)
-        check_order(self.lower, self.upper)
+        self.lower, self.upper = checked_bounds(*self._bounds, n)
         self._differences: Differences | None = None
 
     def with_size(self, n: int) -> NonlinearProblem:

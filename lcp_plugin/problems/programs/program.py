@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
-    check_order,
-    checked_limit,
+    checked_bounds,
     checked_right_side,
     checked_vector,
     freeze_csr,
@@ -119,8 +118,7 @@ class QuadraticProgram:
         P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checked_vector)
-        below, above = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
-        check_order(below, above)
+        below, above = checked_bounds(lower, upper, n)
         self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
         self.__dict__["asymmetry"] = asymmetry
 
@@ -160,11 +158,7 @@ class QuadraticProgram:
         n = vector.size
         rows = sp.csr_array(rectangular_matrix(A, "A", None, n))
         m = rows.shape[0]
-        low, high = (
-            checked_limit(limit, name, m)
-            for limit, name in ((lower_rows, "lower_rows"), (upper_rows, "upper_rows"))
-        )
-        check_order(low, high, what="_rows")
+        low, high = checked_bounds(lower_rows, upper_rows, m, names=("lower_rows", "upper_rows"))
         is_equality = low == high
         above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
         equal, sides = np.flatnonzero(is_equality), above.size + below.size
@@ -173,10 +167,7 @@ class QuadraticProgram:
         both = rows[order]
         both.data *= np.repeat(signs, np.diff(both.indptr))
         G, equations = freeze_csr(both[:sides]), freeze_csr(both[sides:])
-        bounds = [
-            checked_limit(bound, name, n) for bound, name in ((lower, "lower"), (upper, "upper"))
-        ]
-        check_order(*bounds)
+        bounds = checked_bounds(lower, upper, n)
         symmetric_P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         h, b = read_only(np.append(high[above], -low[below])), read_only(low[equal])
         program = cls.with_matrices(
@@ -237,11 +228,9 @@ class QuadraticProgram:
         array([9.])
         """
         n = self.n
-        below, above = (
-            kept if given is None else checked_limit(given, name, n)
-            for given, kept, name in ((lower, self.lower, "lower"), (upper, self.upper, "upper"))
+        below, above = checked_bounds(
+            self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
-        check_order(below, above)
         made = self.with_matrices(
             self.matrices,
             self.c if c is None else checked_vector(c, "c", n, may_be_number=n == 1),

@@ -13,9 +13,9 @@ from ...core.checks import (
     INFINITE_LIMIT,
     BoolVector,
     assemble_csr,
-    copy_limits,
     read_only,
     real_array,
+    replace_huge_bounds_by_inf,
 )
 from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
@@ -93,7 +93,9 @@ class QuadraticProgramBatch:
             name: rows_of_a_batch(values, name, size) for name, (values, size) in right.items()
         }
         h_rows = self.vectors["h"]
-        self.vectors |= {name: copy_limits(self.vectors[name]) for name in ("lower", "upper")}
+        self.vectors["lower"], self.vectors["upper"] = replace_huge_bounds_by_inf(
+            self.vectors["lower"], self.vectors["upper"]
+        )
         h_rows[h_rows >= INFINITE_LIMIT] = np.inf
         stacks = {name: values for name, values in matrices.items() if values.ndim == 3}
         stacks |= {

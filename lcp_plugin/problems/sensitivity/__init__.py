@@ -23,7 +23,7 @@ from ...core.checks import (
     BoolVector,
     FloatVector,
     change_of_vector,
-    finite_vector,
+    checked_vector,
     rectangular_matrix,
 )
 from ...core.errors import InvalidOption, UnsuitableProblem
@@ -285,7 +285,7 @@ class Derivative(LinearizedSystem):
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> FloatVector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
-        dz = finite_vector(dz, "dz", self.problem.n)
+        dz = checked_vector(dz, "dz", self.problem.n)
         return self._product(dz) + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
@@ -309,7 +309,7 @@ class Derivative(LinearizedSystem):
             If the block of M on more than 500 free rows is singular.
         """
         problem, n = self.problem, self.problem.n
-        g, by_w = finite_vector(g, "g", n), change_of_vector(gw, "gw", n)
+        g, by_w = checked_vector(g, "g", n), change_of_vector(gw, "gw", n)
         rows, free = self._rows, self.free
         # w stays 0 in free rows, and its part would cancel only up to rounding
         by_w = np.where(free, 0.0, by_w)

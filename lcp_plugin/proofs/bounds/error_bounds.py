@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.certificates.criterion import row_data, scaled_residual
-from ...core.checks import BoolVector, FloatVector, real_vector
+from ...core.checks import BoolVector, FloatVector, checked_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
@@ -134,7 +134,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidProblem(refusal("error_bound", problem))
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
-    z, began = real_vector(z, "z", problem.n), time.perf_counter()
+    z, began = checked_vector(z, "z", problem.n, is_finite=False), time.perf_counter()
     with np.errstate(all="ignore"):  # an overflow gives no bound
         family = bounds_of(problem.matrix)
         if family is None:

@@ -287,7 +287,20 @@ def solve_lcp(
     if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
         found = first_answer(problem, start, settings.tolerance)
         if found is not None:
-            return _result_of_rounds(problem, settings, clock, *found)
+            z, label, work = found
+            return Result(
+                z=z,
+                w=read_only(problem.slack(z)),
+                status=Status.SOLVED,
+                certificate=Certificate(problem, z),
+                algorithm=f"auto: {label}",
+                iterations=1,
+                work=work + 1.0,  # the point is measured
+                seconds=clock.read(),
+                setup_seconds=0.0,
+                tolerance=settings.tolerance,
+                stages=(StageRecord(label, GUESSED, 1, work),),
+            )
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate():
         return run_on(problem, method, settings, start, clock, callback)
@@ -327,26 +340,6 @@ def run_on(
             if run.iteration < 0:  # no step is made yet
                 raise
             return run.result(start, TerminationReason.INTERRUPTED)
-
-
-def _result_of_rounds(
-    problem: LCP, settings: Settings, clock: Clock, z: FloatVector, label: str, work: float
-) -> Result:
-    """Return the result of a small problem that the first rounds, or the first path, solve."""
-    seconds = clock.read()
-    return Result(
-        z=z,
-        w=read_only(problem.slack(z)),
-        status=Status.SOLVED,
-        certificate=Certificate(problem, z),
-        algorithm=f"auto: {label}",
-        iterations=1,
-        work=work + 1.0,  # the point is measured
-        seconds=seconds,
-        setup_seconds=0.0,
-        tolerance=settings.tolerance,
-        stages=(StageRecord(label, GUESSED, 1, work),),
-    )
 
 
 def _polish(problem: LCP, z: FloatVector, most: float) -> Any:

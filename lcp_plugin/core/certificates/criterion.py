@@ -105,8 +105,11 @@ class RowData:
     @cached_property
     def reference(self) -> Any:
         """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        at = self.rows(self.start)
-        return self.largest(self.residual_ends(self.start, at.w, at.slip)[0])
+        w, slip = self.q, np.zeros_like(self.q)
+        if self.start.any():
+            at = self.rows(self.start)
+            w, slip = at.w, at.slip
+        return self.largest(self.residual_ends(self.start, w, slip)[0])
 
     def rows(self, z: FloatVector) -> RowsAtPoint:
         """Return the values of all rows at z."""
@@ -151,8 +154,7 @@ class RowData:
         self, z: FloatVector, w: FloatVector, slip: FloatVector, scale: FloatVector | None = None
     ) -> VectorEnds:
         """Return bounds of every |r_i(z)| for any slack within w ± slip; 0 and ∞ for numbers that are not finite."""
-        bottom = self.residual(z, w - slip, scale)
-        top = self.residual(z, w + slip, scale) if slip.any() else bottom
+        bottom, top = self.residual(z, np.array([w - slip, w + slip]), scale)
         low = np.maximum(np.maximum(bottom, -top), 0.0) * (1.0 - 4.0 * EPSILON)
         high = np.maximum(-bottom, top) * (1.0 + 4.0 * EPSILON)
         is_number = np.isfinite(w + slip + z)

@@ -30,10 +30,8 @@ from ...core.matrix.matrix import Matrix, residual_scales
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2
 ROUNDS, IDLE = 12, 2  # at most; without fewer changes
-GOOD = 1e-12  # relative residual at which the rounds end
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
-DELAYED = 8  # exchanges that are added to a tableau at once
 SMALLEST = (
     1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
 )
@@ -55,7 +53,7 @@ class Rounds(Algorithm):
         yield Step(z0, work=0.0)
         unit = max(problem.nonzeros, 1)
         with np.errstate(all="ignore"):
-            stack = one_as_stack(problem)
+            stack = stack_of(problem.matrix, problem.q, problem.lower, problem.upper)
         points = answers(stack, z0[None])
         while True:
             with np.errstate(all="ignore"):
@@ -77,7 +75,7 @@ def first_answer(
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     with np.errstate(all="ignore"):
-        stack = one_as_stack(problem)
+        stack = stack_of(problem.matrix, problem.q, problem.lower, problem.upper)
         if not stack.reference.all():
             return None
         is_cold = z0 is problem.nearest_to_zero
@@ -95,12 +93,6 @@ def is_small(problem: LCP) -> bool:
     return 0 < problem.n <= (SMALL_DENSE if problem.matrix.is_dense else SMALL_SPARSE)
 
 
-def one_as_stack(problem: LCP) -> RowData:
-    """Return one problem as a stack."""
-    vectors = (one[None] for one in (problem.q, problem.lower, problem.upper))
-    return stack_of(as_dense(problem.matrix), *vectors)
-
-
 def as_dense(matrix: Matrix) -> FloatVector:
     """Return M as an ndarray with an axis in front, shape (1, n, n)."""
     M: FloatVector = matrix.array if matrix.is_dense else matrix.csr.toarray()
@@ -110,26 +102,25 @@ def as_dense(matrix: Matrix) -> FloatVector:
 # --- stacks --------------------------------------------------------------------------------------------------
 
 
-def stack_of(M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
-    """Return problems of one size as data of the criterion; an axis of length 1 means shared data.
+def stack_of(M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
+    """Return problems of one size as data of the criterion; an axis of length 1, or none, means shared data.
 
     One matrix for all stays one matrix, M of shape (1, n, n).
     """
-    count = max(len(M), len(q), len(lower), len(upper))
-    if count > 1:
-        q, lower, upper = (np.broadcast_to(one, (count, M.shape[-1])) for one in (q, lower, upper))
-    sizes = np.abs(M)
+    M = as_dense(M) if isinstance(M, Matrix) else M
+    q, lower, upper = np.broadcast_arrays(M[:, 0], q, lower, upper)[1:]
+    count, sizes = len(q), np.abs(M)
     scale = residual_scales(M.diagonal(axis1=-2, axis2=-1), sizes.max(-1, initial=0.0))
-    labels = _components(sizes)
-    if labels is not None and len(labels) < count:
-        labels = labels + M.shape[-1] * np.arange(count)[:, None]
+    labels = None
+    if not (sizes[:, 0, 1:].all() or sizes[:, 1:, 0].all()):
+        labels = _components(sizes)
+        if labels is not None and len(labels) < count:
+            labels = labels + M.shape[-1] * np.arange(count)[:, None]
     return RowData(M, sizes, q, lower, upper, scale, labels)
 
 
 def _components(sizes: FloatVector) -> Any:
     """Return the component of each row, numbered through the stack; None if each M is connected."""
-    if sizes[:, 0, 1:].all() or sizes[:, 1:, 0].all():
-        return None
     count, n = sizes.shape[:2]
     linked = (sizes > 0.0) | (sizes.swapaxes(-1, -2) > 0.0) | np.eye(n, dtype=bool)
     labels = np.broadcast_to(np.arange(n), (count, n))
@@ -168,7 +159,8 @@ def judged(stack: RowData, z: FloatVector, tolerance: float) -> Judged:
     z = np.where(
         size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
     )
-    z = np.where(reference == 0.0, stack.start, np.clip(z, stack.lower, stack.upper))
+    z = np.minimum(np.maximum(z, stack.lower), stack.upper)
+    z = np.where(reference == 0.0, stack.start, z)
     z = stack.snap_to_bounds(z, times(stack.M, z) + stack.q)
     at = stack.rows(z)
     high = stack.residual_ends(z, at.w, at.slip)[1]
@@ -185,71 +177,67 @@ def solve_stack(
     upper: FloatVector,
     starts: FloatVector | None,
     tolerance: float,
-) -> Judged:
-    """Return points of problems (B, n) after iterations and paths of all problems at once."""
+) -> tuple[FloatVector, FloatVector, Any, BoolVector]:
+    """Return points of problems (B, n) after iterations and paths of all problems at once.
+
+    Returns
+    -------
+    z : array, shape (B, n)
+    residual, iterations, is_solved : array, shape (B,)
+        Relative residual; 0 if the point is the start, else 1; whether it is a solution.
+    """
     with np.errstate(all="ignore"):
         stack = stack_of(M, q, lower, upper)
-        free = (stack.lower == -np.inf) & (stack.upper == np.inf)
-        z = stack.start if starts is None else np.broadcast_to(starts, stack.q.shape)
-        if starts is not None:  # they name active sets
-            z = rounds(stack, z)
-        elif (_has_diagonal(stack) | free).all():
-            z = rounds(stack, guessed(stack, z))
-        found = judged(stack, z, tolerance)
-        items = np.flatnonzero(~found.is_solved & ~free.any(1))
+        first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
+        found = judged(stack, stack.start if first is None else rounds(stack, first), tolerance)
+        has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
+        items = np.flatnonzero(~found.is_solved & ~has_free)
         if items.size:
             few = part_of(stack, items)
             of_paths = judged(few, paths(few), tolerance)
             for table, values in zip(found, of_paths, strict=True):
                 table[items] = values
-    return found
+        begun = stack.start if starts is None else starts
+        return found.z, found.residual, (found.z != begun).any(1).astype(int), found.is_solved
 
 
-def _has_diagonal(stack: RowData) -> Any:
-    """Return the rows whose diagonal entry is positive and not negligible, so that it is d_i."""
-    return stack.M.diagonal(axis1=-2, axis2=-1) == stack.scale
+def guess(stack: RowData) -> FloatVector | None:
+    """Return z after sweeps of NPSOR from z°: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
 
-
-def guessed(stack: RowData, z: FloatVector) -> FloatVector:
-    """Return z after sweeps of NPSOR: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
-
-    L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem.
+    L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem. The result
+    is None if a row that is not free has no diagonal entry, or a negligible one, so that d_i is another entry.
     """
+    free = (stack.lower == -np.inf) & (stack.upper == np.inf)
+    if not ((stack.M.diagonal(axis1=-2, axis2=-1) == stack.scale) | free).all():
+        return None
+    z = stack.start
     pivot, half = 1.0 / RELAXATION + 3.0, z.shape[-1] // 2
     for _ in range(SWEEPS):
         w = times(stack.M, z) + stack.q
         change = stack.residual(z, w) * (2.0 / pivot)
-        new = np.clip(z - change, stack.lower, stack.upper)
+        new = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
         more = times(stack.M[:, half:, :half], new[:, :half] - z[:, :half])
-        later = z[:, half:] - change[:, half:] - more / (pivot * stack.scale[:, half:])
-        new[:, half:] = np.clip(later, stack.lower[:, half:], stack.upper[:, half:])
-        z = new
+        change[:, half:] += more / (pivot * stack.scale[:, half:])
+        z = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
     return z
 
 
 def rounds(stack: RowData, z: FloatVector) -> FloatVector:
     """Return the final points of active-set iterations."""
-    z, items = z.copy(), np.arange(len(z))
-    side = _sides(stack, z, times(stack.M, z) + stack.q)
+    z, items, side = z.copy(), np.arange(len(z)), np.full(z.shape, -1)
     fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
-    for _ in range(ROUNDS):
-        z[items] = at_sides(stack, side, items)
-        w = times(stack.M, z) + stack.q
-        before, side = side, _sides(stack, z, w)
+    for _ in range(ROUNDS + 1):
+        step, before = (times(stack.M, z) + stack.q) / stack.scale, side
+        side = np.where(step <= z - stack.upper, HIGH, FREE)
+        side = np.where(step >= z - stack.lower, LOW, side)
         changes = (side != before).sum(1)
         idle = np.where(changes < fewest, 0, idle + 1)
         fewest = np.minimum(changes, fewest)
-        is_open = (np.abs(stack.residual(z, w)) > GOOD * stack.reference).any(1)
-        items = items[((changes > 0) & (idle <= IDLE) & is_open)[items]]
+        items = items[((changes > 0) & (idle <= IDLE))[items]]
         if not items.size:
             break
+        z[items] = at_sides(stack, side, items)
     return z
-
-
-def _sides(stack: RowData, z: FloatVector, w: FloatVector) -> Any:
-    step = w / stack.scale
-    at_upper = np.where(step <= z - stack.upper, HIGH, FREE)
-    return np.where(step >= z - stack.lower, LOW, at_upper)
 
 
 def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
@@ -426,11 +414,10 @@ def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector,
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     n = z0.shape[1]
     entries = float(n**3)
-    free = (stack.lower == -np.inf) & (stack.upper == np.inf)
-    has_rounds = bool((_has_diagonal(stack) | free).all())
     is_cold = bool((z0 == stack.start).all())
-    if has_rounds or not is_cold:  # a start names an active set
-        yield "rounds", rounds(stack, guessed(stack, z0) if is_cold else z0)[0], entries
+    first = guess(stack) if is_cold else z0  # a start names an active set
+    if first is not None:
+        yield "rounds", rounds(stack, first)[0], entries
     M, q, width, back = _canonical(
         *(one[0] for one in (stack.M, stack.q, stack.lower, stack.upper))
     )
@@ -442,33 +429,17 @@ def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector,
         yield name, np.clip(z, stack.lower[0], stack.upper[0]), 3.0 * entries
         if np.isfinite(z).all():
             yield "rounds", rounds(stack, z[None])[0], entries
-    if not has_rounds:
+    if guess(stack) is None:
         yield "rounds", rounds(stack, stack.start)[0], entries
 
 
-class _Tableau:
-    """Basic variables as functions of the nonbasic variables: T + F R, with F R the products of the last exchanges."""
-
-    def __init__(self, T: FloatVector) -> None:
-        self.T, self.F, self.R = T, np.zeros((len(T), DELAYED)), np.zeros((DELAYED, T.shape[1]))
-        self.held = 0
-
-    def column(self, c: int) -> FloatVector:
-        """Return a column."""
-        column: FloatVector = self.T[:, c] + self.F[:, : self.held] @ self.R[: self.held, c]
-        return column
-
-    def exchange(self, factor: FloatVector, row: int, column: int) -> None:
-        """Exchange the basic variable of a row and the nonbasic variable of a column, whose entries are `factor`."""
-        T, F, R, k = self.T, self.F, self.R, self.held
-        R[k] = (T[row] + F[row, :k] @ R[:k]) / -factor[row]
-        R[k, column], F[:, k] = 1.0 / factor[row], factor
-        T[row], F[row, :k], T[:, column], R[:k, column] = 0.0, 0.0, 0.0, 0.0
-        F[row, k] = 1.0
-        self.held = k + 1
-        if self.held == DELAYED:
-            T += F @ R
-            self.held = 0
+def _exchange(T: FloatVector, factor: FloatVector, row: int, column: int) -> None:
+    """Exchange the basic variable of a row and the nonbasic one of a column with the entries `factor`, in place."""
+    pivot = factor[row]
+    held = T[row] / -pivot
+    held[column], factor[row] = 1.0 / pivot, 1.0
+    T[row], T[:, column] = 0.0, 0.0
+    T += factor[:, None] * held
 
 
 def path(  # noqa: PLR0912, PLR0915 - one loop
@@ -487,7 +458,6 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
         r[0] = 0.5
     T = np.empty((n, n + 1))
     T[:, :n], T[:, n] = M * unit[:, None], r
-    tableau = _Tableau(T)
     v = q * unit
     v = v + PERTURBED * np.abs(v).max() * np.random.default_rng(1).uniform(1.0, 2.0, n)
     fixed = width == 0.0
@@ -502,16 +472,16 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
     if game is not None:  # x_0 covers the other player's rows, t the remaining rows, in one vertex
         s = int(np.where(game, -np.inf, -v / T[:, 0]).argmax())
         for row, at in ((s, 0), (0, n)):
-            factor = tableau.column(at)
+            factor = T[:, at].copy()
             value = -v[row] / factor[row]
             v += value * factor
             v[row] = value
             basis[row], other[at] = other[at], basis[row]
-            tableau.exchange(factor, row, at)
+            _exchange(T, factor, row, at)
         side[0], t_row, driven, value, direction = FREE, 0, s, 0.0, 1.0
         column = other.index(s)
     for _ in range(10 * (n + 10)):
-        factor = tableau.column(column)
+        factor = T[:, column].copy()
         rate = factor if direction > 0.0 else -factor
         distance = np.where(
             np.abs(rate) > SMALLEST_PIVOT, (np.where(rate < 0.0, low, high) - v) / rate, np.inf
@@ -546,7 +516,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
         basis[row], other[column] = driven, leaving
         if leaving == t:
             break
-        tableau.exchange(factor, row, column)
+        _exchange(T, factor, row, column)
         if leaving >= n:
             i = leaving - n
             driven, value, direction = (i, 0.0, 1.0) if side[i] == LOW else (i, u[i], -1.0)

@@ -9,14 +9,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...auto import parse_call
+from ...auto import method_of
 from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.problem_classes import class_of, refusal, takes
-from ...core.settings import Settings, checked_threads
+from ...core.settings import checked_threads
 from ...methods.banded import banded_passes
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContactBatch
@@ -164,8 +164,7 @@ def solve_batch(
         options["absolute_tolerance"] = absolute_tolerance
     if prove_infeasibility is not True:
         options["prove_infeasibility"] = prove_infeasibility
-    limit = Settings(max_seconds=max_seconds).max_seconds
-    asked = Asked(algorithm, options, checked_threads(threads), limit)
+    asked = Asked(algorithm, options, max_seconds, threads)
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or absolute_tolerance != 0.0:
@@ -201,7 +200,7 @@ def solve_batch(
         upper = (np.inf if held is None else held.upper) if upper is None else upper
         stated = Stacked(M, q, lower, upper, z0)
     if not are_problems or stated.are_lcps:
-        parse_call(algorithm, options)
+        method_of(algorithm, {})
     return BatchRun(stated, asked, stated.errors).run()
 
 

@@ -12,7 +12,7 @@ from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.settings import Settings, Status
+from ...core.settings import Settings, Status, checked_threads
 from ...core.solving.base_result import BaseResult
 from ...core.solving.result import Result
 from ..many.answers import AnswerSequence
@@ -22,12 +22,12 @@ MOST_ITERATIONS = 200  # of a stack
 
 
 class Asked(NamedTuple):
-    """Arguments of solve_batch except the problems; `options` has only non-default values."""
+    """Arguments of solve_batch except the problems; `options` has the non-default options of each problem."""
 
     algorithm: Any
     options: dict[str, Any]
-    threads: int
-    limit: float
+    max_seconds: Any
+    threads: Any
     item: str = "problem"
 
 
@@ -47,9 +47,11 @@ class BatchRun:
 
     def __init__(self, problems: Any, asked: Asked, errors: dict[int, LCPError]) -> None:
         self.problems, self.asked, count = problems, asked, len(problems)
-        self.errors = {**errors}
-        known = {"tolerance", "max_iterations", "absolute_tolerance", "prove_infeasibility"}
-        self.settings = Settings(**{k: v for k, v in asked.options.items() if k in known})
+        self.settings = Settings(max_seconds=asked.max_seconds, **asked.options)
+        self.threads = checked_threads(asked.threads)
+        self.errors, self.z = {**errors}, problems.points
+        for k in errors if isinstance(self.z, np.ndarray) else ():
+            self.z[k] = np.nan
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
         self.is_open[[*self.errors]] = False
@@ -59,21 +61,13 @@ class BatchRun:
     @property
     def has_time(self) -> bool:
         """True until the time limit of the batch is reached."""
-        return self.clock.read() < self.asked.limit
-
-    @property
-    def is_plain(self) -> bool:
-        """True if a stack may replace `auto`, with equivalent results."""
-        settings, few = self.settings, self.settings.max_iterations < MOST_ITERATIONS
-        return self.asked.algorithm == "auto" and not (settings.absolute_tolerance or few)
+        return bool(self.clock.read() < self.settings.max_seconds)
 
     @np.errstate(under="ignore")
     def run(self) -> BatchAnswers:
         """Solve all problems, until the clock runs out or Ctrl-C."""
-        self.begin()
         try:
-            if self.is_plain:
-                self.solve_at_once()
+            self.solve_at_once()
             for k in np.flatnonzero(self.is_open).tolist():
                 if self.is_interrupted or not self.has_time:
                     break
@@ -85,39 +79,34 @@ class BatchRun:
         self.seconds = self.clock.read()
         return BatchAnswers(self)
 
-    def begin(self) -> None:
-        """Write the points at which problems begin."""
-        self.z = self.problems.points
-        for k in self.errors if isinstance(self.z, np.ndarray) else ():
-            self.z[k] = np.nan
-
     def solve_at_once(self) -> None:
-        """Solve small problems in stacks, on the threads, while there is time."""
+        """Solve small problems in stacks, on the threads, while there is time; a stack replaces only `auto`."""
+        few = self.settings.max_iterations < MOST_ITERATIONS
+        if self.asked.algorithm != "auto" or self.settings.absolute_tolerance or few:
+            return
         stacks = [*self.problems.stacks(self.settings.tolerance, lambda: self.has_time)]
 
         def take(first: int, end: int) -> None:
             for items, solve_stack in stacks[first:end]:
-                if self.has_time:
-                    z, residual, iterations, is_solved = solve_stack()
-                    good = np.flatnonzero(is_solved & self.is_open[items])
-                    self.write(items[good], z[good], residual[good], iterations[good])
+                if not self.has_time:
+                    return
+                z, residual, iterations, is_solved = solve_stack()
+                good = np.flatnonzero(is_solved & self.is_open[items])
+                at = items[good]
+                if isinstance(self.z, np.ndarray):
+                    self.z[at] = z[good]
+                else:
+                    for k, i in zip(at.tolist(), good.tolist(), strict=True):
+                        self.z[k] = read_only(z[i])
+                self.residual[at], self.iterations[at] = residual[good], iterations[good]
+                self.status[at], self.is_open[at] = Status.SOLVED, False
 
-        run_in_chunks(take, len(stacks), self.asked.threads)
-
-    def write(self, items: Any, z: Any, residual: Any, iterations: Any) -> None:
-        """Write solved problems."""
-        if isinstance(self.z, np.ndarray):
-            self.z[items] = z
-        else:
-            for k, row in zip(items.tolist(), z, strict=True):
-                self.z[k] = read_only(row)
-        self.residual[items], self.iterations[items] = residual, iterations
-        self.status[items], self.is_open[items] = Status.SOLVED, False
+        run_in_chunks(take, len(stacks), self.threads)
 
     def _solve_or_keep_error(self, k: int) -> None:
         options = dict(self.asked.options)
-        if self.asked.limit < np.inf:
-            options["max_seconds"] = max(self.asked.limit - self.clock.read(), 0.0)
+        if self.settings.max_seconds < np.inf:
+            options["max_seconds"] = max(self.settings.max_seconds - self.clock.read(), 0.0)
         try:
             self.solve_alone(k, options)
         except (InvalidOption, UnknownAlgorithm):
@@ -214,7 +203,7 @@ class BatchAnswers(AnswerSequence[Any]):
     def __init__(self, run: BatchRun) -> None:
         self._run, self.item = run, run.asked.item
         self.status, self.seconds = run.status, run.seconds
-        self.errors, self.problems, self.threads = run.errors, run.problems, run.asked.threads
+        self.errors, self.problems, self.threads = run.errors, run.problems, run.threads
         vars(self).update(run.tables())
         for table in vars(self).values():
             if isinstance(table, np.ndarray):

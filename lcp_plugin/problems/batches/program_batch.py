@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...auto import parse_call
+from ...auto import method_of
 from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
@@ -39,32 +39,21 @@ class ProgramBatchRun(BatchRun):
 
     def __init__(self, programs: QuadraticProgramBatch, asked: Asked) -> None:
         if not (isinstance(asked.algorithm, str) and asked.algorithm in ENGINES):
-            parse_call(asked.algorithm, {})
+            method_of(asked.algorithm, {})
         super().__init__(programs, asked, {})
         programs.refuse_nonconvex()
         count, (m, p, n, _) = len(programs), programs.sizes
-        self.x, self.y = np.full((count, n), np.nan), np.full((count, m + p), np.nan)
-        self.at_bounds = np.full((2, count, n), np.nan)
+        self.y, self.at_bounds = np.full((count, m + p), np.nan), np.full((2, count, n), np.nan)
         self.begun: Any = None
 
-    @property
-    def is_plain(self) -> bool:
-        """True if the algorithm is auto or the engine of small programs."""
-        return self.asked.algorithm in ("auto", ENGINE)
-
-    def begin(self) -> None:
-        """Write the points at which programs begin."""
-        lower, upper = (self.problems.vectors[name] for name in ("lower", "upper"))
-        self.x[:] = np.clip(0.0, lower, upper)
-        self.x[[*self.errors]] = np.nan
-
     def solve_at_once(self) -> None:
-        """Run the engine on small programs, in blocks."""
+        """Run the engine on small programs, in blocks, if the algorithm is auto or this engine."""
         m, p, n, _ = self.problems.sizes
-        if not may_be_small(n, m + p, [n * (n + m + p)]):
+        is_asked = self.asked.algorithm in ("auto", ENGINE)
+        if not (is_asked and may_be_small(n, m + p, [n * (n + m + p)])):
             return
         data, engine = self.problems.arrays, engine_class(ENGINE)(**PROXIMAL)
-        count, threads = len(self.status), self.asked.threads
+        count, threads = len(self.status), self.threads
         share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
         size = max(min(TOGETHER // max(n * (n + m + p), 1), -(-count // share)), 1)
         may = self.problems.may_be_stated & _are_semidefinite(data[0])
@@ -106,19 +95,19 @@ class ProgramBatchRun(BatchRun):
         is_solved = errors.meet(self.settings.tolerance)
         good = np.flatnonzero(is_solved)
         at = good + items.start
-        self.x[at], self.y[at] = x[good], y[good]
+        self.z[at], self.y[at] = x[good], y[good]
         self.at_bounds[:, at] = np.array(of_bounds)[:, good]
         self.residual[at] = errors.largest[good]
         self.is_open[at], self.status[at] = False, Status.SOLVED
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
         """Solve program k by itself, from the previous solution if all have the same matrices."""
-        self.x[k] = np.nan
+        self.z[k] = np.nan
         result = solve_program(self.problems[k], self.asked.algorithm, z0=self.begun, **options)
         found, self.results[k] = result.solution, result
         if result.is_solved and self.problems.has_one_matrix:
             self.begun = result.z
-        self.x[k], self.iterations[k] = found.x, result.iterations
+        self.z[k], self.iterations[k] = found.x, result.iterations
         self.y[k] = np.concatenate([found.inequality, found.equality])
         self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), found.error
         self.status[k], self.is_open[k] = result.status, False
@@ -130,7 +119,7 @@ class ProgramBatchRun(BatchRun):
             found: QuadraticProgramResult = self.results[k]
             return found
         multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
-        solution = QPSolution.of_rows(self.problems[k], self.x[k], multipliers)
+        solution = QPSolution.of_rows(self.problems[k], self.z[k], multipliers)
         by = f"auto: {ENGINE}" if self.asked.algorithm == "auto" else ENGINE
         share, steps = self.seconds / len(self.status), int(self.iterations[k])
         return QuadraticProgramResult(
@@ -141,12 +130,12 @@ class ProgramBatchRun(BatchRun):
         """Return the arrays of the results by name."""
         m, (lower, upper) = self.problems.sizes[0], self.at_bounds
         rows = {"inequality": self.y[:, :m], "equality": self.y[:, m:]}
-        shared = {"x": self.x, "residual": self.residual, "iterations": self.iterations}
+        shared = {"x": self.z, "residual": self.residual, "iterations": self.iterations}
         return {**shared, **rows, "lower": lower, "upper": upper}
 
     def objectives(self) -> Any:
         """Return ½ xᵀP x + cᵀx of each program, NaN if it is proved infeasible or unbounded."""
-        P, c, x = self.problems.P, self.problems.vectors["c"], self.x
+        P, c, x = self.problems.P, self.problems.vectors["c"], self.z
 
         def values_of(P: Any, c: Any, x: Any) -> Any:
             Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]

@@ -60,19 +60,9 @@ class Group(NamedTuple):
         size = max(1, CHUNK // self.M.shape[1] ** 2)
         for first in range(0, self.items.size, size):
             part = self.select(slice(first, first + size))
-            yield part.items, partial(_solve, part, tolerance)
-
-
-def _solve(group: Group, tolerance: float) -> tuple[Any, Any, Any, Any]:
-    starts = group.starts if group.starts.shape[1] else None
-    found = solve_stack(group.M, group.q, group.lower, group.upper, starts, tolerance)
-    begun = np.clip(0.0, group.lower, group.upper) if starts is None else starts
-    shape = group.items.size, group.M.shape[1]
-    z, begun = np.broadcast_to(found.z, shape), np.broadcast_to(begun, shape)
-    residual, is_solved = (
-        np.broadcast_to(one, shape[:1]) for one in (found.residual, found.is_solved)
-    )
-    return z, residual, (z != begun).any(1).astype(np.int64), is_solved
+            starts = part.starts if part.starts.shape[1] else None
+            q, lower, upper = part.vectors("q", "lower", "upper")
+            yield part.items, partial(solve_stack, part.M, q, lower, upper, starts, tolerance)
 
 
 class Listed:

@@ -171,6 +171,12 @@ class QuadraticProgramBatch:
         return self.sizes[2]
 
     @property
+    def points(self) -> Any:
+        """The points of [lower, upper] nearest to 0, shape (B, n)."""
+        nearest = np.clip(0.0, self.vectors["lower"], self.vectors["upper"])
+        return np.array(np.broadcast_to(nearest, (self.count, self.n)))
+
+    @property
     def has_one_matrix(self) -> bool:
         """True if all programs share P, G and A."""
         return self._shared is not None

@@ -127,4 +127,5 @@ def test_a_stack_within_boxes_is_solved_at_once(limit: float) -> None:
     A = rng.normal(size=(20, 20))
     bounds = np.full((1, 20), -limit if limit < np.inf else 0.0), np.full((1, 20), limit)
     M, q = (A @ A.T / 20 + 0.1 * np.eye(20))[None], rng.normal(size=(100, 20))
-    assert solve_stack(M, q, *bounds, None, 1e-8).is_solved.all()
+    *_, is_solved = solve_stack(M, q, *bounds, None, 1e-8)
+    assert is_solved.all()

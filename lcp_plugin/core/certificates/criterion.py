@@ -105,11 +105,10 @@ class RowData:
     @cached_property
     def reference(self) -> Any:
         """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        w, slip = self.q, np.zeros_like(self.q)
-        if self.start.any():
-            at = self.rows(self.start)
-            w, slip = at.w, at.slip
-        return self.largest(self.residual_ends(self.start, w, slip)[0])
+        if not self.start.any():  # q is not rounded
+            return self.largest(np.abs(self.residual(self.start, self.q)) * (1.0 - 4.0 * EPSILON))
+        at = self.rows(self.start)
+        return self.largest(self.residual_ends(self.start, at.w, at.slip)[0])
 
     def rows(self, z: FloatVector) -> RowsAtPoint:
         """Return the values of all rows at z."""

@@ -213,8 +213,8 @@ def guess(stack: RowData) -> FloatVector | None:
     z = stack.start
     pivot, half = 1.0 / RELAXATION + 3.0, z.shape[-1] // 2
     for _ in range(SWEEPS):
-        w = times(stack.M, z) + stack.q
-        change = stack.residual(z, w) * (2.0 / pivot)
+        step = (times(stack.M, z) + stack.q) / stack.scale
+        change = np.minimum(np.maximum(step, z - stack.upper), z - stack.lower) * (2.0 / pivot)
         new = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
         more = times(stack.M[:, half:, :half], new[:, :half] - z[:, :half])
         change[:, half:] += more / (pivot * stack.scale[:, half:])
@@ -226,14 +226,15 @@ def rounds(stack: RowData, z: FloatVector) -> FloatVector:
     """Return the final points of active-set iterations."""
     z, items, side = z.copy(), np.arange(len(z)), np.full(z.shape, -1)
     fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
-    for _ in range(ROUNDS + 1):
+    for _ in range(ROUNDS):
         step, before = (times(stack.M, z) + stack.q) / stack.scale, side
-        side = np.where(step <= z - stack.upper, HIGH, FREE)
-        side = np.where(step >= z - stack.lower, LOW, side)
+        is_low, is_high = step >= z - stack.lower, step <= z - stack.upper
+        side = np.where(is_low, LOW, FREE + is_high)
         changes = (side != before).sum(1)
         idle = np.where(changes < fewest, 0, idle + 1)
         fewest = np.minimum(changes, fewest)
-        items = items[((changes > 0) & (idle <= IDLE))[items]]
+        is_open = (changes > 0) & (idle <= IDLE) & ~np.isnan(step).any(1)  # NaN: a singular block
+        items = items[is_open[items]]
         if not items.size:
             break
         z[items] = at_sides(stack, side, items)

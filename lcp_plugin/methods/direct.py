@@ -66,6 +66,7 @@ def direct_methods(
     prove_infeasibility : bool
         If False, no method looks for proofs.
     """
+    from ..proofs.verdicts import analyze
     from .search import is_searchable
     from .search.stages import ExhaustiveSearch, FeasibilityCheck
 
@@ -85,7 +86,11 @@ def direct_methods(
     row = contradictory_row(problem) if prove_infeasibility else None
     if row is not None and row.excludes(EPSILON):
         yield Stage(FeasibilityCheck(), "one row contradicts its bounds by itself")
-    elif "newton" not in unfit and _suits_newton(problem):
+    elif (
+        "newton" not in unfit
+        and has_positive_diagonal(problem.matrix).all()
+        and analyze(problem).is_z_matrix
+    ):
         yield newton
         unfit.add("newton")
     order = _order(problem, goal, newton, lemke, interior, check)
@@ -187,12 +192,6 @@ def _too_large(problem: LCP) -> set[str]:
 def last_resort(problem: LCP) -> Algorithm:
     """Return the method that auto follows to its end if no earlier method converges."""
     return Lemke() if problem.n <= PIVOTED_UP_TO else PSOR()
-
-
-def _suits_newton(problem: LCP) -> bool:
-    from ..proofs.verdicts import analyze
-
-    return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
 
 
 def _seems_monotone(problem: LCP) -> bool:

@@ -208,20 +208,14 @@ class FreeSystem:
     @cached_property
     def _doubtful_factor(self) -> Factor | None:
         """Factorization of the block; None if a pivot is zero."""
-        return self._counted(self._even_factor(self.block))
+        return self._even_factor(self.block)
 
     @cached_property
     def _ridge(self) -> Factor | None:
         """Factorization of the block with RIDGE on its diagonal."""
         shift = RIDGE * self._scale
         block = self.block + (sp.diags_array(shift) if sp.issparse(self.block) else np.diag(shift))
-        return self._counted(
-            self._even_factor(sp.csr_array(block) if sp.issparse(block) else block)
-        )
-
-    def _counted(self, factor: Factor | None) -> Factor | None:
-        self.work += 0.0 if factor is None else factor.work
-        return factor
+        return self._even_factor(sp.csr_array(block) if sp.issparse(block) else block)
 
     @cached_property
     def _scale(self) -> FloatVector:
@@ -247,15 +241,16 @@ class FreeSystem:
         Without equilibration, pivots that are large only by their unit would replace diagonal pivots and cause fill.
         """
         is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
-        if not self._is_badly_scaled:
-            return factorise(block, is_symmetric=is_symmetric, bandwidth=band)
-        by, is_symmetric = self._exponents(block)
-        balanced = factorise(scale_matrix(block, by), is_symmetric=is_symmetric, bandwidth=band)
-        if balanced is None:
-            return None
-        solve, solve_transposed = balanced.solve, balanced.solve_transposed
+        by = None
+        if self._is_badly_scaled:
+            by, is_symmetric = self._exponents(block)
+        factor = factorise(scale_matrix(block, by), is_symmetric=is_symmetric, bandwidth=band)
+        self.work += 0.0 if factor is None else factor.work
+        if factor is None or by is None:
+            return factor
+        solve, solve_transposed = factor.solve, factor.solve_transposed
         return replace(
-            balanced,
+            factor,
             solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
             solve_transposed=lambda right: times_power(
                 solve_transposed(times_power(right, by.column)), by.row
@@ -333,7 +328,8 @@ class FreeSystem:
                 if scale is None
                 else _largest(left / scale)
             )
-            self.work += (2.0 if scale is None else 1.0) * self._entries
+            entries = self.block.nnz if sp.issparse(self.block) else self.block.size
+            self.work += (2.0 if scale is None else 1.0) * entries
             best, is_halved, error = (
                 (x if now < error else best),
                 now < 0.5 * error,
@@ -344,10 +340,6 @@ class FreeSystem:
             x = x + solve(left)
             self.work += factor.solve_work
         return best
-
-    @property
-    def _entries(self) -> int:
-        return int(self.block.nnz if sp.issparse(self.block) else self.block.size)
 
     def _backward_error(
         self, left: FloatVector, x: FloatVector, right: FloatVector, transposed: bool = False

@@ -142,7 +142,8 @@ class Run:
             self.setup_seconds = self.seconds
         residual = self._measure(stage, step, is_first)
         end = self._end_of(stage, step, residual)
-        if self._report(stage, step, residual, is_last=end is not None):
+        is_watched = self.settings.record or self.log is not None or self.callback is not None
+        if is_watched and self._report(stage, step, residual, is_last=end is not None):
             end = end or TerminationReason.INTERRUPTED
         if end is not None or step.proof is None:
             return end
@@ -222,8 +223,6 @@ class Run:
     def _report(self, stage: Stage, step: Step, residual: float | None, *, is_last: bool) -> bool:
         """Record, print and call back, with the clock paused; return whether the callback returned True."""
         settings, log, callback = self.settings, self.log, self.callback
-        if not (settings.record or log is not None or callback is not None):
-            return False
         with self.clock.pause():
             sample = Sample(self.iteration, self.work, self.seconds, residual, stage.algorithm.name)
             wants_to_stop = callback is not None and bool(callback(sample, read_only(step.z)))

@@ -53,8 +53,6 @@ from ...systems.hierarchy.vectors import dot, span
 if TYPE_CHECKING:
     from ...core.lcp import LCP
 
-SHRUNK = 0.9
-SUFFICIENT = 1e-4
 PATIENCE = 12  # cycles that may pass without an accepted one
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
@@ -91,15 +89,14 @@ class Safeguard:
     def lets_pass(self, z: FloatVector, residual: float) -> bool:
         """Return whether the run may continue from z, which is accepted if it has gained enough."""
         self.idle += 1
-        if residual < (SHRUNK * self.least if self.is_symmetric else self.least):
+        if residual < (0.9 * self.least if self.is_symmetric else self.least):
             self._accept(z, residual)
         elif self.is_symmetric:
             change, noise, slack = self._energy_change(z)
             if change > noise:
                 return False
-            if change < -max(
-                noise, SUFFICIENT * self._least_diagonal * self.residual * self.residual
-            ):
+            least_diagonal = float(self.problem.diagonal.min(initial=np.inf))
+            if change < -max(noise, 1e-4 * least_diagonal * self.residual * self.residual):
                 self._accept(z, residual, slack)
         return self.idle < PATIENCE
 
@@ -138,10 +135,6 @@ class Safeguard:
             0,
             slack,
         )
-
-    @property
-    def _least_diagonal(self) -> float:
-        return float(self.problem.diagonal.min(initial=np.inf))
 
     @np.errstate(all="ignore")  # between bounds of ±1e308
     def _energy_change(self, z: FloatVector) -> tuple[float, float, FloatVector]:

@@ -166,13 +166,14 @@ class NewtonState:
     def move(self, z: FloatVector) -> None:
         """Move to z; store z or its projection if the residual is the best so far."""
         self.z, self.w = z, self.slack(z)
-        residual = self.residual = self._residual(z, self.w)
-        size = float(np.max(residual, initial=0.0))
+        self.residual: FloatVector = np.abs(scaled_residual(self.problem, z, self.w))
+        size = float(np.max(self.residual, initial=0.0))
         if size < self.best or not self._solved:
             self.best, self.best_z = size, z
         inside = np.clip(z, self.problem.lower, self.problem.upper)
         if not np.array_equal(inside, z):
-            size = float(np.max(self._residual(inside, self.slack(inside)), initial=0.0))
+            residual = np.abs(scaled_residual(self.problem, inside, self.slack(inside)))
+            size = float(np.max(residual, initial=0.0))
         if size < self.inside or not self._solved:
             self.inside, self.inside_z = size, inside
 
@@ -181,10 +182,6 @@ class NewtonState:
         """True if steps without clear gain end after LARGE_PATIENCE."""
         # Steps that gain little are given up early: each costs a factorization.
         return self.problem.n > 3000
-
-    def _residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
-        size: FloatVector = np.abs(scaled_residual(self.problem, z, w))
-        return size
 
     def slack(self, z: FloatVector) -> FloatVector:
         """Return M z + q, counted as work."""

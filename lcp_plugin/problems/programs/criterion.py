@@ -52,7 +52,7 @@ class KKTErrors(NamedTuple):
     """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
 
     `is_excused` is True if a row is violated relative to its terms, but only by rounding of large unknowns. A violation
-    of at most 2⁻⁴⁴ of its coefficients does not count, because the right-hand side may be a rounded 0.
+    of at most 2⁻⁴⁴ of its fitted scale does not count, because the right-hand side may be a rounded 0.
     """
 
     primal: Any
@@ -202,7 +202,7 @@ class PrimalDualPoint:
 
     def has_excused_rows(self) -> bool:
         """Return whether a tolerated violation is more than the rounding error of a right-hand side next to its row."""
-        of_side = EXCUSED * largest(self.matrices.measured[3], np.ones(self.x.size))
+        of_side = EXCUSED / self.matrices.fit[1]
         return bool((self.over > np.maximum(ROWS * self.own, of_side)).any())
 
     @cached_property

@@ -10,6 +10,7 @@ from contact_families import delassus
 from mpmath import mp, mpf
 
 from lcp_plugin import ConeProblem, FrictionalContact
+from lcp_plugin.problems.cones.stack import ConeStack
 
 OPEN, STICKS, SLIDES, ON_THE_EDGE, GRAZES = range(5)
 
@@ -119,7 +120,7 @@ def exact_relative_residual(problem: Any, z: Any) -> Any:
 def exact_residuals(problem: Any, z: Any) -> list[Any]:
     """‖R_k(z)‖ of each block, with 60 digits."""
     mp.dps = 60
-    scale = problem.scale
+    scale = ConeStack.of(problem).d[0]
     M = problem.rows.csr
     w = [mpf(q) for q in problem.q.tolist()]
     for i in range(problem.n):

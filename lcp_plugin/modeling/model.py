@@ -512,7 +512,7 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         blocks = ConePair(np.arange(z.size), side.rows, friction_of(side)).blocks(
             np.eye(z.size), np.zeros(z.size)
         )
-        return np.abs(blocks.residual(z, w)[0])
+        return np.abs(blocks.residual(z, w))
     *_, weights, _, low, high = model.read(side)
     if other.kind == "nonnegative" and side.kind != "nonnegative":
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)

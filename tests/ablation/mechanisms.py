@@ -379,7 +379,7 @@ MECHANISMS = (
         "the linear system of the active set that a run found",
         {
             f"{CONES}.solving:polish_points": Instead(
-                lambda old: lambda stack, z: (z, stack.measure(z)[2])
+                lambda old: lambda stack, z: (z, stack.measure(z).largest)
             )
         },
     ),

@@ -120,19 +120,12 @@ class Blocks:
         first = self.starts[:-1]
         return (self.sizes == 1) & (self.lower[first] == 0.0) & (self.upper[first] == np.inf)
 
-    @property
-    def scale(self) -> FloatVector:
-        """The d_k that w is divided by in the residual of each block, shape (k,)."""
-        scale: FloatVector = ConeStack.of(self).d[0]
-        return scale
-
-    def residual(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, NDArray[np.int64]]:
-        """Return R = z − P_K(z − ŵ/d), shape (n,), and each projection: 0 apex or bound, 1 inside, 2 on K."""
+    def residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        """Return R = z − P_K(z − ŵ/d), shape (n,)."""
         stack = ConeStack.of(self)
-        wide = stack.pattern.wide
-        with np.errstate(all="ignore"):
-            R, case, *_ = stack.residual(wide(z[None]), wide(w[None]))
-        return stack.pattern.flat(R)[0], case[0]
+        wide, flat = stack.pattern.wide, stack.pattern.flat
+        R: FloatVector = flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
+        return R
 
     def project(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, shape (n,)."""

@@ -44,7 +44,7 @@ def sweep_points(
     least, since, steps = np.inf, 0, 0
     while steps * each < count and since <= max(patience, SLOW * steps) and least > goal:
         z = sweep_blocks(stack, z, each, STOP * goal)
-        residual = float(stack.measure(z)[2][0])
+        residual = stack.relative_residual(z)
         if not np.isfinite(residual):
             return
         least, since = (residual, 0) if residual < GAIN * least else (least, since + 1)
@@ -62,7 +62,7 @@ def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
     """Yield points of the central path from near z, and of Newton's method close to its end."""
     best, least, near, since = z, np.inf, NEAR, 0
     for new, work in islice(central_path(stack, z, share), PATH_STEPS):
-        size = float(stack.measure(new)[2][0])
+        size = stack.relative_residual(new)
         yield new, size, work
         best, least, since = (new, size, 0) if size < least else (best, least, since + 1)
         if size <= near:
@@ -131,30 +131,17 @@ class ConeNPGS(ConeAlgorithm):
 
 @dataclass(frozen=True, kw_only=True)
 class ConeNewton(ConeAlgorithm):
-    """Semismooth Newton on the natural map R(z) = z − P(z − ŵ/d), with a nonmonotone line search on ‖R‖₂.
-
-    Parameters
-    ----------
-    proximal : float
-        Upper bound of ε of its systems, relative to d.
-    """
+    """Semismooth Newton on the natural map R(z) = z − P(z − ŵ/d), with a nonmonotone line search on ‖R‖₂."""
 
     name = "newton"
     needs = "a factor that fits"
-    solves = "locally, where the generalised derivatives are regular"
+    solves = "locally, where the generalized derivatives are regular"
     cost = "one factor of the blocks that are not open"
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
 
-    proximal: float = 1e-3
-
-    def __post_init__(self) -> None:
-        if not (isinstance(self.proximal, int | float) and 0.0 < self.proximal < np.inf):
-            raise InvalidOption(f"newton: proximal must be > 0 and finite, got {self.proximal!r}")
-
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per linear system, until no step reduces the residual."""
-        options = {"patience": PATIENCE, "proximal": self.proximal}
-        return newton_points(stack, z, NEWTON_STEPS, goal, **options)
+        return newton_points(stack, z, NEWTON_STEPS, goal, patience=PATIENCE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,10 +180,10 @@ class FixedPoint(ConeAlgorithm):
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per program until five gain nothing, and Newton's points."""
-        best, least, since = z, float(stack.measure(z)[2][0]), 0
+        best, least, since = z, stack.relative_residual(z), 0
         for found in minimizers(problem, stack.pattern.flat(z)[0]):
             z = stack.pattern.wide(found[None])
-            residual = float(stack.measure(z)[2][0])
+            residual = stack.relative_residual(z)
             is_gain = residual < GAIN * least
             best, least, since = (z, residual, 0) if is_gain else (best, least, since + 1)
             yield z, residual, PROGRAM_WORK

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...systems.least_norm import solved
-from .stack import ConeStack
+from .stack import ConeStack, NaturalMap
 from .systems import Factors, factorize_matrix
 
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
@@ -31,65 +31,56 @@ STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving op
 
 
 def newton_steps(
-    stack: ConeStack,
-    z: Any,
-    steps: int,
-    goal: float,
-    *,
-    patience: int = PATIENCE,
-    proximal: float = PROXIMAL,
+    stack: ConeStack, z: Any, steps: int, goal: float, *, patience: int = PATIENCE
 ) -> Iterator[tuple[Any, Any, Any, float]]:
     """Yield the open problems, points, residuals and work, for the start and each step.
 
     Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """
     open_ones, here, at = np.arange(stack.B), stack, z
-    w, found, largest, size = here.measure(at)
-    yield open_ones, at, largest, 1.0
-    sizes, widest = np.repeat(size[:, None], MEMORY, 1), np.full(here.B, proximal)
-    best, since, least = size.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
+    found = here.measure(at)
+    yield open_ones, at, found.largest, 1.0
+    norms, widest = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, PROXIMAL)
+    best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
-        going = np.isfinite(size) & (largest > goal) & (since < patience)
+        going = np.isfinite(found.norm) & (found.largest > goal) & (since < patience)
         if not going.any():
             return
         if not going.all():
-            kept = (open_ones, at, w, widest, sizes, largest, size, best, since)
-            kept = tuple(one[going] for one in kept)
-            open_ones, at, w, widest, sizes, largest, size, best, since = kept
-            here, found = here.take(going), tuple(part[going] for part in found)
-        by_z, by_w = here.derivative(w, *found[1:])
-        epsilon = np.maximum(np.minimum(widest, 0.1 * largest), least)
+            kept = (open_ones, at, norms, widest, best, since)
+            open_ones, at, norms, widest, best, since = (one[going] for one in kept)
+            here, found = here.take(going), NaturalMap(*(one[going] for one in found))
+        by_z, by_w = here.derivative(*found[1:6])
+        epsilon = np.maximum(np.minimum(widest, 0.1 * found.largest), least)
         step = None
         while step is None and epsilon.min() <= 1.0:
             try:
                 shift = (epsilon[:, None] * here.d)[..., None, None]
                 factors = factorize_blocks(here, by_z + shift * by_w, by_w)
-                step = factors.solve(-found[0])
+                step = factors.solve(-found.R)
             except np.linalg.LinAlgError:
                 epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
         if step is None:
             return
-        t, allowed, before, start = np.ones(here.B), sizes.max(1), size, at
+        t, allowed, before, start = np.ones(here.B), norms.max(1), found.norm, at
         at = start + step
-        w, found, largest, size = here.measure(at)
+        found = here.measure(at)
         for _ in range(HALVINGS):
-            is_short = ~(size <= (1.0 - DECREASE * t) * allowed)
+            is_short = ~(found.norm <= (1.0 - DECREASE * t) * allowed)
             if not is_short.any():
                 break
             t[is_short] *= 0.5
             at[is_short] = (start + t[:, None, None] * step)[is_short]
-            one, parts, *ends = here.take(is_short).measure(at[is_short])
-            for whole, part in zip((w, *found, largest, size), (one, *parts, *ends), strict=True):
+            shorter = here.take(is_short).measure(at[is_short])
+            for whole, part in zip(found, shorter, strict=True):
                 whole[is_short] = part
-        widest = np.where(
-            (t < 1.0) | (size >= before),
-            proximal,
-            np.where(size > GAIN * before, EASIER * epsilon, widest),
-        )
-        sizes[:, count % MEMORY] = size
-        since = np.where(size < GAIN * best, 0, since + 1)
-        best = np.minimum(best, size)
-        yield open_ones, at, largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
+        is_poor = (t < 1.0) | (found.norm >= before)
+        narrower = np.where(found.norm > GAIN * before, EASIER * epsilon, widest)
+        widest = np.where(is_poor, PROXIMAL, narrower)
+        norms[:, count % MEMORY] = found.norm
+        since = np.where(found.norm < GAIN * best, 0, since + 1)
+        best = np.minimum(best, found.norm)
+        yield open_ones, at, found.largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
 
 
 def accuracy_of(stack: ConeStack) -> tuple[float, float]:
@@ -105,20 +96,20 @@ def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
     The linear systems are solved because a small residual does not imply a small error if M is ill-conditioned.
     """
     least, exact = accuracy_of(stack)
-    w, found, largest, _ = stack.measure(z)
-    best, smallest, shift = z, largest, least * stack.d[..., None, None]
+    found = stack.measure(z)
+    best, smallest, shift = z, found.largest, least * stack.d[..., None, None]
     for _ in range(LAST_STEPS):
-        if (largest <= exact).all():
+        if (found.largest <= exact).all():
             break
-        by_z, by_w = stack.derivative(w, *found[1:])
+        by_z, by_w = stack.derivative(*found[1:6])
         try:
-            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found[0])
+            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found.R)
         except np.linalg.LinAlgError:
             break
-        w, found, largest, _ = stack.measure(z)
-        is_better = largest < smallest
+        found = stack.measure(z)
+        is_better = found.largest < smallest
         best = np.where(is_better[:, None, None], z, best)
-        smallest = np.where(is_better, largest, smallest)
+        smallest = np.where(is_better, found.largest, smallest)
     return best, smallest
 
 

@@ -218,7 +218,7 @@ def solve_cone_stack(
                 if not has_time():
                     break
             done = least <= goal
-            best[done] = polish_points(here.take(done), best[done])[0] if done.any() else best[done]
+            best[done] = polish_points(here.take(done), best[done])[0]
             found = measure_points(here, here.snap(best), tolerance)
             worst = found.worst()
             is_better = found.is_solved | (worst < residual[left])
@@ -374,7 +374,7 @@ class ConeRun:
             yield chosen, "", chosen.points(problem, stack, self.start, goal)
             return
         if self.is_warm or stack.is_answered.all():
-            residual = float(stack.measure(self.start)[2][0])
+            residual = stack.relative_residual(self.start)
             if residual <= self.tolerance:
                 yield ConeNPGS, SWEPT, iter(())
             self.residual = residual
@@ -428,7 +428,7 @@ class ConeRun:
         z = yield from self._sweeps_and_newton(
             stack.origin, LONG_SCHEDULE, "until nothing changes", patience=PATIENCE
         )
-        is_near = stack.measure(z)[2][0] < 1.0
+        is_near = stack.relative_residual(z) < 1.0
         z = z if is_near else stack.snap(self.best)
         for seed in range(STARTS):
             yield newton(move_at_random(stack, z, seed), NEARBY)

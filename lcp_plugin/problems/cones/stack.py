@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
+from ...systems.least_norm import solved
 from .systems import Arms
 
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
@@ -122,6 +123,13 @@ class Pattern:
         return n * np.arange(n + 1), np.tile(np.arange(n), n), M.reshape(self.B, -1)
 
     @cached_property
+    def inverses(self) -> Array:
+        """The inverses of the diagonal blocks of contacts, NaN if singular."""
+        own = self.own.reshape(-1, self.m, self.m)
+        inverses: Array = solved(own, np.broadcast_to(np.eye(self.m), own.shape))
+        return inverses.reshape(self.own.shape)
+
+    @cached_property
     def most_terms(self) -> int:
         """The largest number of entries of a row."""
         return int(np.diff(self.M.indptr).max(initial=0)) if self.is_sparse else self.n
@@ -179,12 +187,30 @@ class Pattern:
     def take(self, some: Array) -> Pattern:
         """Return the pattern of the selected problems."""
         other = copy(self)
-        other.__dict__.pop("entries", None)
+        for name in ("entries", "inverses"):
+            other.__dict__.pop(name, None)
         for name in ("M", "own", "d", "labels"):
             values = getattr(self, name)
             setattr(other, name, None if values is None else values[some])
         other.B = len(other.d)
         return other
+
+
+class NaturalMap(NamedTuple):
+    """The natural map R of a stack and its slack w at a point, data of its projections, and its size.
+
+    The data are the locations of the projections, x = d z − w, ‖x_T‖, and x_N on the boundary; the size is the largest
+    ‖R_k‖ / reference of each problem, and the Euclidean norm of these ratios.
+    """
+
+    R: Array
+    w: Array
+    case: Array
+    x: Array
+    tangent: Array
+    axis: Array
+    largest: Array
+    norm: Array
 
 
 class ConeStack:
@@ -238,10 +264,17 @@ class ConeStack:
 
     @classmethod
     def of(cls, problem: Any) -> ConeStack:
-        """Return the stack of one problem; the data of its matrix are cached."""
-        pattern, arms = _pattern_of(problem)
-        arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
+        """Return the stack of one problem; the data of its matrix are cached for problems with this matrix."""
+        facts, M = problem._facts, problem.rows.M
         with np.errstate(all="ignore"):
+            if "stack" not in facts:
+                if sp.issparse(M) and problem.bodies is None and problem.n <= DENSE_UP_TO:
+                    M = M.toarray()
+                pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
+                bodies = problem.bodies
+                facts["stack"] = pattern, bodies and Arms(bodies, pattern.k, pattern.m)
+            pattern, arms = facts["stack"]
+            arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
             return cls(pattern, *arrays, has_friction=problem.has_friction, arms=arms)
 
     def take(self, some: Array) -> ConeStack:
@@ -339,23 +372,14 @@ class ConeStack:
             by_w[..., 1:] += by_w[..., :1] * slide[..., None, :]
         return eye - P, by_w
 
-    def measure(self, z: Array) -> tuple[Array, Any, Array, Array]:
-        """Return w, the values of `residual`, the largest ‖R_k‖ / reference, and their norm."""
+    def measure(self, z: Array) -> NaturalMap:
+        """Return the natural map at z, the largest ‖R_k‖ / reference, and the norm of these ratios."""
         w = self.slack(z)
-        found = self.residual(z, w)
-        sizes = length(found[0]) * self.weight
-        return w, found, sizes.max(1, initial=0.0), np.sqrt((sizes * sizes).sum(1))
+        R, case, x, tangent, axis = self.residual(z, w)
+        sizes = length(R) * self.weight
+        largest, norm = sizes.max(1, initial=0.0), np.sqrt((sizes * sizes).sum(1))
+        return NaturalMap(R, w, case, x, tangent, axis, largest, norm)
 
-
-def _pattern_of(problem: Any) -> tuple[Pattern, Any]:
-    """Return the pattern and the arms of a problem, shared by all problems with its matrix."""
-    if "stack" not in problem._facts:
-        M = problem.rows.M
-        if sp.issparse(M) and problem.bodies is None and problem.n <= DENSE_UP_TO:
-            M = M.toarray()
-        with np.errstate(all="ignore"):
-            pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
-        arms = None if problem.bodies is None else Arms(problem.bodies, pattern.k, pattern.m)
-        problem._facts["stack"] = pattern, arms
-    found: tuple[Pattern, Any] = problem._facts["stack"]
-    return found
+    def relative_residual(self, z: Array) -> float:
+        """Return the largest ‖R_k‖ / reference of one problem, without rounding errors."""
+        return float(self.measure(z).largest[0])

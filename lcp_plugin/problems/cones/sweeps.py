@@ -17,7 +17,7 @@ TURN = 0.5  # radians: largest change of the angle per step
 
 
 @helper
-def _solve_contact(A, b, f, x):  # type: ignore[no-untyped-def]
+def _solve_contact(A, inverse, b, f, x):  # type: ignore[no-untyped-def]
     """Solve a contact with velocities A x + b in space for x, in place; return whether it succeeds.
 
     The contact opens, sticks with x = −A⁻¹b, or slides. Along the angle θ of the impulse, x_N is −b_N / (A_NN + f
@@ -26,16 +26,9 @@ def _solve_contact(A, b, f, x):  # type: ignore[no-untyped-def]
     if b[0] >= 0.0:
         x[:] = 0.0
         return True
-    d = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
-    e = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
-    g = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
-    det = -(A[0, 0] * d + A[0, 1] * e + A[0, 2] * g)
-    one = A[1, 2] * b[2] - b[1] * A[2, 2]
-    two = b[1] * A[2, 1] - A[1, 1] * b[2]
-    three = A[1, 0] * b[2] - b[1] * A[2, 0]
-    n = (b[0] * d + A[0, 1] * one + A[0, 2] * two) / det
-    s = (b[0] * e - A[0, 0] * one + A[0, 2] * three) / det
-    t = (b[0] * g - A[0, 0] * two - A[0, 1] * three) / det
+    n = -(inverse[0, 0] * b[0] + inverse[0, 1] * b[1] + inverse[0, 2] * b[2])
+    s = -(inverse[1, 0] * b[0] + inverse[1, 1] * b[1] + inverse[1, 2] * b[2])
+    t = -(inverse[2, 0] * b[0] + inverse[2, 1] * b[1] + inverse[2, 2] * b[2])
     if 0.0 <= n < np.inf and np.hypot(s, t) <= f * n:
         x[0], x[1], x[2] = n, s, t
         return True
@@ -100,7 +93,7 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
 
 @kernel
 def sweep(  # type: ignore[no-untyped-def]
-    starts, friction, mu, lower, upper, indptr, indices, data, q, own, d, z, sweeps, stop
+    starts, friction, mu, lower, upper, indptr, indices, data, q, own, inverses, d, z, sweeps, stop
 ):
     """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i."""
     m = max(own.shape[2], 3)
@@ -122,7 +115,11 @@ def sweep(  # type: ignore[no-untyped-def]
                 if size == 1:
                     if A[0, 0] > 0.0:
                         x[0] = min(max(-b[0] / A[0, 0], lower[bounds, c]), upper[bounds, c])
-                elif not (friction and size == 3 and _solve_contact(A, b, mu[world, c], x)):
+                elif not (
+                    friction
+                    and size == 3
+                    and _solve_contact(A, inverses[world, c], b, mu[world, c], x)
+                ):
                     step = 1.0 / (np.sqrt(size) * d[world, c])
                     _project_steps(A, b, mu[world, c], friction, step, size, x, w)
                 for i in range(size):
@@ -136,8 +133,9 @@ def sweep(  # type: ignore[no-untyped-def]
 def sweep_blocks(stack: ConeStack, z: Array, count: int, stop: float) -> Array:
     """Return z, (B, k, m), after at most `count` sweeps over each problem."""
     pattern = stack.pattern
-    q = pattern.flat(stack.q)
-    arrays = (stack.mu, stack.low, stack.high, *pattern.entries, q, pattern.own, stack.d)
+    inverses = pattern.inverses if stack.has_friction else pattern.own
+    blocks = pattern.own, inverses, stack.d
+    arrays = stack.mu, stack.low, stack.high, *pattern.entries, pattern.flat(stack.q), *blocks
     starts, *given = read_only_views(*map(np.ascontiguousarray, (pattern.starts, *arrays)))
     z = np.array(pattern.flat(z), order="C")
     sweep(starts, stack.has_friction, *given, z, count, stop)

@@ -37,7 +37,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.problems.cones.methods import METHODS, ConeNewton
+from lcp_plugin.problems.cones.methods import METHODS, ConeNPGS
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 FC, CP = FrictionalContact, ConeProblem
@@ -188,8 +188,8 @@ def test_names_of_methods_are_checked() -> None:
     problem = FrictionalContact(*ONE)
     with pytest.raises(UnknownAlgorithm, match="newton"):
         solve(problem, "newtn")
-    with pytest.raises(LCPError, match="proximal"):
-        ConeNewton(proximal=-1.0)
+    with pytest.raises(LCPError, match="sweeps"):
+        ConeNPGS(sweeps=0)
     with pytest.raises(InvalidOption, match="z0"):
         solve(problem, z0=[1.0])
     with pytest.raises(InvalidOption, match="tolerance_on"):

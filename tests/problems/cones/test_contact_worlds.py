@@ -35,7 +35,9 @@ def test_worlds_are_answered_as_each_by_itself(is_warm: bool) -> None:
         alone = solve(FrictionalContact(W[i], b[i], friction[i]), z0=None if z0 is None else z0[i])
         if not is_warm:
             np.testing.assert_array_equal(batch.z[i], batch[i].z)
-            np.testing.assert_allclose(alone.z, batch.z[i], rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(alone.w, batch.w[i], rtol=1e-9, atol=1e-12)
+            if np.linalg.eigvalsh(W[i])[0] > 1e-12:  # otherwise several impulses make the motion
+                np.testing.assert_allclose(alone.z, batch.z[i], rtol=1e-9, atol=1e-12)
             assert batch.iterations[i] == batch[i].iterations
         assert batch[i].certificate.relative_residual <= 1e-8
         assert (

@@ -322,7 +322,7 @@ def _root(sizes: FloatVector) -> FloatVector:
 def _powers(exponents: FloatVector) -> FloatVector:
     """Return 2 to the rounded exponents, within the range of doubles; 1 for NaN."""
     known = np.where(np.isnan(exponents), 0.0, exponents)
-    return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -500.0), 500.0)).astype(np.intc))
+    return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -1000.0), 1000.0)).astype(np.intc))
 
 
 def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:

@@ -16,9 +16,9 @@ rounding errors included, and if every row i satisfies the componentwise test
   level, it counts as 0, and a_i = 0 is omitted. Terms that cancel make T_i large, but not a_i.
 - The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
   the largest T_k of rows that are off their bounds or violated. Such rows are at rounding level, as in the far field of
-  a grid. A small row (T_i ≤ 2⁻⁴² u_i) is not tolerated if a chain of small rows leads to a small row with q_k ≠ 0: this
-  row sets the unit of the chain. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the
-  other. A v_i that underflow explains is also tolerated.
+  a grid. A small row (T_i ≤ 2⁻⁴² u_i) is not tolerated if a chain of small rows leads to a small row with q_k ≠ 0, or
+  with an unknown at a bound other than 0: this row sets the unit of the chain. Two rows of a chain share an unknown
+  z_j ≠ 0, or one contains the unknown of the other. A v_i that underflow explains is also tolerated.
 
 If the active set is known, after a linear solve, the exponent 1 replaces 3/4. A run first moves each z_i to a bound
 whose distance is at most the step −w_i/d_i (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
@@ -211,7 +211,9 @@ class RowData:
         of_acting = self.largest(np.where(at.acts, at.terms, 0.0))
         unit = np.minimum(of_z, of_acting)
         is_small = at.terms <= NEGLIGIBLE * unit
-        is_led = is_small & ~is_candidate
+        is_at_bound = (z != 0.0) & ((z == self.lower) | (z == self.upper))
+        has_unit = ~is_candidate | is_at_bound | (times(self.absolute, is_at_bound) > 0.0)
+        is_led = is_small & has_unit
         by_columns = self.absolute.swapaxes(-1, -2) if z.ndim > 1 else self.absolute.T
         while is_led.any():
             is_shared = (is_led | (times(by_columns, is_led) > 0.0)) & (z != 0.0)

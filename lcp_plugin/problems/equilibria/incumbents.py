@@ -100,7 +100,8 @@ class LocalSearch:
     def _better_neighbour(self, piece: Node) -> Node | None:
         if piece.value == math.inf:
             return None
-        promising = self._find_promising(piece)
+        assert piece.point is not None
+        promising = self._other_cases(piece.point, piece.cases)
         for chosen in ([promising] if len(promising) > 1 else []) + [
             [one] for one in promising[:MOST_NEIGHBOURS]
         ]:
@@ -113,28 +114,6 @@ class LocalSearch:
             if neighbour.value < piece.value - DESCENT * (1.0 + abs(piece.value)):
                 return neighbour
         return None
-
-    def _find_promising(self, piece: Node) -> list[tuple[int, int]]:
-        """Return (pair, branch) of degenerate pairs that lower the objective, steepest first.
-
-        The multipliers of the piece determine the slopes. If the list is empty, the solution is strongly
-        stationary. Without multipliers, all other branches are returned.
-        """
-        assert piece.point is not None
-        others = self._other_cases(piece.point, piece.cases)
-        if piece.dual is None:
-            return others
-        problem, program = self.problem, self.problem.program
-        slope = program.matrices.gradient @ np.concatenate([piece.point, piece.dual[1]]) + program.c
-        size = MEETS * (1.0 + float(np.abs(program.c).max(initial=0.0)))
-        found = []
-        for i, case in others:
-            column = problem.second[i] if piece.cases[i] == BETWEEN else problem.first[i]
-            is_rise = piece.cases[i] == LOWER or case == LOWER
-            fall = -slope[column] if is_rise else slope[column]
-            if fall > size:
-                found.append((fall, i, case))
-        return [(i, case) for _, i, case in sorted(found, key=lambda one: (-one[0], *one[1:]))]
 
     def _other_cases(self, x: FloatVector, cases: Cases) -> list[tuple[int, int]]:
         """Return (pair, branch) of all further branches to which x belongs."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
-from .equilibrium_program import BETWEEN, CASES, LOWER, Cases
+from .equilibrium_program import CASES, Cases
 from .relaxations import Node, Relaxations
 
 MEETS = 1e-7  # relative to 1 + ‖x‖∞: distance up to which x belongs to a branch
@@ -63,23 +63,19 @@ class LocalSearch:
                 self.best = piece
         return self._known[key]
 
-    def descend(self, cases: Cases, near: FloatVector) -> Node:
-        """Return the last piece of a descent from these branches that lowers the value per step.
+    def descend(self, cases: Cases, near: FloatVector) -> None:
+        """Descend from these branches near a point, each step to a piece of smaller value.
 
         Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
-        piece. It first changes all pairs with a descent direction by the multipliers, and then one pair after the
-        other.
+        piece. It first changes all these pairs, and then one pair after the other.
         """
-        piece = self.offer(cases, near)
-        while (better := self._better_neighbour(piece)) is not None:
-            piece = better
-        return piece
+        piece: Node | None = self.offer(cases, near)
+        while piece is not None:
+            piece = self._better_neighbour(piece)
 
-    def from_point(self, x: FloatVector, cases: Cases | None = None) -> Node | None:
-        """Return the last piece of a descent from the branches nearest to x, or None."""
-        nearest = self.problem.nearest(x, self.problem.all_cases if cases is None else cases)
-        piece = self.descend(nearest, x)
-        return piece if piece.value < math.inf else None
+    def from_point(self, x: FloatVector, cases: Cases | None = None) -> None:
+        """Descend from the branches nearest to x."""
+        self.descend(self.problem.nearest(x, self.problem.all_cases if cases is None else cases), x)
 
     def confirm(self, x: FloatVector, value: float) -> None:
         """Descend from the branches at and near an external point, until the value is reached."""

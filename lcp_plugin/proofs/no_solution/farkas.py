@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -52,7 +52,7 @@ class FarkasAnswer:
     multipliers: FloatVector
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class FarkasProgram:
     """min qᵀy + Σ sup over the bounds of (Mᵀy)_j x_j, y of the signs that a Farkas vector needs, Σ|y_i| weight_i ≤ 1.
 
@@ -73,20 +73,12 @@ class FarkasProgram:
     constraints: LinearConstraints
     unit: float | None = None
     pivots: int | None = None
-    rows: FloatVector = field(init=False)
-    columns: FloatVector = field(init=False)
-    matrix: sp.csr_array = field(init=False)
 
     def __post_init__(self) -> None:
         matrix = self.constraints.matrix
         exponents = equilibrating_exponents(without_rounding(matrix), AIMS, 500)
-        rows, columns = (np.ldexp(1.0, side) for side in exponents)
-        for name, value in (
-            ("rows", rows),
-            ("columns", columns),
-            ("matrix", scale_matrix(matrix, exponents)),
-        ):
-            object.__setattr__(self, name, value)
+        self.rows, self.columns = (np.ldexp(1.0, side) for side in exponents)
+        self.matrix: Any = scale_matrix(matrix, exponents)
 
     @cached_property
     def sizes(self) -> list[float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import InitVar, dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -125,7 +125,6 @@ def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
     return sp.csr_array((matrix.data[kept], (rows[kept], matrix.indices[kept])), shape=matrix.shape)
 
 
-@dataclass(frozen=True, eq=False)
 class FarkasCertificate:
     """Inconsistency of linear constraints, proved by a Farkas vector y in exact arithmetic.
 
@@ -148,37 +147,31 @@ class FarkasCertificate:
         c without the contribution of `left`.
     """
 
-    sides: Any
-    y: Mapping[int, Fraction]
-    rows: InitVar[IntegerMatrix | None] = None
-    plain: Fraction = field(init=False)
-    left: dict[int, Fraction] = field(init=False)
-    _integers: dict[int, int] = field(init=False)  # the product is these times the unit
-    _unit: Fraction = field(init=False)
-
-    def __post_init__(self, rows: IntegerMatrix | None) -> None:
-        found = self._combined(rows) if self.has_signs else (ZERO, {}, {}, ZERO)
-        for name, value in zip(("plain", "left", "_integers", "_unit"), found, strict=True):
-            object.__setattr__(self, name, value)
+    def __init__(
+        self, sides: Any, y: Mapping[int, Fraction], rows: IntegerMatrix | None = None
+    ) -> None:
+        self.sides, self.y = sides, y
+        self.plain, self.left = ZERO, dict[int, Fraction]()
+        self._integers, self._unit = dict[int, int](), ZERO  # the product is these times the unit
+        if self.has_signs:
+            self._combine(rows)
 
     @cached_property
     def product(self) -> dict[int, Fraction]:
         """The entries of Mᵀy that are not 0."""
         return {j: self._unit * value for j, value in self._integers.items()}
 
-    def _combined(
-        self, rows: IntegerMatrix | None
-    ) -> tuple[Fraction, dict[int, Fraction], dict[int, int], Fraction]:
+    def _combine(self, rows: IntegerMatrix | None) -> None:
+        """Compute Mᵀy, c and what is left of open sides."""
         numbers, (whole, denominator) = list(self.y), common_denominator(list(self.y.values()))
         matrix = rows or IntegerMatrix.of(self.sides.matrix, numbers)
-        unit = power_of_two(matrix.exponent) / denominator
-        product = matrix.combination(dict(zip(numbers, whole, strict=True)))
+        unit = self._unit = power_of_two(matrix.exponent) / denominator
+        product = self._integers = matrix.combination(dict(zip(numbers, whole, strict=True)))
         bounds = {j: self.sides.bounds(j)[value > 0] for j, value in product.items()}
         closed = [j for j, bound in bounds.items() if math.isfinite(bound)]
         highest = unit * exact_dot([product[j] for j in closed], [bounds[j] for j in closed])
-        plain = -exact_dot(whole, self.sides.q[numbers].tolist()) / denominator - highest
-        left = {j: unit * value for j, value in product.items() if math.isinf(bounds[j])}
-        return plain, left, product, unit
+        self.plain = -exact_dot(whole, self.sides.q[numbers].tolist()) / denominator - highest
+        self.left = {j: unit * value for j, value in product.items() if math.isinf(bounds[j])}
 
     @cached_property
     def radius(self) -> float:

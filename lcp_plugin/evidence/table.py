@@ -9,9 +9,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-DIGITS = 3
-PLAIN = (1e-3, 1e6)  # a column of numbers between these is printed without powers of ten
-
 
 @dataclass(frozen=True)
 class Table:
@@ -45,38 +42,18 @@ class Table:
     def to_markdown(self) -> str:
         """Return the table as Markdown, numbers to the right."""
         columns = [[row[k] for row in self.rows] for k in range(len(self.columns))]
-        marks = ["---:" if any(map(_is_number, column)) else ":---" for column in columns]
-        texts = zip(*map(_shown, columns), strict=True)
+        has_number = [any(isinstance(one, int | float) for one in column) for column in columns]
+        marks = ["---:" if is_number else ":---" for is_number in has_number]
+        texts = ([*map(_cell, row)] for row in self.rows)
         lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *texts)]
         return "\n".join([lines[0], f"|{'|'.join(marks)}|", *lines[1:], ""])
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _shown(column: Sequence[Any]) -> list[str]:
-    """Return the cells of a column, its numbers alike: with as many decimals, or with powers of ten."""
-    numbers = [abs(value) for value in column if _is_number(value) and value]
-    low, high = min(numbers, default=1.0), max(numbers, default=1.0)
-    is_plain = PLAIN[0] <= low and high < PLAIN[1] and high / low < 1e4
-    given = max(
-        (len(repr(value).partition(".")[2]) for value in column if isinstance(value, float)),
-        default=0,
-    )
-    decimals = min(max(0, DIGITS - 1 - math.floor(math.log10(low))), given)
-
-    def shown(value: Any) -> str:
-        if value is None or (isinstance(value, float) and not math.isfinite(value)):
-            return "–"
-        if not isinstance(value, float):
-            return str(value)
-        if is_plain:
-            return f"{value + 0.0:.{decimals}f}"
-        digits, _, power = f"{value:.1e}".partition("e")
-        return f"{digits}e{int(power)}"
-
-    return [shown(value) for value in column]
+def _cell(value: Any) -> str:
+    """Return a number with three digits, – for none, a text unchanged."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:

@@ -135,8 +135,6 @@ def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     Every row bound implies ⟨M⟩v > 0 and a positive diagonal. Nearly equal weights help a row at its bound (τ = 0),
     whose sweep needs no margin of ⟨M⟩v but a small |L|v.
     """
-    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
-        return None
     if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
         return None
     certificate = comparison_certificate(problem.matrix)

@@ -182,10 +182,10 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contract
     ]
     if not min(found) > 0.0:
         return None
-    rates = [rate_of(gap) for gap in found]
-    rate = None if None in rates else math.prod(rate for rate in rates if rate is not None)
-    if rate is None:
+    rates = [rate for gap in found if (rate := rate_of(gap)) is not None]
+    if len(rates) < len(found):
         return None, None
+    rate = math.prod(rates)
     return (float(np.nextafter(rate, 2.0)) if len(rates) > 1 else rate), read_only(v.copy())
 
 

@@ -27,18 +27,15 @@ LINE = 100
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
-class View:
-    """An attribute of a report that is a cached property of its matrix."""
+def _view(tell: Callable[[Matrix], Any]) -> Any:
+    """Return an attribute of a report that is a cached property of its matrix."""
 
-    def __init__(self, tell: Callable[[Matrix], Any]) -> None:
-        self.tell = tell
-        self.__doc__ = tell.__doc__
+    @property  # type: ignore[misc]
+    @np.errstate(all="ignore")  # an overflow fails the check
+    def view(report: MatrixReport) -> Any:
+        return tell(report.matrix)
 
-    def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
-        if report is None:
-            return self
-        with np.errstate(all="ignore"):  # an overflow fails the check
-            return self.tell(report.matrix)
+    return view
 
 
 class Claim:
@@ -107,19 +104,19 @@ class MatrixReport:
     is_triangular = Claim("triangular", verdicts.triangular)
     is_irreducible = Claim("irreducible", verdicts.irreducible)
 
-    csr = View(lambda matrix: matrix.csr)
-    diagonal = View(lambda matrix: matrix.diagonal)
-    v = View(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
-    margin = View(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
-    not_h_vector = View(lambda matrix: h_verdict(matrix).not_h_vector)
-    asymmetry = View(asymmetry)
-    triangular_form = View(structure.triangular_form)
-    row_excess_signs = View(graph.row_excess_signs)
-    components = View(graph.components)
-    blocks = View(lambda matrix: graph.diagonal_blocks(matrix)[0])
-    zero_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
-    negative_diagonal = View(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
-    scale_spread = View(graph.scale_spread)
+    csr = _view(lambda matrix: matrix.csr)
+    diagonal = _view(lambda matrix: matrix.diagonal)
+    v = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
+    margin = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
+    not_h_vector = _view(lambda matrix: h_verdict(matrix).not_h_vector)
+    asymmetry = _view(asymmetry)
+    triangular_form = _view(structure.triangular_form)
+    row_excess_signs = _view(graph.row_excess_signs)
+    components = _view(graph.components)
+    blocks = _view(lambda matrix: graph.diagonal_blocks(matrix)[0])
+    zero_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
+    negative_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
+    scale_spread = _view(graph.scale_spread)
 
     def __init__(self, matrix: Any) -> None:
         self.matrix = matrix_of(matrix)

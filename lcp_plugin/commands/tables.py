@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
-import sys
-import textwrap
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,13 +10,11 @@ from ..algorithms import REGISTRY, algorithm_class
 from ..core.lcp import LCP
 from ..evidence.methods import PAPER_MSOR, paper_options
 from ..proofs.guarantees import convergence_guarantee
-from ..proofs.guarantees.theorems import BAI, CRYER, LEVITIN, PAPER, PAPER_TITLE, Guarantee
+from ..proofs.guarantees.theorems import PAPER, PAPER_TITLE, Guarantee
 from ..proofs.verdicts import analyze
+from ..proofs.verdicts.report import wrapped
 from .terminal import console, table
 
-SOURCES = {PAPER: f"{PAPER}, {PAPER_TITLE}", **{one: one for one in (CRYER, BAI, LEVITIN)}}
-MAX_WIDTH = 100
-EVIDENCE = 41  # column of the evidence in the report on a matrix
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{
         name: paper_options(name, None)
@@ -46,30 +41,20 @@ def analysis(problem: LCP) -> str:
     >>> print(analysis(LCP([[4, -1], [-1, 4]], [-3, 5])).splitlines()[0])
     matrix of size 2, 4 nonzeros
     """
-    lines = [
-        part
-        for line in str(analyze(problem)).splitlines()
-        for part in _wrapped(line[:EVIDENCE], line[EVIDENCE:])
-    ]
-    lines += ["", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
-    theorems: dict[str, list[str]] = {}
+    lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     first: dict[str, str] = {}
+    of_paper: list[str] = []
     for title, found in guarantees(problem):
         rate = "" if found.rate is None else _rate(found.rate)
         because = found.theorem + (f" → {found.remedy}" if found.remedy else "")
-        named = f"as {first[because]}" if because in first else _with_numbers(because)
+        named = f"as {first[because]}" if because in first else because
         first.setdefault(because, title)
-        lines += _wrapped(f"{title:<25} {found.verdict:<12} {rate:<8} ", named)
+        lines += wrapped(f"{title:<25} {found.verdict:<12} {rate:<8} ", named)
         if found.paper:
-            theorems.setdefault(found.paper, []).append(title.partition(",")[0])
-    lines.append("")
-    for k, (source, full) in enumerate(SOURCES.items(), start=1):
-        lines += _wrapped(f"[{k}] ", full) if any(source in text for text in first) else []
-    if theorems:
-        lines += ["", "The paper's Theorem 4.2, for its methods without row scaling:"]
-        for text, names in theorems.items():
-            lines += _wrapped(f"{', '.join(names)}: ", text)
-    return "\n".join(lines).rstrip()
+            of_paper += wrapped(f"{title.partition(',')[0]}: ", found.paper)
+    if of_paper:
+        lines += ["", f"Theorem 4.2 of {PAPER}, {PAPER_TITLE}, without row scaling:", *of_paper]
+    return "\n".join(lines)
 
 
 def analysis_content(problem: LCP) -> dict[str, Any]:
@@ -98,21 +83,6 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _wrapped(title: str, text: str) -> list[str]:
-    """Return the text next to its title, in lines that fit the terminal."""
-    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else MAX_WIDTH
-    return textwrap.wrap(
-        text, min(MAX_WIDTH, columns), initial_indent=title, subsequent_indent=" " * len(title)
-    ) or [title.rstrip()]
-
-
-def _with_numbers(text: str) -> str:
-    """Return the text with [1], [2] … for its sources."""
-    for k, source in enumerate(SOURCES, start=1):
-        text = text.replace(f"({source})", f"[{k}]").replace(source, f"[{k}]")
-    return text
 
 
 def _rate(rate: float) -> str:

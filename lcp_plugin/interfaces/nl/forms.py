@@ -9,19 +9,10 @@ import io
 from struct import Struct
 from typing import Any, NoReturn
 
-from .content import PARTNER
-
-BOUNDS = ("dd", "d", "d", "", "d", "ii")  # the numbers behind the kind of a bound
-#: Conversion of words to numbers, integers (i) or not (d).
-CONVERTERS: dict[str, list[type]] = {
-    form: [int if kind == "i" else float for kind in form]
-    for form in ("", "i", "ii", "iii", "id", "d", "dd")
-}
-NUMBERS = {"n": "d", "l": "i", "s": "h"}  # the letters of numbers, and their forms in bytes
+CONVERTERS: dict[str, type] = {"i": int, "h": int, "d": float}
 NO_NUMBERS = (
     "this is neither a number nor a letter of the format, or there are not as many as are needed"
 )
-WRONG_KIND = f"a bound's kind is 0 to {PARTNER}"
 
 
 class NLSyntaxError(ValueError):
@@ -61,30 +52,17 @@ class TextFormReader(_Form):
 
     def letter(self) -> str:
         """Return the first letter of the next line, nothing at the end of the file."""
-        line = self._line()
+        line = self._line().lstrip(b" ")
         self._words = line[1:].split()
         return chr(line[0]) if line else ""
 
-    def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
-        """Return the integers behind the letter."""
-        return self._numbers("i" * count, self._words[: len(self._words) - has_name])
-
-    def real(self, letter: str) -> float:
-        """Return the number that follows a letter of type."""
-        value: float = self._numbers("d", self._words)[0]
-        return value
+    def behind(self, form: str, *, has_name: bool = False) -> list[Any]:
+        """Return the numbers behind the letter, whole ones (i, h) or not (d)."""
+        return self._numbers(form, self._words[: len(self._words) - has_name])
 
     def row(self, form: str) -> list[Any]:
-        """Return the numbers of the next line, whole ones (i) or not (d)."""
+        """Return the numbers of the next line."""
         return self._numbers(form, self._line().split())
-
-    def bound(self) -> list[Any]:
-        """Return the type of a bound and the numbers that follow."""
-        kind, *words = self._line().split() or [b""]
-        (number,) = self._numbers("i", [kind])
-        if not 0 <= number < len(BOUNDS):
-            self.fail(WRONG_KIND)
-        return [number, *self._numbers(BOUNDS[number], words)]
 
     def _line(self) -> bytes:
         self.at = self._next
@@ -94,7 +72,7 @@ class TextFormReader(_Form):
 
     def _numbers(self, form: str, words: list[bytes]) -> list[Any]:
         try:
-            return [kind(word) for kind, word in zip(CONVERTERS[form], words, strict=True)]
+            return [CONVERTERS[kind](word) for kind, word in zip(form, words, strict=True)]
         except ValueError:
             self.fail(NO_NUMBERS)
 
@@ -121,28 +99,17 @@ class BinaryFormReader(_Form):
         self._next += 1
         return chr(self.data[self.at]) if self.at < len(self.data) else ""
 
-    def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
-        """Return the integers behind the letter."""
-        numbers = self._numbers("i" * count)
+    def behind(self, form: str, *, has_name: bool = False) -> list[Any]:
+        """Return the numbers behind the letter, whole ones (i, h) or not (d)."""
+        numbers = self._numbers(form)
         if has_name:
             self._take(self._numbers("i")[0])
         return numbers
 
-    def real(self, letter: str) -> float:
-        """Return the number that follows a letter of type."""
-        return float(self._numbers(NUMBERS[letter])[0])
-
     def row(self, form: str) -> list[Any]:
-        """Return the next numbers, whole ones (i) or not (d)."""
+        """Return the next numbers."""
         self.at = self._next
         return self._numbers(form)
-
-    def bound(self) -> list[Any]:
-        """Return the type of a bound and the numbers that follow."""
-        kind = self.letter()
-        if kind not in {str(number) for number in range(len(BOUNDS))}:
-            self.fail(WRONG_KIND)
-        return [int(kind), *self._numbers(BOUNDS[int(kind)])]
 
     def _numbers(self, form: str) -> list[Any]:
         if form not in self._structs:

@@ -39,7 +39,10 @@ HEADS = {
     letter: count for count, all in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in all
 }
 SKIPPED = {"k": "i", "K": "i", "d": "id"}  # entries of each column, a start of multipliers
-TOKENS = dict.fromkeys("nls", Token.NUMBER) | {"v": Token.VARIABLE, "o": Token.OPERATOR}
+#: The numbers behind a letter in bytes: of a number, and of the kind of a bound.
+NUMBERS = {"n": "d", "l": "i", "s": "h"}
+BOUNDS = {"0": "dd", "1": "d", "2": "d", "3": "", "4": "d", "5": "ii"}
+TOKENS = dict.fromkeys(NUMBERS, Token.NUMBER) | {"v": Token.VARIABLE, "o": Token.OPERATOR}
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
@@ -212,7 +215,7 @@ class _Reader:
                 raise UnsupportedModel(
                     "the model calls external functions; write it with elementary functions"
                 )
-            numbers = source.integers(HEADS[letter], has_name=letter == "S")
+            numbers = source.behind("i" * HEADS[letter], has_name=letter == "S")
             owner = self._owner(letter, numbers)
             if letter in "CO":
                 if letter == "O":
@@ -270,15 +273,15 @@ class _Reader:
             source.fail(NO_PART if letter in HEADS else NO_NUMBERS)
         kind = TOKENS[letter]
         if kind is Token.NUMBER:
-            value = source.real(letter)
+            value = float(source.behind(NUMBERS[letter])[0])
             if not math.isfinite(value):
                 source.fail("a number is not finite")
             return kind, value, 0
         if kind is Token.VARIABLE:
-            (number,) = source.integers(1)
+            (number,) = source.behind("i")
             self._require_below(number, variables, "a variable that may stand here")
             return kind, number, 0
-        (number,) = source.integers(1)
+        (number,) = source.behind("i")
         if number not in ARITY:
             source.fail("there is no operator of this number")
         count = ARITY[number]
@@ -311,7 +314,10 @@ class _Reader:
         """Read lower and upper bound, partner and its finite bounds of each variable or row."""
         header, partners = self.header, set[int]()
         for _ in range(header.variables if letter == "b" else header.rows):
-            kind, *numbers = self.source.bound()
+            letter_of_kind = self.source.letter()
+            if letter_of_kind not in BOUNDS:
+                self.source.fail(f"a bound's kind is 0 to {PARTNER}")
+            kind, numbers = int(letter_of_kind), self.source.behind(BOUNDS[letter_of_kind])
             if kind == PARTNER:
                 finite, variable = numbers
                 self._check_partner(letter, finite, variable, partners)

@@ -119,7 +119,7 @@ def test_logical_rows_and_external_functions_are_refused(
         (b"o44", b"o99", 13, "no operator"),
         (b"C1\no2", b"C7\no2", 19, "one of 2"),
         (b"5 1 1", b"5 1 3", 26, "from 1 to 2"),
-        (b"2 0\n3\n", b"2 0\n", 30, "neither a number"),
+        (b"2 0\n3\n", b"2 0\n", 30, "kind is 0 to 5"),
         (b"J1 2", b"J0 1", 38, "no segment begins"),
         (b"J0 2\n0 1", b"J0 2\n1 1", 8, "in two places of a row in the segments J"),
         (b"J0 2\n0 1", b"J0 2\n0 inf", 34, "finite"),

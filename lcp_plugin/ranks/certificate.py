@@ -151,21 +151,20 @@ def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
 
 
 @np.errstate(all="ignore")
-def error_bound(problem: RowsOnRanks, z: FloatVector) -> float:
+def error_bound(data: RowDataOnRanks, z: FloatVector) -> float:
     """Return a proved bound of ‖z − z*‖∞ for an H₊-matrix; ∞ if M is not proved to be one.
 
     z − r(z) solves the problem with q + (M − D) r in place of q, because mid(l, u, ·) sees the same w. With ⟨M⟩v > 0
     its distance from z* is at most v · max_i (|M − D| |r|)_i / (⟨M⟩v)_i.
     """
-    halo, d = problem.halo, problem.diagonal
+    problem, d = data.problem, data.problem.diagonal
+    halo = problem.halo
     if not halo.everywhere(d > 0.0):
         return np.inf
-    terms = np.diff(problem.rows.indptr) + 4
-    size = abs(problem.rows)
-    T = size @ halo.whole(np.abs(z)) + np.abs(problem.q)
-    r = np.abs(np.clip(problem.slack(z) / d, z - problem.upper, z - problem.lower))
-    r = (r + terms * (EPSILON * T + TINY) / d) * (1.0 + 4.0 * EPSILON)
-    change = (size @ halo.whole(r) - d * r + terms * EPSILON * (size @ halo.whole(r))) + TINY
+    at = data.rows(z)
+    r = data.residual_ends(z, at.w, at.slip, d)[1]
+    moved = data.absolute @ r
+    change = moved - d * r + (np.diff(problem.rows.indptr) + 4) * EPSILON * moved + TINY
     bound = np.inf
     for v in _weights(problem):
         margin = lower_end(*comparison_product(_square(problem), halo.whole(v)))[: problem.own]

@@ -155,7 +155,7 @@ class _Run:
             end = Status.SOLVED
         elif end is Status.STALLED and self.best.is_at_rounding_level:
             end = Status.PRECISION_LIMIT
-        bound = error_bound(self.problem, self.best.z) if self.settings.error_bound else None
+        bound = error_bound(self.data, self.best.z) if self.settings.error_bound else None
         return ResultOnRanks(
             read_only(self.best.z),
             read_only(self.best.w),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
+from ...core.errors import InvalidProblem, LCPError, NotConverged
 from ...problems.batches.batch import solve_batch
 from ...problems.batches.batch_run import BatchAnswers
 from ...problems.cones.frictional_contact import FrictionalContact
@@ -167,14 +167,6 @@ def matrices(M: Any, axes: tuple[int, ...]) -> Any:
     """Return one matrix for all problems, or a stack of matrices."""
     own = M.shape[-2:]
     return M.reshape(own) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, own)
-
-
-def no_second_derivative(remedy: str) -> UnsupportedModel:
-    """Return the error of who asks for one."""
-    return UnsupportedModel(
-        "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
-        f"is computed; {remedy}"
-    )
 
 
 def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:

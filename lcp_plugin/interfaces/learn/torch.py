@@ -16,7 +16,7 @@ except ImportError:
 
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
-from .batches import ContactLayer, Layer, LCPLayer, check_bounds, no_second_derivative
+from .batches import ContactLayer, Layer, LCPLayer, check_bounds
 
 __all__ = ["contact_layer", "lcp_layer"]
 
@@ -156,7 +156,10 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def backward(ctx: Any, *_: Any) -> Any:
         """Reject."""
-        raise no_second_derivative("leave out create_graph, or detach the gradient")
+        raise UnsupportedModel(
+            "a solution of an LCP has no second derivative here: z is piecewise smooth, and only its first derivative "
+            "is computed; leave out create_graph, or detach the gradient"
+        )
 
 
 def _tensor(values: Any, name: str) -> Any:

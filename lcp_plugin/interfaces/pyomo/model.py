@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -346,21 +347,13 @@ def with_constants(trees: Trees, constants: FloatVector) -> Trees:
     trees : Trees
     constants : array, shape (m,)
     """
-    first = trees.starts[:-1]
-    is_number = (np.diff(trees.starts) == 1) & (trees.kinds[first] == Token.NUMBER)
-    values = trees.values.copy()
-    values[first[is_number]] += constants[is_number]
-    others = np.flatnonzero(~is_number & (constants != 0.0))
-    at = np.repeat(first[others], 2)
-    pairs = np.arange(at.size) % 2
-    operators = np.where(pairs == 0, Token.OPERATOR, Token.NUMBER).astype(np.uint8)
-    sums = np.where(pairs == 0, PLUS, np.repeat(constants[others], 2))
-    added = np.zeros(trees.size, dtype=np.int64)
-    added[others] = 2
-    counts = np.insert(trees.counts, at, 2 * (1 - pairs))
-    return Trees(
-        np.insert(trees.kinds, at, operators),
-        np.insert(values, at, sums),
-        counts,
-        trees.starts + np.concatenate([[0], np.cumsum(added)]),
-    )
+    tokens = np.array([trees.kinds, trees.values, trees.counts], dtype=np.float64)
+    parts = [tokens[:, :0]]
+    for constant, span in zip(constants.tolist(), pairwise(trees.starts.tolist()), strict=True):
+        plus = [[Token.OPERATOR, Token.NUMBER], [PLUS, constant], [2, 0]]
+        parts += (
+            [np.array(plus), tokens[:, slice(*span)]] if constant else [tokens[:, slice(*span)]]
+        )
+    kinds, values, counts = np.concatenate(parts, axis=1)
+    starts = trees.starts + 2 * np.append(0, np.cumsum(constants != 0.0))
+    return Trees(kinds.astype(np.uint8), values, counts.astype(np.int64), starts)

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.checks import BoolVector
+from ..core.errors import UnsuitableMatrix
 from ..core.settings import Status
-from ..core.solving.result import bound_or_reason
 from ..systems.free_systems import FreeSystem
 from .bounds.active_rows import estimated_error, free_rows
+from .bounds.error_bounds import error_bound
 
 if TYPE_CHECKING:
     from ..core.solving.result import Result
@@ -61,8 +62,9 @@ def _stiffness(result: Result) -> str:
     problem = result.certificate.problem
     if problem.n > BOUND_UP_TO and result.work < BOUND_PASSES:
         return f"{stiff} of z{_advised(result)}"
-    bound = bound_or_reason(problem, result.z).bound
-    if bound is None:
+    try:
+        bound = error_bound(problem, result.z)
+    except UnsuitableMatrix:
         return f"{stiff} of z, and nothing about M allows a bound of it"
     return (
         f"{stiff} of z: here it is proved to be at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restore_state
 from ..errors import UnsuitableMatrix
-from ..lcp import LCP
 from ..representation import format_count
 from ..settings import Status
 from .base_result import NEXT, BaseResult
@@ -18,23 +17,6 @@ from .base_result import NEXT, BaseResult
 if TYPE_CHECKING:
     from ...proofs.bounds.error_bounds import ErrorBound
     from ...proofs.guarantees.theorems import Guarantee
-
-
-class ErrorBoundOutcome(NamedTuple):
-    """A bound of the error, or None and the reason."""
-
-    bound: ErrorBound | None = None
-    reason: str = ""
-
-
-def bound_or_reason(problem: LCP, z: FloatVector) -> ErrorBoundOutcome:
-    """Return a bound of |z − z*|, or the reason why there is none."""
-    from ...proofs.bounds.error_bounds import error_bound
-
-    try:
-        return ErrorBoundOutcome(error_bound(problem, z))
-    except UnsuitableMatrix as error:
-        return ErrorBoundOutcome(None, str(error))
 
 
 class StageRecord(NamedTuple):
@@ -130,10 +112,7 @@ class Result(BaseResult):
     absolute_tolerance: float = 0.0
     begun: str = ""
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
-    # The error bound, or the function that computes it on first access.
-    _bound: ErrorBoundOutcome | Callable[[], ErrorBoundOutcome] = field(
-        default=ErrorBoundOutcome(), repr=False
-    )
+    _wants_bound: bool = field(default=False, repr=False)
     _advice: Mapping[Status, str] = field(
         default_factory=dict, repr=False
     )  # advice of a status that replaces its default
@@ -146,16 +125,23 @@ class Result(BaseResult):
 
         The time of its computation is ``error_bound.seconds``; the run's seconds do not include it.
         """
-        return self._bound_or_reason.bound
+        return self._bound_or_reason[0]
 
     @property
     def no_error_bound(self) -> str:
         """The reason why a requested bound does not exist; otherwise empty."""
-        return self._bound_or_reason.reason
+        return self._bound_or_reason[1]
 
     @cached_property
-    def _bound_or_reason(self) -> ErrorBoundOutcome:
-        return self._bound() if callable(self._bound) else self._bound
+    def _bound_or_reason(self) -> tuple[ErrorBound | None, str]:
+        if not self._wants_bound:
+            return None, ""
+        from ...proofs.bounds.error_bounds import error_bound
+
+        try:
+            return error_bound(self.certificate.problem, self.z), ""
+        except UnsuitableMatrix as error:
+            return None, str(error)
 
     @cached_property
     def guarantee(self) -> Guarantee:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
 from ..settings import Settings, Status
 from .advice import NOTHING_TO_DO, advice_of_run
-from .result import ErrorBoundOutcome, Result, Sample, bound_or_reason
+from .result import Result, Sample
 from .run_log import Header, RunLog
 from .stage import Stage
 from .termination import FAILED, TerminationReason, TerminationTest
@@ -270,9 +269,7 @@ class Run:
             stages=stages,
             infeasibility=self.proof,
             _asked=self.chosen,
-            _bound=partial(bound_or_reason, self.problem, certificate.z)
-            if settings.error_bound and self.stages
-            else ErrorBoundOutcome(),
+            _wants_bound=settings.error_bound and bool(self.stages),
             _advice=advice_of_run(self.problem, self.chosen, settings)
             if is_linear and status is not Status.SOLVED
             else dict(self.test.words),

@@ -237,6 +237,5 @@ def has_components_that_fit(problem: LCP) -> bool:
 
 def _is_good(problem: LCP, z: FloatVector) -> bool:
     certificate = Certificate.of(problem, z)
-    return certificate.relative_residual <= 1e-10 or (
-        certificate.relative_residual <= 1e-4 and certificate.is_at_rounding_level
-    )
+    relative = certificate.relative_residual
+    return relative <= 1e-10 or (relative <= 1e-4 and certificate.is_at_rounding_level)

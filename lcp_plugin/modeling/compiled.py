@@ -102,7 +102,7 @@ class CompiledProblem:
             data, chain, inverse = twin.get_problem_data(QPSolver, **options)
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
-        program, columns = quadratic_program(data), data[settings.PARAM_PROB].var_id_to_col
+        program, columns = quadratic_program(data, {}), data[settings.PARAM_PROB].var_id_to_col
         if is_folded:
             program = program.folded.reduced
         entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}

@@ -77,7 +77,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ) -> QuadraticProgramResult:
         options = dict(solver_opts)
         guess = cache.get(self.name()) if warm_start else None
-        program = cache[PROGRAM] = quadratic_program(data, cache.get(PROGRAM))
+        program = quadratic_program(data, cache)
         algorithm = options.pop("algorithm", "auto")
         if guess is not None:
             options.setdefault("z0", guess)
@@ -123,29 +123,29 @@ def _farkas(proof: QPInfeasibility) -> QPSolution:
     return QPSolution.of_rows(proof.program, np.zeros(proof.program.n), multipliers)
 
 
-def quadratic_program(data: Any, before: QuadraticProgram | None = None) -> QuadraticProgram:
+def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds.
 
-    If `before` has the same matrices, its factorization and scaling are shared.
+    If the program in the cache has the same matrices, its factorization and scaling are shared.
     """
-    n, (P, F, A) = int(data["n_var"]), (data[key] for key in MATRIX_KEYS)
-    P, F, A = (
-        sp.csr_array((rows, n)) if matrix is None else matrix
-        for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))
-    )
+    n, rows = int(data["n_var"]), (int(data[key]) for key in ("n_var", "n_ineq", "n_eq"))
+    P, F, A = given = [
+        sp.csc_array((size, n)) if data[key] is None else data[key]
+        for size, key in zip(rows, MATRIX_KEYS, strict=True)
+    ]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
-    if before is not None and all(map(_are_same, (P, F, A), (before.P, before.G, before.A))):
+    kept, before = cache.get(PROGRAM, ((), None))
+    if before is not None and all(map(_are_same, given, kept)):
         return before.with_vectors(q, g, b)
-    return QuadraticProgram(P, q, G=F, h=g, A=A, b=b)
+    program = QuadraticProgram(P, q, G=F, h=g, A=A, b=b)
+    cache[PROGRAM] = [one.copy() for one in given], program
+    return program
 
 
-def _are_same(given: Any, kept: sp.csr_array) -> bool:
-    """Return whether two sparse matrices have the same entries."""
-    if given.shape != kept.shape or given.nnz != kept.nnz:
-        return False
-    given = given.tocsr()
-    return all(
-        np.array_equal(getattr(given, part), getattr(kept, part))
+def _are_same(one: Any, other: Any) -> bool:
+    """Return whether two sparse matrices have the same shape and the same arrays."""
+    return one.shape == other.shape and all(
+        np.array_equal(getattr(one, part), getattr(other, part))
         for part in ("indptr", "indices", "data")
     )
 

@@ -134,6 +134,7 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
         for size, key in zip(rows, MATRIX_KEYS, strict=True)
     ]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
+    before: QuadraticProgram | None
     kept, before = cache.get(PROGRAM, ((), None))
     if before is not None and all(map(_are_same, given, kept)):
         return before.with_vectors(q, g, b)

@@ -60,7 +60,6 @@ MaxSeconds = Annotated[float | None, typer.Option(help="Limit of wall-clock seco
     "solve folder_with_M_and_q/ --json",
     "solve program.qps --out answer.npz",
     "solve model.nl",
-    "solve own.npz --plot out.png --grid 500x500",
 )
 def solve(
     target: Target,
@@ -88,9 +87,6 @@ def solve(
         int | None, typer.Option(help="Number of threads; BLAS's: OMP_NUM_THREADS.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Save a picture (.png, .pdf, .svg).")] = None,
-    grid: Annotated[
-        str | None, typer.Option(help="Grid of a file's unknowns in the picture, as 500x500.")
-    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Save z and w, or x and its multipliers: an .npz file.")
     ] = None,
@@ -110,7 +106,7 @@ def solve(
     )
     options = solving.options_of(relaxation, option or [])
     return solving.run(
-        target, size, algorithm, options, settings, plot, grid, out, bound=error_bound, as_json=json
+        target, size, algorithm, options, settings, plot, out, bound=error_bound, as_json=json
     )
 
 

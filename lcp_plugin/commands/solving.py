@@ -30,18 +30,14 @@ def run(
     options: dict[str, Any],
     settings: dict[str, Any],
     plot: Path | None,
-    grid: str | None,
     out: Path | None,
     *,
     bound: bool,
     as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether the problem is solved."""
-    shape = _shape_of(grid, plot)
     _check_outputs(target, plot, out)
     given = read_target(target, size)
-    if shape is not None and given.scene is not None:
-        raise InvalidOption("--grid is for a file; a test problem has its own grid, leave it out")
     if isinstance(given.problem, LCP):
         settings = settings | {"record": plot is not None}
     if hasattr(given.problem, "content"):  # an .nl file
@@ -80,7 +76,7 @@ def run(
     if plot is not None:
         from ..evidence.pictures import draw
 
-        draw(answer, plot, given.scene, shape)
+        draw(answer, plot, given.scene)
     if saved := [*filter(None, (plot, out))]:
         typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
     return bool(answer.is_solved)
@@ -155,20 +151,6 @@ def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
     for key in options.keys() & {"problem", "algorithm", *OF_SOLVE}:
         raise InvalidOption(f"{key} is not an option of an algorithm; see lcp-plugin solve --help")
     return options
-
-
-def _shape_of(grid: str | None, plot: Path | None) -> tuple[int, ...] | None:
-    """Return the shape that --grid names, rows x columns, or raise InvalidOption."""
-    if grid is None:
-        return None
-    if plot is None:
-        raise InvalidOption(f"--grid {grid} is for a picture; give --plot FILE as well")
-    sizes = grid.lower().replace("×", "x").split("x")
-    if not all(size.strip().isdecimal() and int(size) for size in sizes):
-        raise InvalidOption(
-            f"--grid requires integers, rows x columns, as --grid 500x500; got {grid!r}"
-        )
-    return tuple(int(size) for size in sizes)
 
 
 def _check_outputs(target: str, plot: Path | None, out: Path | None) -> None:

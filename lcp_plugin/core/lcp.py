@@ -182,7 +182,7 @@ class LCP:
             The local rows of M with global column indices.
         q : array, shape (own,)
         **given
-            lower, upper : scalar or array, shape (own,); first_row : int, the index of the first local row.
+            lower, upper : scalar or array, shape (own,).
         """
         from ..ranks.problem import RowsOnRanks
 

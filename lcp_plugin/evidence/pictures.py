@@ -81,10 +81,8 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     return _plotted(answer, frame, axes, pyplot.figure)
 
 
-def draw(
-    answer: Any, path: Path, scene: Scene | None = None, shape: Sequence[int] | None = None
-) -> None:
-    """Save the figure of a solution, on the axes of its test problem or on a grid.
+def draw(answer: Any, path: Path, scene: Scene | None = None) -> None:
+    """Save the figure of a solution, on the axes of its test problem if it has some.
 
     Parameters
     ----------
@@ -92,8 +90,6 @@ def draw(
     path : Path
         .png, .pdf or .svg.
     scene : Scene, optional
-    shape : sequence of int, optional
-        As in `plot_answer`.
     """
     check_format(path)
     frame = Frame(unknown="z" if isinstance(answer, Result) else "x")
@@ -106,8 +102,6 @@ def draw(
             scene.active_means,
             scene.description + "\n",
         )
-    elif shape is not None:
-        frame = frame._replace(**_grid(shape, len(answer.x)))
     save(_plotted(answer, frame, None, require_matplotlib()).figure, path)
 
 

@@ -204,20 +204,23 @@ def scene_builder(builder: Builder) -> Builder:
 
 def _checked(name: str, key: str, value: Any, default: Any) -> Any:
     """Return the value as a plain Python object of the default's type, or raise InvalidOption."""
-    needs = "true or false" if isinstance(default, bool) else "a word"
-    if isinstance(default, bool | str):
-        if isinstance(value, type(default) | np.bool_):
-            return type(default)(value)
-    elif isinstance(default, int):
-        least = 1 if key in SIZES else 0
-        needs = f"an integer ≥ {least}"
-        if isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least:
-            return int(value)
-    else:
-        needs = "a finite number"
-        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if is_number and abs(value) <= sys.float_info.max:
-            return float(value)
+    kinds: Any = {
+        bool: bool | np.bool_,
+        str: str,
+        int: int | np.integer,
+        float: float | int | np.number,
+    }
+    kind, least = type(default), 1 if key in SIZES else 0
+    needs = {bool: "true or false", str: "a word", int: f"an integer ≥ {least}"}.get(
+        kind, "a finite number"
+    )
+    is_right = isinstance(value, kinds[kind]) and (kind is bool or not isinstance(value, bool))
+    if is_right and kind is int:
+        is_right = value >= least
+    if is_right and kind is float:
+        is_right = abs(value) <= sys.float_info.max
+    if is_right:
+        return kind(value)
     raise InvalidOption(
         f"test problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}"
     )

@@ -85,8 +85,6 @@ class RowsOnRanks:
         q: ArrayLike,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
-        *,
-        first_row: int | None = None,
     ) -> RowsOnRanks:
         """Return the problem of the rows that each rank passes, in the order of the ranks.
 
@@ -98,8 +96,6 @@ class RowsOnRanks:
         q : array, shape (own,)
         lower, upper : scalar or array, shape (own,)
             A scalar holds for all rows and must be the same on every rank.
-        first_row : int, optional
-            The index of the first local row; it is checked if it is given.
 
         Raises
         ------
@@ -118,7 +114,6 @@ class RowsOnRanks:
                 f"M has {n} columns, but the ranks give {halo.n} rows ({counts}): "
                 f"{abs(n - halo.n)} are {lack}"
             )
-        ranks.together(lambda: _check_first_row(first_row, halo.first))
         parts = own_rows(halo, matrix)
         problem = ranks.together(lambda: cls(*parts, q, lower, upper))
         for name, bound in (("lower", lower), ("upper", upper)):
@@ -218,7 +213,7 @@ class RowsOnRanks:
         chunks = ranks.together(lambda: _chunks(source))
         first, last = equal_share(chunks[-1].last, ranks)
         rows, *vectors = ranks.together(lambda: _read_rows(chunks, first, last))
-        return cls.from_rows(ranks.comm, rows, *vectors, first_row=first)
+        return cls.from_rows(ranks.comm, rows, *vectors)
 
     def __repr__(self) -> str:
         return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"
@@ -239,14 +234,6 @@ def _checked_rows(rows: Any) -> sp.csr_array:
     if rows.shape[1] > WIDEST:
         raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {WIDEST} are taken")
     return canonical_csr(rows, "rows")
-
-
-def _check_first_row(given: int | None, first: int) -> None:
-    if given is not None and given != first:
-        raise InvalidProblem(
-            f"first_row is {given}, but the ranks before this one give {first} rows: rows are missing, "
-            "given twice, or in another order than the ranks"
-        )
 
 
 def _checked_whole(problem: Any) -> sp.csr_array:

@@ -148,7 +148,6 @@ def one_bad_part_is_refused_everywhere() -> None:
     assert "missing" in refused(
         InvalidProblem, given(rows[:-1] if rank == last else rows, q[:-1] if rank == last else q)
     )
-    refused(InvalidProblem, given(first_row=own.start + 1))
     refused(InvalidProblem, given(rows.toarray() if rank == last else rows))
     if COMM.size > 1:
         assert "lower differs" in refused(InvalidProblem, given(lower=-float(rank)))

@@ -164,9 +164,7 @@ class Contacts:
         z = real_array(getattr(answer, "z", answer), need)
         if z.shape != (k * (m + 2),):
             raise InvalidProblem(f"{need}, got {z.shape}")
-        impulses = np.empty(self.velocities.shape)
-        impulses[:, 0] = z[:k]
-        impulses[:, 1:] = z[k : k * (1 + m)].reshape(k, m) @ self.edges
+        impulses = np.column_stack([z[:k], z[k : k * (1 + m)].reshape(k, m) @ self.edges])
         given, bodies, after = self._velocities_of(answer), self.bodies, None
         moved = (self.W @ impulses.ravel()).reshape(impulses.shape) + given
         if bodies is not None and bodies.velocities is not None and given is self.velocities:

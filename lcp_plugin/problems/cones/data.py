@@ -107,19 +107,6 @@ class Blocks:
         """The block of each row, shape (n,)."""
         return np.repeat(np.arange(self.slope.size), self.sizes)
 
-    @cached_property
-    def is_free(self) -> Any:
-        """The blocks of one row without bounds, shape (k,)."""
-        first = self.starts[:-1]
-        is_bounded = np.isfinite(self.lower[first]) | np.isfinite(self.upper[first])
-        return (self.sizes == 1) & ~is_bounded
-
-    @cached_property
-    def is_half(self) -> Any:
-        """The blocks of one row ≥ 0, shape (k,)."""
-        first = self.starts[:-1]
-        return (self.sizes == 1) & (self.lower[first] == 0.0) & (self.upper[first] == np.inf)
-
     def residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
         """Return R = z − P_K(z − ŵ/d), shape (n,)."""
         stack = ConeStack.of(self)
@@ -183,7 +170,7 @@ class Blocks:
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
-        computed = ("_facts", "sizes", "block_of_row", "is_free", "is_half")
+        computed = ("_facts", "sizes", "block_of_row")
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

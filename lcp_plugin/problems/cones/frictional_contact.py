@@ -292,8 +292,6 @@ class FrictionalContactBatch:
             raise TypeError(
                 f"an instance is batch[i], i an integer, got {i!r}; for several build a problem from W[…], b[…]"
             )
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"index {i} is out of range for {len(self)} instances")
         count = int(self.contacts[i])
         rows = self.dimension * count
         return FrictionalContact(

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.settings import Status
 from .data import Blocks
-from .programs import clarabel_module, conic_rows, solve_conic
+from .programs import conic_rows, solve_conic
 from .stack import ConeStack, length
 
 DIGITS = 2.0**-20  # of the largest |y_i|: y is rounded to multiples, so that sums cancel exactly
@@ -58,8 +58,9 @@ class ContactInfeasibility:
                 v[M.indices[p]] -= Fraction(float(M.data[p])) * y[i]
         for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):
             if b - a == 1:
-                is_right = v[a] == 0 and (problem.is_free[k] or y[a] == 0)
-                is_right |= problem.is_half[k] and v[a] >= 0 and y[a] >= 0
+                is_free, is_half = kind_of_row(problem, a)
+                is_right = v[a] == 0 and (is_free or y[a] == 0)
+                is_right |= is_half and v[a] >= 0 and y[a] >= 0
             else:
                 square = Fraction(float(problem.slope[k])) ** 2
                 is_right = min(v[a], y[a]) >= 0
@@ -82,10 +83,9 @@ class ContactInfeasibility:
         problem, stack = self.problem, ConeStack.of(self.problem)
         wide = stack.pattern.wide
         with np.errstate(all="ignore"):
-            mu = np.where(problem.sizes > 1, problem.slope, 0.0)
             pulled = problem.rows.csr.T @ self.y
             of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
-            weights = np.sqrt(1.0 + mu**2) * stack.d[0] * of_y + of_pull
+            weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
             shares = np.where(weights > 0.0, weights * stack.reference[0], 0.0)
             return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
 
@@ -104,16 +104,25 @@ class ContactInfeasibility:
         )
 
 
+def kind_of_row(problem: Blocks, row: int) -> tuple[bool, bool]:
+    """Return whether a row outside cones is free, and whether it is ≥ 0."""
+    low, high = problem.lower[row], problem.upper[row]
+    return bool(low == -np.inf and high == np.inf), bool(low == 0.0 and high == np.inf)
+
+
 def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     """Return a proof of infeasibility, or None if Clarabel finds no certificate that verifies."""
-    engine, n = clarabel_module(), problem.n
+    import clarabel  # not for problems that have a solution
+
+    n = problem.n
     rows, limits, cones = conic_rows(problem)
     places = [np.zeros(0, np.int64)]
-    for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):
+    for a, b in pairwise(problem.starts.tolist()):
         size = 1 if problem.has_friction else b - a
-        if b - a > 1 or problem.is_free[k] or problem.is_half[k]:
-            cone = engine.NonnegativeConeT if size == 1 else engine.SecondOrderConeT
-            cones.append((engine.ZeroConeT if problem.is_free[k] else cone)(size))
+        is_free, is_half = kind_of_row(problem, a) if b - a == 1 else (False, False)
+        if b - a > 1 or is_free or is_half:
+            cone = clarabel.NonnegativeConeT if size == 1 else clarabel.SecondOrderConeT
+            cones.append((clarabel.ZeroConeT if is_free else cone)(size))
             places.append(np.arange(a, a + size))
     where = np.concatenate(places)
     if not where.size:

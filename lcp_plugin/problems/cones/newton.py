@@ -155,7 +155,7 @@ def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
     pattern = stack.pattern
     row, column = pattern.inner
     J = pattern.flat(by_w @ pattern.wide(pattern.M))
-    J[:, row, column] += mixed[(slice(None), *pattern.entry(row, column))]
+    J[:, row, column] += mixed[pattern.entry(row, column)]
     return J
 
 
@@ -168,7 +168,7 @@ def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> t
     row, column = pattern.inner
     entry, indptr = pattern.entry(row, column), np.searchsorted(row, np.arange(pattern.n + 1))
     of_w, of_z = (
-        sp.csr_array((part[entry], column, indptr), shape=pattern.M.shape)[rows]
+        sp.csr_array((part[None][entry][0], column, indptr), shape=pattern.M.shape)[rows]
         for part in (by_w, mixed)
     )
     return (of_w @ pattern.M + of_z)[:, rows], rows

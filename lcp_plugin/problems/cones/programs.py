@@ -10,19 +10,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.deadline import seconds_left
-from ...core.errors import UnsuitableProblem
 from .data import Blocks
-
-
-def clarabel_module() -> Any:
-    """Return the module of Clarabel; raise UnsuitableProblem if it is not installed."""
-    try:
-        import clarabel
-    except ImportError as error:  # pragma: no cover - cvxpy installs it
-        raise UnsuitableProblem(
-            "fixed_point needs Clarabel; install it with: pip install clarabel"
-        ) from error
-    return clarabel
 
 
 def minimizers(problem: Blocks, z: FloatVector) -> Iterator[FloatVector]:
@@ -49,7 +37,8 @@ def minimizers(problem: Blocks, z: FloatVector) -> Iterator[FloatVector]:
 
 def solve_conic(P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
     """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
-    clarabel = clarabel_module()
+    import clarabel  # not for problems that other methods solve
+
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.time_limit = False, seconds_left()
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
@@ -59,7 +48,8 @@ def solve_conic(P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]
 
 def conic_rows(problem: Blocks) -> tuple[Any, FloatVector, list[Any]]:
     """Return A, b and cones such that z ∈ K is equivalent to b − A z ∈ cones."""
-    clarabel = clarabel_module()
+    import clarabel  # not for problems that other methods solve
+
     rows: list[Any] = []
     limits: list[FloatVector] = []
     cones: list[Any] = []

@@ -17,6 +17,7 @@ from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
+from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.result import Result, Sample, stage_lines
 from ...core.solving.run_log import RunLog, say
 from ...core.solving.stage import Stage
@@ -53,8 +54,6 @@ SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's met
 LONG_SCHEDULE = tuple((count, NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
-STARTS = 17  # of Newton's method, moved at random
-GROWTH = 1.05  # of the iterations from one sample to the next
 WORST = (
     Status.SOLVED,
     Status.PRECISION_LIMIT,
@@ -74,7 +73,6 @@ WORDS = {
         "with errors as large as the tolerance; next: check the data; result.proof proves it"
     ),
 }
-NOTHING_TO_DO = "the residual of the start is within the tolerance already"
 SWEPT = "cheap sweeps over the blocks find most of the active set"
 FOLLOWS = "Newton's steps solve for the active set that the sweeps found"
 MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
@@ -209,7 +207,7 @@ def solve_cone_stack(
             iterations[left] += count // SWEEPS_PER_STEP
             best, least = swept[left], np.full(left.size, np.inf)
             goal = CLOSER * tolerance
-            for number, step in enumerate(newton_steps(here, best.copy(), steps, goal)):
+            for number, step in enumerate(newton_steps(here, best, steps, goal)):
                 open_ones, at, sizes, _ = step
                 is_better = sizes < least[open_ones]
                 best[open_ones[is_better]] = at[is_better]
@@ -273,7 +271,7 @@ class Log:
             if self.callback is not None:
                 wants_to_stop = bool(self.callback(sample, z))
             if self.settings.record and (self.iterations >= self._next or wants_to_stop):
-                self._next = max(self.iterations + 1, int(self.iterations * GROWTH))
+                self._next = max(self.iterations + 1, int(self.iterations * 1.05))
                 self.samples.append(sample)
             if self._printed is not None and self._printed.is_due(stage):
                 self._printed.step(stage, sample)
@@ -307,8 +305,7 @@ class ConeRun:
     ) -> None:
         self.problem, self.stack, self.log, self.embed = problem, stack, log, embed
         self.share = problem.nonzeros / log.nonzeros  # of the work of the entire problem
-        settings = log.settings
-        self.tolerance, self.absolute = settings.tolerance, settings.absolute_tolerance
+        self.tolerance, self.absolute = log.settings.tolerance, log.settings.absolute_tolerance
         reached = self.tolerance
         if self.absolute:
             reached = max(self.tolerance, 2.0**-200)
@@ -328,7 +325,10 @@ class ConeRun:
             for algorithm, because, points in self._stages(chosen):
                 stage = self.log.begin(algorithm, because)
                 for z, residual, work in points:
-                    self._offer(z, residual)
+                    self.last = z
+                    # below EXACT, differences are rounding errors
+                    if residual < self.residual and self.residual > EXACT:
+                        self.best, self.residual, self.measures = z, residual, None
                     shown = None if self.log.callback is None else self._shown(z)
                     self.log.step(stage, shown, residual, work * self.share)
                 if algorithm is not ConeNPGS or not self.goal < self.residual < np.inf:
@@ -344,12 +344,6 @@ class ConeRun:
             self.status = Status.SOLVED
         if self.status is Status.STALLED and self.measures.are_limited()[0]:
             self.status = Status.PRECISION_LIMIT
-
-    def _offer(self, z: Array, residual: float) -> None:
-        """Store the point if it is the best; below EXACT, differences are rounding errors."""
-        self.last = z
-        if residual < self.residual and self.residual > EXACT:
-            self.best, self.residual, self.measures = z, residual, None
 
     def _shown(self, z: Array) -> FloatVector:
         found = self.embed(self.stack.pattern.flat(self.stack.snap(z))[0].copy())
@@ -430,7 +424,7 @@ class ConeRun:
         )
         is_near = stack.relative_residual(z) < 1.0
         z = z if is_near else stack.snap(self.best)
-        for seed in range(STARTS):
+        for seed in range(17):
             yield newton(move_at_random(stack, z, seed), NEARBY)
 
     def _solve_components(self) -> bool:

@@ -62,11 +62,12 @@ class Pattern:
     def __init__(self, M: Array, starts: Array) -> None:
         self.M, self.is_sparse = M, sp.issparse(M)
         self.B = 1 if self.is_sparse else len(M)
+        self.nonzeros = M.size // max(self.B, 1)  # of one problem
         self.starts, self.sizes = starts, np.diff(starts)
         self.k, self.n, self.m = self.sizes.size, int(starts[-1]), int(self.sizes.max(initial=1))
         self.of_row = np.repeat(np.arange(self.k), self.sizes)
         self.in_block = np.arange(self.n) - starts[self.of_row]
-        is_even = bool((self.sizes == self.m).all())
+        is_even = (self.sizes == self.m).all()
         self.place = None if is_even else self.of_row * self.m + self.in_block
         self.is_row = self.sizes == 1
         self.has_rows = bool(self.is_row.any())
@@ -96,10 +97,9 @@ class Pattern:
         of_block = blocks // k, blocks // k**2 * k + blocks % k
         self.blocks = *of_block, sums
         self.own = np.zeros((B, k, self.m, self.m))
-        self.own[(slice(None), *self.entry(row, column))] = values
+        self.own[self.entry(row, column)] = values
         own = length(self.own.reshape(B, k, self.m**2)) / np.sqrt(self.sizes)
-        if self.has_rows:
-            own = np.where(self.is_row, self.own[:, :, 0, 0], own)
+        own = np.where(self.is_row, self.own[:, :, 0, 0], own)
         most = self.neighbors(np.ones((B, k)))
         usable = (own > 0.0) & (own >= LEAST_DIAGONAL * most)
         self.d = np.where(usable, own, np.where(most > 0.0, most, 1.0))
@@ -110,9 +110,9 @@ class Pattern:
             count, labels = sp.csgraph.connected_components(graph, directed=False)
             self.labels = labels.reshape(B, k) if count > B else None
 
-    def entry(self, row: Array, column: Array) -> tuple[Array, Array, Array]:
-        """Return the block of entries of diagonal blocks, and their row and column within it."""
-        return self.of_row[row], self.in_block[row], self.in_block[column]
+    def entry(self, row: Array, column: Array) -> tuple[Array, ...]:
+        """Return the index of entries of diagonal blocks in arrays of shape (B, k, m, m)."""
+        return slice(None), self.of_row[row], self.in_block[row], self.in_block[column]
 
     @cached_property
     def entries(self) -> tuple[Array, Array, Array]:
@@ -159,11 +159,6 @@ class Pattern:
     def absolute(self) -> Array:
         """|M|."""
         return abs(self.M)
-
-    @property
-    def nonzeros(self) -> int:
-        """Number of entries of M of one problem."""
-        return self.M.nnz if self.is_sparse else self.n**2
 
     def largest(self, values: Array) -> Array:
         """Return the largest value in the component of each block, shape (B, k)."""

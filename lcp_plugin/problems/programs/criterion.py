@@ -51,13 +51,13 @@ TINY = 2.0**-1000
 class KKTErrors(NamedTuple):
     """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
 
-    `is_excused` is True if a row is violated relative to its terms, but only by rounding of large unknowns. A violation
-    of at most 2⁻⁴⁴ of its fitted scale does not count, because the right-hand side may be a rounded 0.
+    `tolerated` is the largest violation of a row relative to the rounding error of a right-hand side, 2⁻⁴⁴ of the
+    fitted scale of the row. Only rows count that are violated relative to their terms, by rounding of large unknowns.
     """
 
     primal: Any
     gap: Any
-    is_excused: bool = False
+    tolerated: float = 0.0
 
     def meet(self, tolerance: float) -> Any:
         """Return whether the point is a solution: the test of programs."""
@@ -91,8 +91,8 @@ class KKTErrors(NamedTuple):
                 point = PrimalDualPoint(program, x, y, is_exact=True)
                 primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
             worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
-            is_excused = point.is_exact and point.has_excused_rows()
-        return cls(float(worst[0]), float(worst[1]), is_excused)
+            tolerated = point.tolerated() if point.is_exact else 0.0
+        return cls(float(worst[0]), float(worst[1]), tolerated)
 
 
 def errors_of_each(
@@ -200,10 +200,10 @@ class PrimalDualPoint:
             of_bounds = ratio(of_bounds, np.maximum(bound, self.given))
         return np.concatenate([ratio(self.over, own), of_bounds])
 
-    def has_excused_rows(self) -> bool:
-        """Return whether a tolerated violation is more than the rounding error of a right-hand side next to its row."""
-        of_side = EXCUSED / self.matrices.fit[1]
-        return bool((self.over > np.maximum(ROWS * self.own, of_side)).any())
+    def tolerated(self) -> float:
+        """Return the largest violation beyond the terms of its row, relative to the rounding of its right-hand side."""
+        over = np.where(self.over > ROWS * self.own, self.over, 0.0)
+        return float((over * (self.matrices.fit[1] / EXCUSED)).max(initial=0.0))
 
     @cached_property
     def reached(self) -> FloatVector:

@@ -130,9 +130,9 @@ def run_engine(
                 x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
                 found = KKTErrors.of(reduced, x, y, tolerance)
                 is_better = found.largest < errors.largest or found.meet(tolerance)
-                if is_better and not (errors.meet(tolerance) and found.is_excused):
+                if is_better and not (errors.meet(tolerance) and found.tolerated):
                     best, errors = (x, y), found
-                if (found.meet(tolerance) and not found.is_excused) or is_over():
+                if (found.meet(tolerance) and not found.tolerated) or is_over():
                     break
             if errors.meet(tolerance) or is_over():
                 break

@@ -378,7 +378,7 @@ class _ProgramRun:
             self.says = run.says
             passes = run.errors.meet(self.settings.tolerance)
             if is_proof_wanted and (
-                run.errors.is_excused or self._is_far(run.solution.x)
+                run.errors.tolerated > 1.0 or self._is_far(run.solution.x)
                 if passes
                 else run.says in NO_MINIMUM
             ):

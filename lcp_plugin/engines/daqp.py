@@ -18,12 +18,10 @@ from .engine import (
 )
 
 EQUATION = 5  # of daqp's `sense`
-ANSWERED = 1  # the smallest exit flag of an answer
-INFEASIBLE = -1  # the exit flag
 SAYS = {
     1: EngineStatus.OPTIMAL,
     2: EngineStatus.OPTIMAL,
-    INFEASIBLE: EngineStatus.INFEASIBLE,
+    -1: EngineStatus.INFEASIBLE,
     -3: EngineStatus.UNBOUNDED,
     -4: EngineStatus.STOPPED,
 }
@@ -125,6 +123,6 @@ def _call_daqp(
     import daqp
 
     x, _, flag, info = daqp.solve(P, c, C, above, below, sense, **settings)
-    if flag < ANSWERED:
+    if flag <= 0:
         return np.full(c.size, np.nan), np.full(sense.size, np.nan), flag, info["iterations"]
     return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]

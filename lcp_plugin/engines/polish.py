@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
+from ..core.matrix.matrix import largest_in_rows
 from .engine import EngineAnswer, ProgramData
 
 STEPS, ROUNDS = 15, 2
@@ -101,13 +102,13 @@ def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], Floa
         return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
     import qdldl
 
-    K = sp.csr_array(sp.block_array([[P, C.T], [C, sp.csr_array((m, m))]]))
-    size = abs(K).max(axis=1).toarray().ravel()
-    shifted = K + sp.diags_array(shift * signs * np.where(size > 0.0, size, 1.0))
+    below = sp.csr_array((C.data, C.indices, C.indptr), shape=(m, n + m))
+    K = sp.vstack([sp.hstack([P, sp.csr_array(C.T)], "csr"), below], format="csr")
+    size = largest_in_rows(K)
+    shifted = sp.triu(K) + sp.diags_array(shift * signs * np.where(size > 0.0, size, 1.0))
     try:
-        solver: Callable[[FloatVector], FloatVector] = qdldl.Solver(
-            sp.csc_matrix(sp.triu(shifted)), upper=True
-        ).solve
+        solver: Callable[[FloatVector], FloatVector]
+        solver = qdldl.Solver(sp.csc_matrix(shifted), upper=True).solve
     except RuntimeError:  # a pivot of 0, or no memory
         return None
     return solver

@@ -56,7 +56,6 @@ ACCURACY = 1e-8  # to which a dual point is made orthogonal to the free columns
 NEARLY = 1e-9  # of a cost that rounding may be
 ENOUGH = 0.8  # of the target 1 of (AᵀWp)_j, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: columns with smaller multipliers may be free
-PUSHES = 4  # times that δ may be doubled
 
 
 @dataclass(eq=False)
@@ -331,7 +330,7 @@ def _repair(
     for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
         moved = wanted * problem.apply_transpose(problem.apply_weights(push))
         share = float(np.max(missing[lacking] / moved[lacking], initial=0.0))
-        for _ in range(PUSHES if (moved[lacking] > 0.0).all() else 0):
+        for _ in range(4 if (moved[lacking] > 0.0).all() else 0):
             share *= 1.0 + 2.0**-10
             repaired = y + share * push
             value, radius = enclosures.gradient_at(x, repaired)

@@ -30,7 +30,6 @@ from .steps import FacePoint
 
 MAX_NNLS_COLUMNS = 600  # or rows, whichever are fewer: nnls frees one column at a time
 NNLS_STEPS = 10  # times the number of columns
-REFINEMENTS = 2  # solves with one factor of a face
 MAX_FACES = 30
 NOISE = 2.0**-44  # of the largest entry of x that rounding may be
 SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
@@ -38,7 +37,6 @@ FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
 SECONDS_PER_ENTRY = 1e-6  # of the factorization of a sparse A with little fill
 LARGEST_FILL = 1e8  # entries of a factorization
-EPS = 1e-13  # tolerance of PIQP, so that a small l1 counts
 LARGEST_SLOPE = 1e6  # relative to b and columns of size 1: x is 0
 
 
@@ -184,9 +182,9 @@ class Split(NamedTuple):
 
 
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
-    """Return the program, and PIQP's point."""
+    """Return the program, and PIQP's point at a tolerance at which a small l1 counts."""
     program = ProgramData(*statement)
-    return program, PIQP(eps_abs=EPS, eps_rel=EPS).answer(program, SolverLimits(seconds_left()))
+    return program, PIQP(eps_abs=1e-13, eps_rel=1e-13).answer(program, SolverLimits(seconds_left()))
 
 
 def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
@@ -232,7 +230,7 @@ def _step_to_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector
     Q, R, free = Q[:, :rank], R[:rank, :rank], free[columns[:rank]]
     x, linear = point.x.copy(), point.problem.linear[free]
     slant = solve_triangular(R, linear, trans=1, check_finite=False) if linear.any() else 0.0
-    for _ in range(REFINEMENTS):
+    for _ in range(2):  # the second refines the first
         x[free] -= solve_triangular(R, Q.T @ (A @ x - b) + slant, check_finite=False)
     step = x - point.x
     if not np.isfinite(step).all():

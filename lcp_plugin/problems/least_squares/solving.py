@@ -28,7 +28,6 @@ PATIENCE = (
 )
 SPARSE_PATIENCE = 300  # the same on a large sparse A
 WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness falls by less than 1 % in a window
-PROGRESS = 0.99
 
 
 def solve_least_squares(
@@ -174,7 +173,7 @@ class LeastSquaresRun:
                 aim = NARROWER * size
                 yield point.x
             if self.steps - since >= max(WINDOW, since // 2):
-                if self._smallest >= PROGRESS * before:
+                if self._smallest >= 0.99 * before:
                     break
                 since, before = self.steps, self._smallest
         yield self.nearest

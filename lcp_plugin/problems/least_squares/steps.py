@@ -29,7 +29,6 @@ ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises
 LEFT_BEHIND = 0.1  # of the pull out of an orthant: a smaller residual in it is not worth a step
-SETTLED = 2  # steps in a row without a change of the face
 
 
 class FacePoint:
@@ -185,7 +184,7 @@ def _spectral_steps(
 ) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
     """Take projected gradient steps until the face no longer changes; return the last point and step length."""
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
-    while settled < SETTLED:
+    while settled < 2:  # steps in a row without a change of the face
         problem = point.problem
         direction = clip(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
         product = problem.product(direction)

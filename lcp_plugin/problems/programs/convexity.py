@@ -12,8 +12,6 @@ from .program_matrices import as_array
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-LARGEST_MEASURED = 1000  # variables up to which the error message contains the smallest eigenvalue
-
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:
     """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
@@ -36,7 +34,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
         return
     shown = (
         f"the smallest eigenvalue of P is {np.linalg.eigvalsh(as_array(program.P))[0]:.3g}"
-        if program.n <= LARGEST_MEASURED
+        if program.n <= 1000
         else "P has a negative eigenvalue"
     )
     raise UnsupportedModel(

@@ -44,7 +44,6 @@ BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 LEAST_SIZE = (
     1e-8  # of the objective's terms and of the rows' with their multipliers, if they cancel
 )
-LEAST_NORM_STEPS, LEAST_NORM_TO = 60, 1e-3
 TINY = 2.0**-1000
 
 
@@ -340,9 +339,9 @@ class PrimalDualPoint:
         found = lsmr(
             scaled,
             pull / part[of_free],
-            atol=LEAST_NORM_TO,
-            btol=LEAST_NORM_TO,
-            maxiter=LEAST_NORM_STEPS,
+            atol=1e-3,
+            btol=1e-3,
+            maxiter=60,
         )[0]
         least = np.zeros(self.y.size)
         least[on] = np.abs(row_units[on] * found * part[of_row])

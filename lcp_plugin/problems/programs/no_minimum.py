@@ -66,7 +66,6 @@ LARGEST_DENSE = 1500
 NOISE = 1e-9  # of the largest multiplier
 CANCELS = 1e-6  # of the terms of a sum that a linear program takes for 0
 MOST_NAMED = 4  # constraints in a sentence
-LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
 NARROW = 1e-7  # a slack that may be none
 
@@ -568,7 +567,7 @@ def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector
     sides = sp.hstack(
         [matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr"
     )
-    exponents = equilibrating_exponents(sides, LARGEST_ENTRY, 900).row
+    exponents = equilibrating_exponents(sides, (1.0,), 900).row  # largest entries near 1
     scale = np.where(
         is_row,
         np.ldexp(1.0, exponents),

@@ -41,7 +41,6 @@ from .reductions import FoldedRows
 VECTORS = "c", "h", "b", "lower", "upper"
 SYMMETRIC_TO = 1e-12
 CANCELS = 1e-9  # of the objective: rounding that matters
-NO_LIMITS = read_only(np.zeros(0))  # of no rows
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -353,7 +352,7 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; None for both means zero rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return read_only(np.zeros((0, n))), NO_LIMITS
+        return read_only(np.zeros((0, n))), read_only(np.zeros(0))
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, check(right, right_name, checked.shape[0])
 

@@ -115,13 +115,14 @@ class ProgramMatrices:
     @cached_property
     def components(self) -> ProgramComponents:
         """Connected components of the graph of P, G and A."""
-        m, n = sum(self.sizes[:2]), self.P.shape[0]
-        full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
-        if not n or any((one != 0.0).all(axis=1).any() for one in full):
+        P, C = self.measured[:2]
+        (m, n), is_sparse = C.shape, sp.issparse(P)
+        counts = (np.diff(M.indptr) if is_sparse else np.count_nonzero(M, axis=1) for M in (P, C))
+        if not n or any((count == n).any() for count in counts):
             return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
         from scipy.sparse.csgraph import connected_components
 
-        rows = sp.vstack([self.sparse_P, self.rows], format="csr")
+        rows = sp.vstack([P, C], format="csr") if is_sparse else sp.csr_array(np.vstack([P, C]))
         both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
         count, part = connected_components(both, directed=False)
         return ProgramComponents(part[:n], part[n:], count)

@@ -44,8 +44,6 @@ OF_THE_LCP = (
     1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
 )
 SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
-LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
-PIVOTS = "lemke"  # on thousands of rows they take minutes; external solvers are next
 
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
@@ -233,11 +231,8 @@ def solve_program(
             run.proof = program.facts.proof_of_contradiction()
             if run.proof is None:
                 raise
-        return run.result(_name_of(algorithm), clock.read())
-
-
-def _name_of(algorithm: Any) -> str:
-    return algorithm if isinstance(algorithm, str) else algorithm.name
+        name = algorithm if isinstance(algorithm, str) else algorithm.name
+        return run.result(name, clock.read())
 
 
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
@@ -285,7 +280,8 @@ class _ProgramRun:
             yield self._vertex_by_costs()
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
-            yield self.solve_lcp("auto", {}, ends_before=PIVOTS)
+            # Pivots on thousands of rows take minutes; external solvers are next.
+            yield self.solve_lcp("auto", {}, ends_before="lemke")
         yield from self.engine_runs(None)
         if not is_lcp_first and reduced.n + rows <= FEW:
             yield self.solve_lcp("auto", {})
@@ -395,10 +391,12 @@ class _ProgramRun:
         """True if the caller, or a limit set by the caller, ended the run on the LCP."""
         return self.is_interrupted or (
             self.lcp_result is not None
-            and self.lcp_result.status in LIMITS
             and (
-                self.lcp_result.status is not Status.MAX_ITERATIONS
-                or "max_iterations" in self.wishes
+                self.lcp_result.status is Status.MAX_SECONDS
+                or (
+                    self.lcp_result.status is Status.MAX_ITERATIONS
+                    and "max_iterations" in self.wishes
+                )
             )
         )
 

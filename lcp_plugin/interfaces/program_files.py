@@ -61,11 +61,9 @@ def _numbers(content: Arrays, *names: str) -> Arrays:
 
 def _number(content: Arrays, name: str) -> float:
     array = np.asarray(content.get(name, 0.0))
-    if array.size != 1 or array.dtype.kind not in "fiub":
-        raise InvalidProblem(
-            f"{name} must be a number, got shape {array.shape} of dtype {array.dtype}"
-        )
-    return float(array.reshape(())[()])
+    if array.size != 1:
+        raise InvalidProblem(f"{name} must be a number, got shape {array.shape}")
+    return float(array.item())
 
 
 def _lcp(content: Arrays) -> LCP:

@@ -341,21 +341,13 @@ class EquilibriumModel(NLModel):
         result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})
         x, duals, objective, status, wrong = None, None, None, result.status, ""
         if result.x is not None:
-            x, duals = (
-                self.variables(result.x[: self.unknowns.size]),
-                np.zeros(self.content.row_lower.size),
-            )
+            x = self.variables(result.x[: self.unknowns.size])
+            duals = np.zeros(self.content.row_lower.size)
             duals[self.pairs] = result.x[self.columns]
             objective, wrong = self._as_stated(x, duals, result.value)
+        words = "optimal" if result.is_solved else status.name.lower()
         if wrong and result.is_solved:
-            status = Status.STALLED
-        words = (
-            wrong
-            if wrong and result.is_solved
-            else "optimal"
-            if result.is_solved
-            else status.name.lower()
-        )
+            status, words = Status.STALLED, wrong
         of = "" if self.sign > 0.0 else " (of minus the objective)"
         reached = "" if result.has_no_solution else f"{result.describe_accuracy()}{of}, "
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"

@@ -64,15 +64,12 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
     beside = model.beside.names() if isinstance(model, ComplementarityModel) else []
     if isinstance(model.problem, LCP) and not beside:
         return model.problem
-    if beside:
-        raise UnsupportedModel(
-            f"{path} states more than a complementarity problem: {beside[0]} stands beside the complementarities; "
-            "lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` take it"
-        )
     kind = KINDS.get(type(model.problem).__name__, "a nonlinear complementarity problem")
+    kind = f"{kind}, not a linear complementarity problem"
+    if beside:
+        kind = f"more than a complementarity problem: {beside[0]} is a condition next to it"
     raise UnsupportedModel(
-        f"{path} states {kind}, not a linear complementarity problem: lcp_plugin.interfaces.nl.read_nl(path).solve() "
-        "and `lcp-plugin solve` take it"
+        f"{path} states {kind}; lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` take it"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -113,16 +114,14 @@ def stated(model: Any, path: Path) -> PyomoStatement:
             "the model is abstract and holds no data yet; solve model.create_instance(…)"
         )
     _require_known(model)
-    in_order = core.SortComponents.deterministic
-    conditions = list(
-        model.component_data_objects(Complementarity, active=True, descend_into=True, sort=in_order)
+    active = partial(
+        model.component_data_objects,
+        active=True,
+        descend_into=True,
+        sort=core.SortComponents.deterministic,
     )
-    constraints = list(
-        model.component_data_objects(core.Constraint, active=True, descend_into=True, sort=in_order)
-    )
-    objectives = list(
-        model.component_data_objects(core.Objective, active=True, descend_into=True, sort=in_order)
-    )
+    conditions, constraints = [*active(Complementarity)], [*active(core.Constraint)]
+    objectives = [*active(core.Objective)]
     sides = [sides_of(condition) for condition in conditions]
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
     has_pairs |= any(hasattr(row, "_complementarity") for row in constraints)
@@ -132,10 +131,7 @@ def stated(model: Any, path: Path) -> PyomoStatement:
         raise UnsupportedModel(
             f"the model has {len(objectives)} active objectives; deactivate all but one"
         )
-    is_whole = any(
-        not one.is_continuous()
-        for one in model.component_data_objects(core.Var, active=True, descend_into=True)
-    )
+    is_whole = any(not one.is_continuous() for one in active(core.Var))
     draft = _Draft(is_search=bool(objectives) or is_whole)
     for row in constraints:
         draft.constrain(row)

@@ -23,6 +23,15 @@ if TYPE_CHECKING:
     from .problem import RowsOnRanks
 
 GROWTH = 1.05  # of the steps between two measurements
+OF_RUN = {
+    "tolerance",
+    "absolute_tolerance",
+    "max_iterations",
+    "max_seconds",
+    "error_bound",
+    "verbose",
+    "threads",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,17 +88,16 @@ def solve_on_ranks(
     algorithm: str = "auto",
     *,
     z0: Any = None,
-    tolerance: float = Settings.tolerance,
-    absolute_tolerance: float = 0.0,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
     callback: Callable[[Sample, FloatVector], Any] | None = None,
-    error_bound: bool = False,
-    verbose: bool = False,
-    threads: int | None = 1,
     **options: Any,
 ) -> ResultOnRanks:
     """Return the solution; parameters as in :func:`lcp_plugin.solve`, equal on every rank.
+
+    Parameters
+    ----------
+    **options
+        tolerance, absolute_tolerance, max_iterations, max_seconds, error_bound, verbose, threads (1 by default), and
+        options of the algorithm.
 
     Raises
     ------
@@ -98,17 +106,10 @@ def solve_on_ranks(
     """
     ranks = problem.halo
     is_positive = ranks.everywhere(problem.diagonal > 0.0)
+    of_run = {name: options.pop(name) for name in OF_RUN & options.keys()}
     settings, methods, callback = ranks.together(
         lambda: (
-            Settings(
-                tolerance,
-                max_iterations=max_iterations,
-                max_seconds=max_seconds,
-                absolute_tolerance=absolute_tolerance,
-                error_bound=error_bound,
-                threads=threads,
-                verbose=verbose,
-            ),
+            Settings(**{"threads": 1, **of_run}),
             chain(algorithm, options, is_positive=is_positive),
             checked_callback(callback),
         )

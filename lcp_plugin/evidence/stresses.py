@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
@@ -192,11 +193,10 @@ def singularity() -> Iterator[StressCase]:
     """Yield nearly singular and singular matrices, with one solution, with many, with none."""
     for bits in (10, 20, 30, 40):
         rho = 1.0 - 2.0**-bits
-        yield planted(
-            f"H+ with 1 - rho = 2^-{bits}", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free()
-        )
+        M, z = np.array([[1.0, -rho], [-rho, 1.0]]), np.array([1.0, 2.0])
+        yield planted(f"H+ with 1 - rho = 2^-{bits}", M, z, np.zeros(2))
     for n in (3, 5, 8):
-        yield mostly_free(f"Hilbert matrix, n={n}", _hilbert(n))
+        yield mostly_free(f"Hilbert matrix, n={n}", scipy.linalg.hilbert(n))
     ring = _ring(12)
     yield mostly_free("singular M, one solution", ring)
     z = pattern(12, active=0.0)[0]
@@ -204,15 +204,6 @@ def singularity() -> Iterator[StressCase]:
     yield StressCase(stress="singular M, no solution", problem=LCP(ring, np.full(12, -1.0)))
     for tiny in (1e-8, 1e-14):
         yield mostly_free(f"singular M + {tiny:g}", sp.csr_array(ring + tiny * sp.eye_array(12)))
-
-
-def _two_free() -> tuple[FloatVector, FloatVector]:
-    return np.array([1.0, 2.0]), np.zeros(2)
-
-
-def _hilbert(n: int) -> Any:
-    i = np.arange(n)
-    return 1.0 / (i[:, None] + i + 1.0)
 
 
 def _ring(n: int) -> sp.csr_array:

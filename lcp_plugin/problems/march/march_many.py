@@ -109,7 +109,8 @@ def march(
     """
     of_states = lower, upper, z0
     is_list = isinstance(problem, (list, tuple))
-    are_many = is_list or _is_one_a_march(propagator) or _has_more_axes(forcing, of_states)
+    are_many = is_list or _is_one_a_march(propagator) or _axes(forcing) == 3
+    are_many = are_many or 2 in map(_axes, of_states)
     problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
     if not problems:
         return []
@@ -127,12 +128,12 @@ def march(
     return marches if are_many else marches[0]
 
 
-def _has_more_axes(forcing: Any, of_states: tuple[Any, ...]) -> bool:
-    """Return whether forcing or some state has a batch axis for several marches."""
+def _axes(values: Any) -> int:
+    """Return the number of axes of an argument."""
     try:
-        return np.ndim(forcing) == 3 or any(np.ndim(one) == 2 for one in of_states)
+        return np.ndim(values)
     except ValueError:  # rows of different lengths, which later raise InvalidProblem
-        return False
+        return 0
 
 
 def _begin(
@@ -195,7 +196,4 @@ def _is_one_a_march(propagator: Any) -> bool:
         return False
     if isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator)):
         return True
-    try:
-        return np.ndim(propagator) in (1, 3)  # numbers, or matrices
-    except ValueError:  # rows of different lengths, which later raise InvalidProblem
-        return False
+    return _axes(propagator) in (1, 3)  # numbers, or matrices

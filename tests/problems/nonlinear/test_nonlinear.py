@@ -784,3 +784,11 @@ def test_a_run_without_a_start_begins_in_the_bounds_nearest_to_0() -> None:
     )
     np.testing.assert_allclose(solve(problem).require_solved().x, [3.0, -3.0, 2.0])
     np.testing.assert_array_equal(seen[0], [1.0, -2.0, 0.0])
+
+
+@pytest.mark.parametrize("F", [lambda x: x**3, lambda x: x * np.sin(x)])
+def test_a_root_at_0_without_a_slope_is_reached_from_afar(F: Callable[[Any], Any]) -> None:
+    """Newton's steps only halve the distance or so, and the run ends at the exact root."""
+    result = solve(NonlinearProblem(F, lower=np.full(1, -np.inf)), x0=np.ones(1))
+    assert (result.status, result.z[0]) == (Status.SOLVED, 0.0)
+    assert result.iterations < 50

@@ -55,6 +55,8 @@ class Pattern:
     d : array, shape (B, k)
         Divisor of w. It is ‖M_kk‖/√m for a block of m rows, and the diagonal entry for one row. If this is less than
         2⁻²⁰ of the largest block of its row, d is the size of that block; 1 for an empty row.
+    most_terms : int
+        The largest number of entries of a row.
     labels : array of int, shape (B, k), or None
         The connected component of each block; None if every problem is connected.
     """
@@ -63,6 +65,7 @@ class Pattern:
         self.M, self.is_sparse = M, sp.issparse(M)
         self.B = 1 if self.is_sparse else len(M)
         self.nonzeros = M.size // max(self.B, 1)  # of one problem
+        self.most_terms = int(np.diff(M.indptr).max(initial=0)) if self.is_sparse else M.shape[2]
         self.starts, self.sizes = starts, np.diff(starts)
         self.k, self.n, self.m = self.sizes.size, int(starts[-1]), int(self.sizes.max(initial=1))
         self.of_row = np.repeat(np.arange(self.k), self.sizes)
@@ -129,11 +132,6 @@ class Pattern:
         inverses: Array = solved(own, np.broadcast_to(np.eye(self.m), own.shape))
         return inverses.reshape(self.own.shape)
 
-    @cached_property
-    def most_terms(self) -> int:
-        """The largest number of entries of a row."""
-        return int(np.diff(self.M.indptr).max(initial=0)) if self.is_sparse else self.n
-
     def wide(self, x: Array) -> Array:
         """Return arrays of shape (B, n, …) as (B, k, m, …)."""
         shape = len(x), self.k, self.m, *x.shape[2:]
@@ -152,13 +150,8 @@ class Pattern:
         """Return M z, or |M||z|, shape (B, k, m)."""
         M, x = self.M, self.flat(z)
         if absolute:
-            M, x = (self.absolute if self.B == 1 else np.abs(M)), np.abs(x)
+            M, x = abs(M), np.abs(x)
         return self.wide((M @ x[0])[None] if self.is_sparse else (M @ x[:, :, None])[:, :, 0])
-
-    @cached_property
-    def absolute(self) -> Array:
-        """|M|."""
-        return abs(self.M)
 
     def largest(self, values: Array) -> Array:
         """Return the largest value in the component of each block, shape (B, k)."""

@@ -36,6 +36,7 @@ SMALLEST = (
     1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
 )
 WELL_CONDITIONED = 1e8
+FEW = 8  # paths that are followed one after the other
 CHUNK = 2**17  # entries of matrices that stay in the cache
 LOW, FREE, HIGH = 0, 1, 2
 
@@ -194,7 +195,12 @@ def solve_stack(
         items = np.flatnonzero(~found.is_solved & ~has_free)
         if items.size:
             few = part_of(stack, items)
-            of_paths = judged(few, paths(few), tolerance)
+            ends = (
+                paths(few)
+                if items.size > FEW
+                else np.array([_end(few, k) for k in range(items.size)])
+            )
+            of_paths = judged(few, ends, tolerance)
             for table, values in zip(found, of_paths, strict=True):
                 table[items] = values
         begun = stack.start if starts is None else starts
@@ -528,6 +534,13 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
     else:
         return np.full(n, np.nan)
     return _at_sides_of_one(M, q, 0.0, width, np.array(side))
+
+
+def _end(stack: RowData, k: int) -> FloatVector:
+    """Return the end of problem k's path from r = 1."""
+    M = stack.M[k if len(stack.M) > 1 else 0]
+    M, q, width, back = _canonical(M, stack.q[k], stack.lower[k], stack.upper[k])
+    return back(path(M, q, width, np.ones(q.size)))
 
 
 def _canonical(

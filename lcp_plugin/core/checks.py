@@ -212,6 +212,8 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
         raise InvalidProblem(f"{need}, got None")
     try:
         array = np.asarray(values)
+    except RuntimeError as error:  # a tensor with a gradient
+        raise InvalidProblem(f"{need}: {error}") from error
     except ValueError as error:
         raise InvalidProblem(
             f"{need}, got no rectangular array ({error}); check its rows"

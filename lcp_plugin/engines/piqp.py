@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
 INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
+INVALID_SETTINGS = -10  # status of PIQP
 SAYS = {
     1: EngineStatus.OPTIMAL,
     -1: EngineStatus.STOPPED,
@@ -64,8 +65,13 @@ class PIQP(Engine):
             solver.solve()
             fit = limits.seconds / (time.perf_counter() - begun) - 1.0
             solver.settings.max_iter = int(min(max(fit, 1.0), steps))
-        says = SAYS.get(int(solver.solve()), EngineStatus.GAVE_UP)
-        found = solver.result
+        code, found = int(solver.solve()), solver.result
+        if (
+            code == INVALID_SETTINGS
+        ):  # of no step, for instance: the vectors of the result are uninitialized
+            x = np.clip(0.0, program.lower, program.upper)
+            return EngineAnswer(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)
+        says = SAYS.get(code, EngineStatus.GAVE_UP)
         y = np.zeros(m + p)
         y[:m][is_limit], y[m:] = found.z_u, found.y
         steps = 0 if says is EngineStatus.GAVE_UP else int(found.info.iter)

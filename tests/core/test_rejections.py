@@ -137,6 +137,16 @@ def damaged_csr(
 SQUARE = r"square matrix.*got shape "
 HUGE = np.array([[np.longdouble("1e4000")]])
 
+
+class TensorWithGradient:
+    """Array that raises the error of a torch.Tensor with requires_grad."""
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise RuntimeError(
+            "Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead."
+        )
+
+
 MATRICES = [
     matrix(np.ones((2, 3)), SQUARE + r"\(2, 3\)"),
     matrix(with_entry(1, 2, NAN), r"M must be finite.*M\[1, 2\] = nan.*repair"),
@@ -147,6 +157,7 @@ MATRICES = [
     matrix("4 1; 1 4", r"M must hold real numbers.*text"),
     matrix([[1.0, 2.0], [3.0]], r"M .*rectangular array.*check its rows"),
     matrix(np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
+    matrix(TensorWithGradient(), r"M must hold real numbers: .*Use tensor.detach"),
     matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
     matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
     matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),

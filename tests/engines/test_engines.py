@@ -137,6 +137,19 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     assert np.abs(runs[0].x).max() <= 1e4
 
 
+def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
+    """After max_iter = 0, PIQP's result is uninitialized memory, which is never used as a point."""
+    none, points = engine_class("piqp")(max_iter=0), set()
+    for seed in range(20):
+        draws = np.random.default_rng(seed)
+        solve(
+            QuadraticProgram(np.eye(4), draws.standard_normal(4)), "piqp"
+        )  # leaves numbers in freed memory
+        program = QuadraticProgram(np.eye(4), -np.ones(4), G=np.ones((1, 4)), h=[1.0], lower=0.1)
+        points.add(run_engine(program, none, 1e-6, GIVEN).solution.x.tobytes())
+    assert len(points) == 1
+
+
 def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
     """Engines support a step limit, record and callback, ignore a start, and reject bad values."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)

@@ -119,7 +119,8 @@ class FrictionalContact(Blocks):
                 )
             dimension = velocities.shape[1]
         offset = checked_vector(velocities.ravel(), "b", None)
-        d = dimension_of(dimension, np.shape(friction), offset.size)
+        friction = real_array(friction, "friction must be a number, or one per contact")
+        d = dimension_of(dimension, friction.shape, offset.size)
         k = offset.size // d
         offset = offset.copy()
         offset[::d] += closing_speeds(gaps, time_step, k)

@@ -353,6 +353,8 @@ def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
     problem = FrictionalContact(np.eye(6), [[-1.0, 3.0, 4.0], [-2.0, 0.1, 0.0]], 0.5)
     found = derivative(solve(problem))
     np.testing.assert_array_equal(found.jvp(dfriction=0.1), found.jvp(dfriction=[0.1, 0.1]))
+    with pytest.raises(InvalidProblem, match=r"friction must be a number.*rectangular array"):
+        FrictionalContact(np.eye(3), np.ones(3), [[1.0], [1.0, 2.0]])
     with pytest.raises(InvalidOption, match="solve takes no sweeps for a FrictionalContact; known"):
         solve(problem, "npgs", sweeps=3)
     with pytest.raises(

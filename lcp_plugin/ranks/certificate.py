@@ -74,7 +74,7 @@ class CertificateOnRanks:
     scaled_residual: float
     relative_residual: float
     backward_error: float
-    request_error: float = field(repr=False)  # the largest v_i relative to the tolerance of row i
+    demand_error: float = field(repr=False)  # the largest v_i / a_i
     is_at_rounding_level: bool
 
     def is_solved(self, tolerance: float, absolute: float = 0.0) -> bool:
@@ -82,7 +82,7 @@ class CertificateOnRanks:
         return (
             (self.relative_residual <= tolerance or self.scaled_residual <= absolute)
             and self.backward_error <= tolerance**0.75
-            and self.request_error <= tolerance**0.25
+            and self.demand_error <= tolerance**0.25
         )
 
 
@@ -111,7 +111,7 @@ class RowDataOnRanks(RowData):
         return self.components.largest(values)
 
     @cached_property
-    def asked(self) -> FloatVector:
+    def demand(self) -> FloatVector:
         """Demand of each row: a_i of :mod:`lcp_plugin.core.certificates.criterion`."""
         at, size = self.rows(self.start), self.absolute.rows
         w = np.where(np.abs(at.w) > NEGLIGIBLE * at.terms, np.abs(at.w), 0.0)
@@ -125,27 +125,30 @@ def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
     problem, d = data.problem, data.scale
     z = data.snap_to_bounds(z, problem.slack(z))
     at = data.rows(z)
-    T, wrong = at.terms, at.wrong
-    r, high = np.abs(data.residual(z, at.w)), data.residual_ends(z, at.w, at.slip)[1]
+    T, violation = at.terms, at.violation
+    r, high = np.abs(data.residual(z, at.w)), data.residual_ends(z, at.w, at.rounding)[1]
     largest = problem.halo.largest
-    reference = np.minimum(data.reference, data.acting_reference(at))
+    reference = np.minimum(data.reference, data.active_reference(at))
     if largest(data.largest(high) / reference) > SHARP * largest(data.largest(r) / reference):
         # Rounding in double precision decides: the rows are summed in twice the precision.
         ends = compensated_product(problem.rows, problem.halo.whole(z), problem.q)
         high = data.residual_ends(z, *ends)[1]
     bound = data.largest(high)
     relative = np.where(bound == 0.0, 0.0, bound / reference)
-    largest_z, largest_acting = data.largest(np.abs(z)), data.largest(np.where(at.acts, T, 0.0))
-    counts = (problem.q != 0.0) | (NEGLIGIBLE * np.minimum(d * largest_z, largest_acting) < T)
-    counts &= wrong > 0.0
-    is_asked = counts & (data.asked > 0.0) & (wrong > NEGLIGIBLE * T)
+    largest_z, largest_active = (
+        data.largest(np.abs(z)),
+        data.largest(np.where(at.is_active, T, 0.0)),
+    )
+    counts = (problem.q != 0.0) | (NEGLIGIBLE * np.minimum(d * largest_z, largest_active) < T)
+    counts &= violation > 0.0
+    has_demand = counts & (data.demand > 0.0) & (violation > NEGLIGIBLE * T)
     return CertificateOnRanks(
         z,
         at.w,
         largest(high),
         largest(relative),
-        largest(np.where(counts, wrong / T, 0.0)),
-        largest(np.where(is_asked, wrong / data.asked, 0.0)),
+        largest(np.where(counts, violation / T, 0.0)),
+        largest(np.where(has_demand, violation / data.demand, 0.0)),
         problem.halo.everywhere(r <= 4.0 * data.rounding_floor(T)),
     )
 
@@ -162,7 +165,7 @@ def error_bound(data: RowDataOnRanks, z: FloatVector) -> float:
     if not halo.everywhere(d > 0.0):
         return np.inf
     at = data.rows(z)
-    r = data.residual_ends(z, at.w, at.slip, d)[1]
+    r = data.residual_ends(z, at.w, at.rounding, d)[1]
     moved = data.absolute @ r
     change = moved - d * r + (np.diff(problem.rows.indptr) + 4) * EPSILON * moved + TINY
     bound = np.inf

@@ -8,10 +8,10 @@ rounding errors included, and if every row i satisfies the componentwise test
 
     v_i ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)).
 
-- T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds (a row *acts* if it is
-  off its bounds or violated).
-- ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the rows of P that are off their bounds or violated,
-  z° the point of the bounds nearest to 0. So an inactive row with a large q_i does not relax the test of other rows.
+- T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds (a row is *active* if
+  it is off its bounds or violated).
+- ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the active rows of P, z° the point of the bounds
+  nearest to 0. So an inactive row with a large q_i does not relax the test of other rows.
 - a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its neighbors. If w_j(z°) is at its rounding
   level, it counts as 0, and a_i = 0 is omitted. Terms that cancel make T_i large, but not a_i.
 - The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
@@ -44,7 +44,7 @@ from ..rounding import compensated_product
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
-ASKED_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
+DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
 
 
@@ -57,19 +57,19 @@ class RowsAtPoint(NamedTuple):
         The slack M z + q in double precision.
     terms : array, shape (…, n)
         T = |M||z| + |q|.
-    slip : array, shape (…, n)
+    rounding : array, shape (…, n)
         A bound of the rounding error of w, for any order of summation; 0 if M z = 0 exactly.
-    wrong : array, shape (…, n)
+    violation : array, shape (…, n)
         The violations v_i, as the docstring of this module defines them.
-    acts : array of bool, shape (…, n)
-        The rows that are off their bounds or violated.
+    is_active : array of bool, shape (…, n)
+        The active rows: off their bounds or violated.
     """
 
     w: FloatVector
     terms: FloatVector
-    slip: FloatVector
-    wrong: FloatVector
-    acts: Any
+    rounding: FloatVector
+    violation: FloatVector
+    is_active: Any
 
 
 class RowData:
@@ -108,17 +108,18 @@ class RowData:
         if not self.start.any():  # q is not rounded
             return self.largest(np.abs(self.residual(self.start, self.q)) * (1.0 - 4.0 * EPSILON))
         at = self.rows(self.start)
-        return self.largest(self.residual_ends(self.start, at.w, at.slip)[0])
+        return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
 
     def rows(self, z: FloatVector) -> RowsAtPoint:
         """Return the values of all rows at z."""
         w, products = times(self.M, z) + self.q, times(self.absolute, np.abs(z))
         terms = products + np.abs(self.q)
-        rounding = (self._counts + 6) * (EPSILON * terms + TINY)
-        slip = np.where(products > 0.0, rounding, 0.0)  # NaN stays
+        bound = (self._counts + 6) * (EPSILON * terms + TINY)
+        rounding = np.where(products > 0.0, bound, 0.0)  # NaN stays
         is_above, is_below = z > self.lower, z < self.upper
-        wrong = np.maximum(w * is_above, -w * is_below)
-        return RowsAtPoint(w, terms, slip, wrong, (wrong > 0.0) | (is_above & is_below))
+        violation = np.maximum(w * is_above, -w * is_below)
+        is_active = (violation > 0.0) | (is_above & is_below)
+        return RowsAtPoint(w, terms, rounding, violation, is_active)
 
     def largest(self, values: FloatVector) -> Any:
         """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one.
@@ -150,25 +151,29 @@ class RowData:
         return residual
 
     def residual_ends(
-        self, z: FloatVector, w: FloatVector, slip: FloatVector, scale: FloatVector | None = None
+        self,
+        z: FloatVector,
+        w: FloatVector,
+        rounding: FloatVector,
+        scale: FloatVector | None = None,
     ) -> VectorEnds:
-        """Return bounds of every |r_i(z)| for any slack within w ± slip; 0 and ∞ for numbers that are not finite."""
-        bottom, top = self.residual(z, np.array([w - slip, w + slip]), scale)
+        """Return bounds of every |r_i(z)| for slacks within w ± rounding; 0 and ∞ for numbers that are not finite."""
+        bottom, top = self.residual(z, np.array([w - rounding, w + rounding]), scale)
         low = np.maximum(np.maximum(bottom, -top), 0.0) * (1.0 - 4.0 * EPSILON)
         high = np.maximum(-bottom, top) * (1.0 + 4.0 * EPSILON)
-        is_number = np.isfinite(w + slip + z)
+        is_number = np.isfinite(w + rounding + z)
         if not is_number.all():
             low, high = np.where(is_number, low, 0.0), np.where(is_number, high, np.inf)
         return low, high
 
-    def acting_reference(self, at: RowsAtPoint) -> Any:
-        """Return, for each row, the largest T_k/d_k of the rows of its component that act, rounding included."""
-        may_act = at.acts | ((np.abs(at.w) <= at.slip) & (self.lower < self.upper))
+    def active_reference(self, at: RowsAtPoint) -> Any:
+        """Return, for each row, the largest T_k/d_k of the active rows of its component, rounding included."""
+        may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
-        return self.largest(np.where(may_act, at.terms / self.scale * rounding, 0.0))
+        return self.largest(np.where(may_be_active, at.terms / self.scale * rounding, 0.0))
 
     @cached_property
-    def asked(self) -> FloatVector:
+    def demand(self) -> FloatVector:
         """Demand of each row: a_i in the docstring of this module."""
         at = self.rows(self.start)
         w = np.abs(at.w)
@@ -191,15 +196,15 @@ class RowData:
         power : float
             Exponent of the tolerance next to T_i.
         """
-        wrong = at.wrong
-        is_open = ~(wrong <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
+        violation = at.violation
+        is_open = ~(violation <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
         if not is_open.any():
             return np.zeros(z.shape)
-        is_open &= ~(self._is_excused(z, at) | (wrong <= self._underflow(z)))
-        asked = self.asked
-        least = (wrong / at.terms) ** (1.0 / power)
-        of_asked = np.where(asked > 0.0, (wrong / asked) ** (1.0 / ASKED_POWER), 0.0)
-        least = np.where(is_open, np.maximum(least, of_asked), 0.0)
+        is_open &= ~(self._is_excused(z, at) | (violation <= self._underflow(z)))
+        demand = self.demand
+        least = (violation / at.terms) ** (1.0 / power)
+        of_demand = np.where(demand > 0.0, (violation / demand) ** (1.0 / DEMAND_POWER), 0.0)
+        least = np.where(is_open, np.maximum(least, of_demand), 0.0)
         return np.where(np.isfinite(least), least, np.inf)
 
     def _is_excused(self, z: FloatVector, at: RowsAtPoint) -> Any:
@@ -208,8 +213,8 @@ class RowData:
         if not is_candidate.any():
             return is_candidate
         of_z = self.scale * self.largest(np.abs(z))
-        of_acting = self.largest(np.where(at.acts, at.terms, 0.0))
-        unit = np.minimum(of_z, of_acting)
+        of_active = self.largest(np.where(at.is_active, at.terms, 0.0))
+        unit = np.minimum(of_z, of_active)
         is_small = at.terms <= NEGLIGIBLE * unit
         is_at_bound = (z != 0.0) & ((z == self.lower) | (z == self.upper))
         has_unit = ~is_candidate | is_at_bound | (times(self.absolute, is_at_bound) > 0.0)
@@ -221,7 +226,7 @@ class RowData:
             if (after == is_led).all():
                 break
             is_led = after
-        return is_candidate & ~is_led & (is_small | (at.wrong <= ROUNDING * unit))
+        return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
 
     def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
         """Return the rounding level of each residual: k_i ε T_i / d_i with k_i = nonzeros of row i + 2."""
@@ -313,7 +318,7 @@ def references_of_components(problem: LCP) -> VectorEnds:
     z, data = problem.nearest_to_zero, row_data(problem)
     with np.errstate(all="ignore"):
         at = data.rows(z)
-        least, most = map(data.largest, data.residual_ends(z, at.w, at.slip))
+        least, most = map(data.largest, data.residual_ends(z, at.w, at.rounding))
         is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
         if is_open.any():
             sharp = map(data.largest, sharp_residual_ends(problem, z))
@@ -366,7 +371,7 @@ def rows_near_start(problem: LCP) -> Any:
             at = data.rows(z)
             floor = data.rounding_floor(at.terms)
             is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
-            is_open = (data.residual_ends(z, at.w, at.slip)[1] > 0.0) & ~is_rounding
+            is_open = (data.residual_ends(z, at.w, at.rounding)[1] > 0.0) & ~is_rounding
         is_solved = data.largest(is_open.astype(np.float64)) == 0.0
     return np.broadcast_to(is_solved, z.shape)
 

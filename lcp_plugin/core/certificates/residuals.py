@@ -199,7 +199,7 @@ class Certificate:
         """Bounds of ref_P of each row, shape (n,), or (1,) if M is connected."""
         least, most = references_of_components(self.problem)
         with np.errstate(all="ignore"):
-            limit = row_data(self.problem).acting_reference(self._rows)
+            limit = row_data(self.problem).active_reference(self._rows)
         return np.minimum(least, limit), np.minimum(most, limit)
 
     @cached_property
@@ -213,7 +213,7 @@ class Certificate:
     def _ends(self, scale: FloatVector) -> VectorEnds:
         with np.errstate(all="ignore"):
             at = self._rows
-            return row_data(self.problem).residual_ends(self.z, at.w, at.slip, scale)
+            return row_data(self.problem).residual_ends(self.z, at.w, at.rounding, scale)
 
     @cached_property
     def _natural(self) -> FloatVector:

@@ -164,8 +164,8 @@ def judged(stack: RowData, z: FloatVector, tolerance: float) -> Judged:
     z = np.where(reference == 0.0, stack.start, z)
     z = stack.snap_to_bounds(z, times(stack.M, z) + stack.q)
     at = stack.rows(z)
-    high = stack.residual_ends(z, at.w, at.slip)[1]
-    limit = np.minimum(reference, stack.acting_reference(at))
+    high = stack.residual_ends(z, at.w, at.rounding)[1]
+    limit = np.minimum(reference, stack.active_reference(at))
     relative = np.where(high == 0.0, 0.0, high / limit).max(-1, initial=0.0)
     terms = stack.term_residuals(z, at, power=1.0).max(-1, initial=0.0)
     return Judged(z, (relative <= tolerance) & (terms <= tolerance), relative)

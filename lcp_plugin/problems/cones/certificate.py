@@ -82,14 +82,14 @@ class Measures:
             error = (pattern.most_terms + 2) * UNIT * np.where(products > 0.0, products + q, 0.0)
         self.stack, self.z, self.w, self.sizes = stack, z, w, length(R)
         self.rounding = self._bound_rounding(case, error)
-        wrong, terms = d * self.sizes, length(products + q)
-        acts = (case != OUT) | (wrong > 0.0)
-        acting = pattern.largest(np.where(acts, terms / d, 0.0))
-        self.reference = np.where(stack.is_answered, 0.0, np.minimum(stack.reference, acting))
+        violation, terms = d * self.sizes, length(products + q)
+        is_active = (case != OUT) | (violation > 0.0)
+        active = pattern.largest(np.where(is_active, terms / d, 0.0))
+        self.reference = np.where(stack.is_answered, 0.0, np.minimum(stack.reference, active))
         most = self.sizes + self.rounding
         self.relative = _ratio(most, self.reference)
         self.relative[~np.isfinite(stack.reference)] = np.inf
-        self.terms = self._term_residuals(wrong, terms, acts)
+        self.terms = self._term_residuals(violation, terms, is_active)
         meets = (self.relative <= tolerance) & (self.terms <= tolerance)
         self.do_pass = meets | (most <= absolute)
         self.is_solved = self.do_pass.all(1) & np.isfinite(w).all((1, 2))
@@ -119,20 +119,20 @@ class Measures:
             is_open = np.where(is_row, is_held, is_open)
         return np.where(is_open, 0.0, off)
 
-    def _term_residuals(self, wrong: Array, terms: Array, acts: Array) -> Array:
-        """Return the residuals d ‖R_k‖ = `wrong` relative to T_k and a_k; 0 at rounding level."""
+    def _term_residuals(self, violation: Array, terms: Array, is_active: Array) -> Array:
+        """Return the residuals d ‖R_k‖ = `violation` relative to T_k and a_k; 0 at rounding level."""
         stack, pattern = self.stack, self.stack.pattern
-        is_wrong = ~(wrong <= NOISE * terms)
-        if not is_wrong.any():
-            return np.zeros_like(wrong)
-        limits = _ratio(wrong, terms) ** (4.0 / 3.0)
-        of_asked = np.where(stack.asks > 0.0, _ratio(wrong, stack.asks), 0.0) ** 4
+        is_open = ~(violation <= NOISE * terms)
+        if not is_open.any():
+            return np.zeros_like(violation)
+        limits = _ratio(violation, terms) ** (4.0 / 3.0)
+        of_demand = np.where(stack.demand > 0.0, _ratio(violation, stack.demand), 0.0) ** 4
         largest = stack.d * pattern.largest(length(self.z))
-        size = np.minimum(largest, pattern.largest(np.where(acts, terms, 0.0)))
+        size = np.minimum(largest, pattern.largest(np.where(is_active, terms, 0.0)))
         is_small, has_q = terms <= NOISE * size, stack.q.any(-1)
         is_alone = pattern.largest((is_small & has_q).astype(np.float64)) == 0.0
-        is_excused = ~has_q & ((wrong <= EXCUSED * size) | (is_small & is_alone))
-        return np.where(is_wrong & ~is_excused, np.maximum(limits, of_asked), 0.0)
+        is_excused = ~has_q & ((violation <= EXCUSED * size) | (is_small & is_alone))
+        return np.where(is_open & ~is_excused, np.maximum(limits, of_demand), 0.0)
 
     def are_limited(self) -> Array:
         """Return whether rounding explains the residuals of all blocks that do not pass, shape (B,)."""

@@ -57,7 +57,7 @@ from .core.splittings.projected_relaxation import PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from .engines import Engine
-from .methods.small.rounds import Rounds, first_answer, is_small
+from .methods.small.rounds import Rounds, first_candidate, is_small
 
 GUESSED = "small: a few sweeps guess the active set"
 ASKED_EVERY = 20
@@ -285,7 +285,7 @@ def solve_lcp(
     is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
     is_plain = is_plain and method is None and callback is None
     if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
-        found = first_answer(problem, start, settings.tolerance)
+        found = first_candidate(problem, start, settings.tolerance)
         if found is not None:
             z, label, work = found
             return Result(

@@ -1,9 +1,9 @@
 """Small dense problems, one or a stack, by numpy only: sweeps of NPSOR, active-set iterations, Lemke's path.
 
-Two sweeps guess the active set. An active-set iteration solves w = 0 on the free rows, with all other rows at their
-bounds, and changes every violated row. If the iterations end without a solution, Lemke's path follows
-w = M z + q + t r from large t to t = 0. The first axis of arrays counts problems: M has shape (B, n, n), the vectors
-(B, n).
+Two sweeps guess the active set. A round, an active-set iteration, solves w = 0 on the free rows, with all other rows
+at their bounds, and changes every violated row. If the rounds end without a solution, Lemke's path follows
+w = M z + q + t r from large t to t = 0. The first axis of arrays counts problems: M has shape (B, n, n), or (1, n, n)
+if they share it; the vectors have shape (B, n).
 
 References
 ----------
@@ -28,8 +28,8 @@ from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, residual_scales
 
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
-RELAXATION, SWEEPS = 1.7, 2
-ROUNDS, IDLE = 12, 2  # at most; without fewer changes
+RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
+ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
 SMALLEST = (
@@ -38,7 +38,7 @@ SMALLEST = (
 WELL_CONDITIONED = 1e8
 FEW = 8  # paths that are followed one after the other
 CHUNK = 2**17  # entries of matrices that stay in the cache
-LOW, FREE, HIGH = 0, 1, 2
+LOW, FREE, HIGH = 0, 1, 2  # side of z_i: at its lower bound, between the bounds, at its upper bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Rounds(Algorithm):
         unit = max(problem.nonzeros, 1)
         with np.errstate(all="ignore"):
             stack = stack_of(problem.matrix, problem.q, problem.lower, problem.upper)
-        points = answers(stack, z0[None])
+        points = candidates(stack, z0[None])
         while True:
             with np.errstate(all="ignore"):
                 found = next(points, None)
@@ -64,14 +64,14 @@ class Rounds(Algorithm):
             label, z, entries = found
             if np.isfinite(z).all():
                 with np.errstate(all="ignore"):
-                    z = judged(stack, z[None], 0.0).z[0]
+                    z = measure(stack, z[None], 0.0).z[0]
                 yield Step(z, work=entries / unit, label=label)
 
 
-def first_answer(
+def first_candidate(
     problem: LCP, z0: FloatVector, tolerance: float
 ) -> tuple[FloatVector, str, float] | None:
-    """Return the first point of :func:`answers`, its method and its work; None unless the point is a solution.
+    """Return the first point of :func:`candidates`, its method and its work; None unless the point is a solution.
 
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
@@ -80,10 +80,10 @@ def first_answer(
         if not stack.reference.all():
             return None
         is_cold = z0 is problem.nearest_to_zero
-        if not is_cold and judged(stack, z0[None], tolerance).is_solved[0]:
+        if not is_cold and measure(stack, z0[None], tolerance).is_solved[0]:
             return None
-        label, z, entries = next(answers(stack, z0[None]))
-        found = judged(stack, z[None], tolerance)
+        label, z, entries = next(candidates(stack, z0[None]))
+        found = measure(stack, z[None], tolerance)
     if not found.is_solved[0]:
         return None
     return read_only(found.z[0]), label, entries / max(problem.matrix.nonzeros, 1)
@@ -134,8 +134,8 @@ def _components(sizes: FloatVector) -> Any:
     return labels + n * np.arange(count)[:, None] if labels.any() else None
 
 
-def part_of(stack: RowData, items: Any) -> RowData:
-    """Return some problems of a stack."""
+def select_problems(stack: RowData, items: Any) -> RowData:
+    """Return the problems of a stack with these numbers as a stack."""
     labels = stack.labels
     if labels is not None:
         labels = np.unique(labels[items], return_inverse=True)[1].reshape(-1, labels.shape[1])
@@ -146,16 +146,16 @@ def part_of(stack: RowData, items: Any) -> RowData:
     return RowData(**parts, labels=labels)
 
 
-class Judged(NamedTuple):
-    """Points on their bounds, whether each is solved, and their relative residuals."""
+class MeasuredPoints(NamedTuple):
+    """Points after the projection onto near bounds, whether each is SOLVED, and their relative residuals."""
 
     z: FloatVector
     is_solved: BoolVector
     residual: FloatVector
 
 
-def judged(stack: RowData, z: FloatVector, tolerance: float) -> Judged:
-    """Return the points z of a stack, projected onto near bounds for the criterion."""
+def measure(stack: RowData, z: FloatVector, tolerance: float) -> MeasuredPoints:
+    """Move the points z of a stack to near bounds, and test each by the criterion with exponent 1."""
     size, reference = np.abs(z), stack.reference
     z = np.where(
         size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
@@ -168,7 +168,7 @@ def judged(stack: RowData, z: FloatVector, tolerance: float) -> Judged:
     limit = np.minimum(reference, stack.active_reference(at))
     relative = np.where(high == 0.0, 0.0, high / limit).max(-1, initial=0.0)
     terms = stack.term_residuals(z, at, power=1.0).max(-1, initial=0.0)
-    return Judged(z, (relative <= tolerance) & (terms <= tolerance), relative)
+    return MeasuredPoints(z, (relative <= tolerance) & (terms <= tolerance), relative)
 
 
 def solve_stack(
@@ -190,17 +190,17 @@ def solve_stack(
     with np.errstate(all="ignore"):
         stack = stack_of(M, q, lower, upper)
         first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
-        found = judged(stack, stack.start if first is None else rounds(stack, first), tolerance)
+        found = measure(stack, stack.start if first is None else rounds(stack, first), tolerance)
         has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
         items = np.flatnonzero(~found.is_solved & ~has_free)
         if items.size:
-            few = part_of(stack, items)
+            unsolved = select_problems(stack, items)
             ends = (
-                paths(few)
+                paths(unsolved)
                 if items.size > FEW
-                else np.array([_end(few, k) for k in range(items.size)])
+                else np.array([_end_of_path(unsolved, k) for k in range(items.size)])
             )
-            of_paths = judged(few, ends, tolerance)
+            of_paths = measure(unsolved, ends, tolerance)
             for table, values in zip(found, of_paths, strict=True):
                 table[items] = values
         begun = stack.start if starts is None else starts
@@ -229,7 +229,7 @@ def guess(stack: RowData) -> FloatVector | None:
 
 
 def rounds(stack: RowData, z: FloatVector) -> FloatVector:
-    """Return the final points of active-set iterations."""
+    """Return the final points of active-set iterations, which begin with the active sets of z."""
     z, items, side = z.copy(), np.arange(len(z)), np.full(z.shape, -1)
     fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
     for _ in range(ROUNDS):
@@ -243,14 +243,14 @@ def rounds(stack: RowData, z: FloatVector) -> FloatVector:
         items = items[is_open[items]]
         if not items.size:
             break
-        z[items] = at_sides(stack, side, items)
+        z[items] = solve_active_sets(stack, side, items)
     return z
 
 
-def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
-    """Return z of these problems, z_i at the bound that `side` names, else w_i = 0; NaN if that is singular."""
+def solve_active_sets(stack: RowData, side: Any, items: Any) -> FloatVector:
+    """Return z of these problems, z_i at the bound that `side` names, w_i = 0 if FREE; NaN if singular."""
     if len(side) == 1:
-        return _at_sides_of_one(stack.M[0], stack.q[0], stack.lower[0], stack.upper[0], side[0])[
+        return _solve_active_set(stack.M[0], stack.q[0], stack.lower[0], stack.upper[0], side[0])[
             None
         ]
     z: FloatVector = np.where(side == LOW, stack.lower, np.where(side == HIGH, stack.upper, 0.0))
@@ -265,20 +265,19 @@ def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
     first = items[:, None] * n if len(stack.M) > 1 else 0
     rows = (first + order)[:, :, None] * n
     blocks = stack.M.reshape(-1).take(rows + order[:, None, :])
-    if (
-        not inside.all()
-    ):  # a row at its bound is z_i = bound, and `right` has its terms in the other rows
+    if not inside.all():
+        # Smaller blocks are filled up by rows z_i = bound; `right` has the terms of z_i in other rows already.
         blocks = np.where(inside[:, :, None] & inside[:, None, :], blocks, np.eye(most))
     known = np.take_along_axis(z, order, 1)
     right = np.where(inside, np.take_along_axis(right, order, 1), known)
-    np.put_along_axis(z, order, _solved(blocks, right), 1)
+    np.put_along_axis(z, order, _solve_systems(blocks, right), 1)
     return z
 
 
-def _at_sides_of_one(
+def _solve_active_set(
     M: FloatVector, q: FloatVector, lower: Any, upper: FloatVector, side: Any
 ) -> FloatVector:
-    """Return z of one problem."""
+    """Return z of one problem, as :func:`solve_active_sets` does."""
     free = (side == FREE).nonzero()[0]
     z: FloatVector = np.where(side == HIGH, upper, lower)
     if free.size:
@@ -291,7 +290,7 @@ def _at_sides_of_one(
     return z
 
 
-def _solved(A: FloatVector, b: FloatVector) -> FloatVector:
+def _solve_systems(A: FloatVector, b: FloatVector) -> FloatVector:
     """Return the solutions of a stack of systems, NaN for a singular one."""
     try:
         return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)
@@ -299,7 +298,7 @@ def _solved(A: FloatVector, b: FloatVector) -> FloatVector:
         if len(A) == 1:
             return np.full_like(b, np.nan)
     half = len(A) // 2
-    return np.concatenate([_solved(A[:half], b[:half]), _solved(A[half:], b[half:])])
+    return np.concatenate([_solve_systems(A[:half], b[:half]), _solve_systems(A[half:], b[half:])])
 
 
 def paths(stack: RowData) -> FloatVector:
@@ -307,14 +306,14 @@ def paths(stack: RowData) -> FloatVector:
     flips = stack.lower == -np.inf
     base, sign = np.where(flips, stack.upper, stack.lower), np.where(flips, -1.0, 1.0)
     M = sign[:, :, None] * stack.M * sign[:, None, :]
-    side = _followed(M, sign * (stack.q + times(stack.M, base)), stack.upper - stack.lower)
+    side = _follow_paths(M, sign * (stack.q + times(stack.M, base)), stack.upper - stack.lower)
     side = np.where(flips & (side >= 0), HIGH - side, side)
-    z = at_sides(stack, side, np.arange(len(side)))
+    z = solve_active_sets(stack, side, np.arange(len(side)))
     z[(side < 0).any(1)] = np.nan
     return z
 
 
-def _followed(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
+def _follow_paths(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
     """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 for a lost path.
 
     The path belongs to a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
@@ -417,7 +416,7 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 }
 
 
-def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
+def candidates(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     n = z0.shape[1]
     entries = float(n**3)
@@ -428,7 +427,9 @@ def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector,
     M, q, width, back = _canonical(
         *(one[0] for one in (stack.M, stack.q, stack.lower, stack.upper))
     )
-    game = _player(M, q) if q.size and not M[0, 0] and np.isposinf(width).all() else None
+    game = (
+        _rows_of_first_player(M, q) if q.size and not M[0, 0] and np.isposinf(width).all() else None
+    )
     if game is not None:
         yield "game", back(path(M, q, width, game=game)), 3.0 * entries
     for name, covering in COVERINGS.items():
@@ -533,10 +534,10 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
         column = other.index(driven)
     else:
         return np.full(n, np.nan)
-    return _at_sides_of_one(M, q, 0.0, width, np.array(side))
+    return _solve_active_set(M, q, 0.0, width, np.array(side))
 
 
-def _end(stack: RowData, k: int) -> FloatVector:
+def _end_of_path(stack: RowData, k: int) -> FloatVector:
     """Return the end of problem k's path from r = 1."""
     M = stack.M[k if len(stack.M) > 1 else 0]
     M, q, width, back = _canonical(M, stack.q[k], stack.lower[k], stack.upper[k])
@@ -572,15 +573,15 @@ def _canonical(
     A = np.block([[A, -A[:, E]], [-A[E], block]])
     width = np.concatenate([upper - lower, np.full(E.size, np.inf)])
 
-    def joined(x: FloatVector) -> FloatVector:
+    def join(x: FloatVector) -> FloatVector:
         z = x[:n].copy()
         z[E] -= x[n:]
         return base + sign * z
 
-    return A, np.concatenate([b, -b[E]]), width, joined
+    return A, np.concatenate([b, -b[E]]), width, join
 
 
-def _player(M: FloatVector, q: FloatVector) -> Any:
+def _rows_of_first_player(M: FloatVector, q: FloatVector) -> Any:
     """Return the rows of the first player of a bimatrix game, bool, or None."""
     first = M[0] == 0.0
     same = first[:, None] == first

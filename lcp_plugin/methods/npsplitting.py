@@ -58,7 +58,7 @@ class NPSplitting(ScaledByRows):
         splitting = self._matrix(problem)
         step = self.row_scaling(problem)
         scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
-        factor = self._factorised(problem, scaled + sp.diags_array(np.full(problem.n, 2.0)))
+        factor = self._factorize(scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         z = z0
@@ -103,7 +103,7 @@ class NPSplitting(ScaledByRows):
         except InvalidProblem as error:
             raise InvalidOption(f"{need}: {error}") from error
 
-    def _factorised(self, problem: LCP, matrix: sp.csr_array) -> Any:
+    def _factorize(self, matrix: sp.csr_array) -> Any:
         try:
             return sparse_lu(matrix)
         except RuntimeError as error:

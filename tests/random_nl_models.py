@@ -299,7 +299,6 @@ def least_of(content: NLContent) -> float | None:
 
 
 def drawn_words(rng: Any) -> list[str]:
-    """Return assignments of a call, mostly none."""
-    return [
-        word for word in rng.choice(WORDS, int(rng.integers(0, 3)), replace=False).tolist() if word
-    ]
+    """Return assignments of a call to different options, mostly none."""
+    words = rng.choice(WORDS, int(rng.integers(0, 3)), replace=False).tolist()
+    return [*{word.partition("=")[0]: word for word in words if word}.values()]

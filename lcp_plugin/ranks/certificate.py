@@ -135,12 +135,14 @@ def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
         high = data.residual_ends(z, *ends)[1]
     bound = data.largest(high)
     relative = np.where(bound == 0.0, 0.0, bound / reference)
-    largest_z, largest_active = (
-        data.largest(np.abs(z)),
-        data.largest(np.where(at.is_active, T, 0.0)),
-    )
-    counts = (problem.q != 0.0) | (NEGLIGIBLE * np.minimum(d * largest_z, largest_active) < T)
-    counts &= violation > 0.0
+    largest_z = data.largest(np.abs(z))
+    largest_active = data.largest(np.where(at.is_active, T, 0.0))
+    # A row of q_i = 0 at rounding level is tolerated only if no small row of its component has a unit of its own.
+    is_small = NEGLIGIBLE * np.minimum(d * largest_z, largest_active) >= T
+    at_bound = ((z != 0.0) & ((z == data.lower) | (z == data.upper))).astype(np.float64)
+    has_unit = (problem.q != 0.0) | (at_bound > 0.0) | (data.absolute @ at_bound > 0.0)
+    is_led = data.largest((is_small & has_unit).astype(np.float64)) > 0.0
+    counts = (violation > 0.0) & ((problem.q != 0.0) | ~is_small | is_led)
     has_demand = counts & (data.demand > 0.0) & (violation > NEGLIGIBLE * T)
     return CertificateOnRanks(
         z,

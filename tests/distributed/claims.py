@@ -126,6 +126,20 @@ def a_small_component_counts_by_itself() -> None:
 
 
 @claim
+def a_small_row_next_to_a_large_one_counts() -> None:
+    """The solution is (2⁴⁶ − 2, 2, 1): row 2, z₂ = 2 z₃, is at rounding level of z₁."""
+    large = 2.0**46
+    M = np.array([[1.0, 1, 0], [0, 1, -2], [0, 0, 1]])
+    for q3, lower3 in ((-1.0, 0.0), (0.0, 1.0)):
+        rows = RowsOnRanks.from_problem(LCP(M, [-large, 0, q3], lower=[0, 0, lower3]))
+        data = RowDataOnRanks(rows)
+        own = slice(rows.halo.first, rows.halo.last)
+        for z2, is_right in ((2.0, True), (10.0, False)):
+            z = np.array([large - z2, z2, 1.0])[own]
+            assert measured(data, z).is_solved(1e-8) == is_right
+
+
+@claim
 def a_point_that_is_no_number_is_not_solved() -> None:
     rows = RowsOnRanks.from_problem(mixed())
     z = np.where(np.arange(rows.own) == 0, np.nan, rows.nearest_to_zero)

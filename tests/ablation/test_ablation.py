@@ -73,7 +73,7 @@ def test_a_loss_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
         return lambda *_, **__: 1 / 0
 
     tally = measuring.Tally("tiny")
-    tally.runs.append(measuring.measure(tiny(), [Patch("auto:first_answer", Instead(wrong))]))
+    tally.runs.append(measuring.measure(tiny(), [Patch("auto:first_candidate", Instead(wrong))]))
     assert tally.losses() == ["1 right", "1 raised"]
     monkeypatch.setattr(measuring, "inputs", lambda: iter([tiny()]))
     assert measuring.meetings([*NAMES])["search"] == []

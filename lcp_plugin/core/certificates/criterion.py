@@ -105,7 +105,7 @@ class RowData:
     @cached_property
     def reference(self) -> Any:
         """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        if not self.start.any():  # q is not rounded
+        if isinstance(self.M, np.ndarray) and not self.start.any():  # q is not rounded
             return self.largest(np.abs(self.residual(self.start, self.q)) * (1.0 - 4.0 * EPSILON))
         at = self.rows(self.start)
         return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])

@@ -36,7 +36,6 @@ SMALLEST = (
     1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
 )
 WELL_CONDITIONED = 1e8
-FEW = 8  # paths that are followed one after the other
 CHUNK = 2**17  # entries of matrices that stay in the cache
 LOW, FREE, HIGH = 0, 1, 2  # side of z_i: at its lower bound, between the bounds, at its upper bound
 
@@ -194,13 +193,8 @@ def solve_stack(
         has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
         items = np.flatnonzero(~found.is_solved & ~has_free)
         if items.size:
-            unsolved = select_problems(stack, items)
-            ends = (
-                paths(unsolved)
-                if items.size > FEW
-                else np.array([_end_of_path(unsolved, k) for k in range(items.size)])
-            )
-            of_paths = measure(unsolved, ends, tolerance)
+            few = select_problems(stack, items)
+            of_paths = measure(few, paths(few), tolerance)
             for table, values in zip(found, of_paths, strict=True):
                 table[items] = values
         begun = stack.start if starts is None else starts
@@ -535,13 +529,6 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
     else:
         return np.full(n, np.nan)
     return _solve_active_set(M, q, 0.0, width, np.array(side))
-
-
-def _end_of_path(stack: RowData, k: int) -> FloatVector:
-    """Return the end of problem k's path from r = 1."""
-    M = stack.M[k if len(stack.M) > 1 else 0]
-    M, q, width, back = _canonical(M, stack.q[k], stack.lower[k], stack.upper[k])
-    return back(path(M, q, width, np.ones(q.size)))
 
 
 def _canonical(

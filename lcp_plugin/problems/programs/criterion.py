@@ -218,27 +218,28 @@ class PrimalDualPoint:
 
     @cached_property
     def price(self) -> FloatVector | None:
-        """Price of repairing a tolerated row: its violation times the least remaining gradient per coefficient.
+        """Price of repairing each tolerated row; None without such a row.
 
-        The minimum is over unknowns with room in the direction that repairs the row, or over all unknowns if there is
-        none. The property is None without a tolerated row.
+        Unknowns move in the direction that repairs the row, up to their bounds, the cheapest first. The price of a move
+        is the remaining gradient per coefficient; the least of them counts for a rest that the bounds do not allow.
         """
-        bad: Any = np.flatnonzero(self.over > ROWS * self.own) if self.is_exact else ()
-        if not len(bad):
+        is_bad = (self.over > ROWS * self.own) & (self.over <= EXCUSED * self.reached)
+        if not (self.is_exact and is_bad.any()):
             return None
-        price = np.zeros(self.over.size)
-        rows = self.matrices.rows[bad]
-        entries, columns = rows.data, rows.indices
-        counts = np.diff(rows.indptr)
-        mends = -np.sign(entries) * np.repeat(np.sign(self.excess[bad]), counts)
-        x, rest = self.x[columns], self.left[columns]
-        has_room = np.where(
-            mends > 0.0, x < self.program.upper[columns], x > self.program.lower[columns]
-        )
-        paid = np.maximum(mends * rest - self.blur[columns], 0.0) / np.abs(entries)
-        least = least_in_rows(rows, np.where(has_room, paid, np.inf))
-        otherwise = least_in_rows(rows, np.abs(rest) / np.abs(entries))
-        price[bad] = self.over[bad] * np.where(np.isfinite(least), least, otherwise)
+        price, rows = np.zeros(self.over.size), self.matrices.rows
+        lower, upper = self.program.lower, self.program.upper
+        for i in np.flatnonzero(is_bad):
+            part = slice(rows.indptr[i], rows.indptr[i + 1])
+            a, j, over = rows.data[part], rows.indices[part], self.over[i]
+            mends = -np.sign(a) * np.sign(self.excess[i])
+            room = np.where(mends > 0.0, upper[j] - self.x[j], self.x[j] - lower[j])
+            paid = np.maximum(mends * self.left[j] - self.blur[j], 0.0) / np.abs(a)
+            order = np.argsort(paid)
+            repaired = np.minimum(np.cumsum(np.minimum(np.abs(a) * room, over)[order]), over)
+            moved = np.diff(repaired, prepend=0.0)
+            price[i] = np.where(moved > 0.0, moved * paid[order], 0.0).sum()
+            if repaired[-1] < over:
+                price[i] += (over - repaired[-1]) * (np.abs(self.left[j]) / np.abs(a)).min()
         return price
 
     # --- The gap -----------------------------------------------------------------------------------------------------
@@ -401,15 +402,6 @@ def largest(of_A: Any, sizes: FloatVector) -> FloatVector:
     if sp.issparse(of_A):
         return largest_in_rows(of_A, of_A.data * sizes[of_A.indices])
     return np.asarray((of_A * sizes).max(axis=1, initial=0.0))
-
-
-def least_in_rows(rows: sp.csr_array, values: FloatVector) -> FloatVector:
-    """Return the smallest of the values of each row's entries, ∞ of no entries."""
-    least = np.full(rows.shape[0], np.inf)
-    filled = np.diff(rows.indptr) > 0
-    if values.size:
-        least[filled] = np.minimum.reduceat(values, rows.indptr[:-1][filled])
-    return least
 
 
 def sums_without_rounding(

@@ -401,6 +401,13 @@ CONSTRUCTED = {
         },
         [1e-199, 1], [0],
     ),
+    "a row that one unknown repairs in part": (
+        {
+            "c": [-1, -2], "G": [[3, -3e50], [-1, -3], [1, 0]], "h": [-1, 2, 3], "lower": [-1, -4],
+            "upper": [1, 0],
+        },
+        [1, -1.8e-43], [0, 0, 0],
+    ),
 }  # fmt: skip
 
 

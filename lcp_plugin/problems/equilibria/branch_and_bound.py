@@ -5,7 +5,8 @@ search long, or fail. If SCIP is installed, it searches next. The branches of it
 piece, which is solved again here. More built-in nodes follow if the user requests a proof, if SCIP is not
 installed, or if SCIP reports that no solution or no least solution exists, which needs a proof. A node leaves
 several branches of each pair open. Each child of a node takes one branch of the pair that the relaxation of the
-node violates most. The search continues with the open node of the lowest bound, and of the latest of several.
+node violates most. The search dives: it continues with the child of the lowest bound, and when a dive ends, with
+the lowest bound of all open nodes.
 
 References
 ----------
@@ -159,6 +160,7 @@ class BranchAndBound:
         self._is_infeasible = self._is_stuck = False
         self.tree: list[Node] = []
         self._open: list[tuple[float, int, Node]] = []
+        self._current: Node | None = None  # open, too
         self._closed_at = math.inf  # the least bound of the leaves that are closed
 
     @property
@@ -169,8 +171,10 @@ class BranchAndBound:
     @property
     def lower_bound(self) -> float:
         """Lower bound of the objective over all solutions."""
-        own = min([self._closed_at, *(bound for bound, _, _ in self._open[:1])])
-        own = own if self.tree else -math.inf
+        waiting = [bound for bound, _, _ in self._open[:1]] + (
+            [] if self._current is None else [self._current.bound]
+        )
+        own = min([self._closed_at, *waiting]) if self.tree else -math.inf
         return min(self.value, max(own, -math.inf if self.outside is None else self.outside.bound))
 
     @property
@@ -220,9 +224,8 @@ class BranchAndBound:
 
     def _root(self) -> None:
         """Solve the relaxation with all branches open."""
-        root = self.relaxations.node(self.problem.all_cases)
+        self._current = root = self.relaxations.node(self.problem.all_cases)
         self.tree.append(root)
-        heapq.heappush(self._open, (root.bound, 0, root))
         self._is_infeasible = root.bound == math.inf
         if root.point is not None:
             self.local.from_point(root.point)
@@ -274,18 +277,20 @@ class BranchAndBound:
 
     def _next(self) -> Node | None:
         """Return the node to continue with; close nodes whose bounds exclude a better solution."""
-        while self._open:
-            if self._open[0][0] < self.cutoff:
-                return self._open[0][2]
-            self._close()
+        while self._current is not None or self._open:
+            if self._current is None:
+                self._current = heapq.heappop(self._open)[2]
+            if self._current.bound < self.cutoff:
+                return self._current
+            self._close(self._current)
         return None
 
-    def _close(self) -> None:
-        """Close the open node of the least bound."""
-        self._closed_at = min(self._closed_at, heapq.heappop(self._open)[0])
+    def _close(self, node: Node) -> None:
+        self._closed_at, self._current = min(self._closed_at, node.bound), None
 
     def _branch(self) -> None:
-        node = self._open[0][2]
+        node = self._current
+        assert node is not None
         assert node.point is not None
         pair = self._pair(node)
         if pair < 0:  # complementary
@@ -304,11 +309,18 @@ class BranchAndBound:
                 cases[pair] = case
                 child = self.relaxations.node(cases, node)
                 children.append(child)
+        children.sort(key=lambda child: child.bound)
         self.tree += children
         node.pair = pair  # last, because Ctrl-C may come between any two lines and the leaves must cover all pieces
-        heapq.heappop(self._open)
+        self._current = None
+        dives = children[0].bound < self.cutoff and children[0].point is not None
         for k, child in enumerate(children):
-            heapq.heappush(self._open, (child.bound, k - len(self.tree), child))
+            if child.bound >= self.cutoff:
+                self._close(child)
+            elif k or not dives:
+                heapq.heappush(self._open, (child.bound, len(self.tree) - k, child))
+        if dives:
+            self._current = children[0]
 
     def _pair(self, node: Node) -> int:
         """Return the pair to branch on; −1 if the relaxation's point violates no undecided pair."""
@@ -328,7 +340,7 @@ class BranchAndBound:
         if isinstance(proof, QPUnboundedness):
             self.descent = piece.cases, proof
         self._is_stuck = self._is_stuck or piece.bound < self.cutoff
-        self._close()
+        self._close(piece)
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.local.best, self.local.value

@@ -223,9 +223,10 @@ class PrimalDualPoint:
         Unknowns move in the direction that repairs the row, up to their bounds, the cheapest first. The price of a move
         is the remaining gradient per coefficient; the least of them counts for a rest that the bounds do not allow.
         """
-        is_bad = (self.over > ROWS * self.own) & (self.over <= EXCUSED * self.reached)
+        is_bad = self.over > ROWS * self.own
         if not (self.is_exact and is_bad.any()):
             return None
+        is_bad &= self.over <= EXCUSED * self.reached
         price, rows = np.zeros(self.over.size), self.matrices.rows
         lower, upper = self.program.lower, self.program.upper
         for i in np.flatnonzero(is_bad):

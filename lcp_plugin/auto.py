@@ -136,7 +136,7 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
 
     sweeps = 0.0
     if begin in (None, "npsor"):
-        why = "cheap sweeps over the rows come first; their rate decides what follows"
+        why = "cheap sweeps over the rows come first; their rate decides the next stage"
         npsor = Stage(NPSOR(scaling="diagonal"), why, is_trial_over)
         yield npsor
         sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
@@ -226,7 +226,7 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
     if isinstance(algorithm, Algorithm):
         if options:
             raise InvalidOption(
-                f"options {sorted(options)} were given beside an algorithm object; "
+                f"options {sorted(options)} were given with an algorithm object; "
                 f"set them in {type(algorithm).__name__}(…){did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
         if not getattr(algorithm, "name", ""):

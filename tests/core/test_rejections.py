@@ -232,7 +232,7 @@ RUNS = [
         "npsor",
         scaling="None",
     ),
-    run(r"'relaxation'.*beside an algorithm object.*NPSOR\(", NPSOR(), relaxation=1.5),
+    run(r"'relaxation'.*with an algorithm object.*NPSOR\(", NPSOR(), relaxation=1.5),
     row(
         InvalidOption,
         r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",

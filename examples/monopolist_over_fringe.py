@@ -5,7 +5,7 @@ The monopolist sells x at cost 1 a unit, many small firms sell y at rising cost 
     max (p − 1) x    where    0 ≤ y ⟂ 2 + y − p ≥ 0.
 
 By hand: for x ≤ 8 the fringe sells y = (8 − x)/2, so that p = (12 − x)/2, and (10 − x) x/2 is largest at x = 5.
-Needs SCIP: pip install 'lcp_plugin[global]'.
+Needs SCIP: pip install '.[global]'.
 """
 
 from pathlib import Path

@@ -5,7 +5,7 @@ its cost, and demand is 20 − p. Welfare is concave, the firms' conditions are 
 
     0 ≤ s ⟂ c + r − p ≥ 0,    0 ≤ r ⟂ capacity · b − s ≥ 0,    Σ s = 20 − p.
 
-All sixteen choices are solved as well, one by one. Needs SCIP: pip install 'lcp_plugin[global]'.
+All sixteen choices are solved as well, one by one. Needs SCIP: pip install '.[global]'.
 """
 
 from itertools import product

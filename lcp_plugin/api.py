@@ -138,7 +138,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
       UNBOUNDED with a proof, see :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`; options as for
       an LCP, z0 is the ``result.z`` of an earlier run, a start where that has as many unknowns;
     - ``EquilibriumProgram``: :func:`~lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`;
-    - ``BoundedLeastSquares``: :func:`~lcp_plugin.problems.least_squares.solving.bounded_least_squares`;
+    - ``BoundedLeastSquares``: :func:`~lcp_plugin.problems.least_squares.solving.solve_least_squares`;
     - ``ConeProblem`` and ``FrictionalContact``: :func:`~lcp_plugin.problems.cones.solving.solve_cones`.
 
     The first problem of its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles

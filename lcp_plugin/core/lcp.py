@@ -275,8 +275,8 @@ class LCP:
     ) -> LCP:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
-        See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units and errors. With
-        :class:`lcp_plugin.FrictionalContact` friction is as it is.
+        See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units and errors.
+        :class:`lcp_plugin.FrictionalContact` uses the exact friction cone instead of a pyramid.
 
         Parameters
         ----------

@@ -65,7 +65,7 @@ def require_matplotlib() -> Any:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise LCPError(
-            "a picture needs matplotlib; install it with: pip install 'lcp_plugin[report]'"
+            "a picture needs matplotlib; install it with: pip install '.[report]'"
         ) from error
     return Figure
 

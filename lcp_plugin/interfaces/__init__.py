@@ -41,8 +41,8 @@ and in Julia (JuMP's ``.nl`` writer takes complementarities in releases from 202
     @constraint(model, exp(x) - 3 ⟂ x)
     optimize!(model)
 
-``lcp-plugin solve m.nl`` also solves the files that they write. ``certify`` takes programs; ``report``, ``check`` and
-``analyze`` take LCPs.
+``lcp-plugin solve m.nl`` also solves the files that they write. ``certify`` accepts programs; the commands ``check``
+and ``analyze`` accept LCPs.
 
 **qpsolvers** (extra ``[qpsolvers]``) Duals are in its convention. ``solution.extras`` has the status, the residuals and
 the proof. ``tolerance``, ``algorithm``, ``max_seconds`` are options of this package.

@@ -35,7 +35,7 @@ def register_with_qpsolvers() -> None:
     Raises
     ------
     ImportError
-        If qpsolvers is not installed: ``pip install 'lcp_plugin[qpsolvers]'``.
+        If qpsolvers is not installed: ``pip install '.[qpsolvers]'``.
 
     Examples
     --------
@@ -50,7 +50,7 @@ def register_with_qpsolvers() -> None:
         from qpsolvers.solvers import solve_function
     except ImportError as error:
         raise ImportError(
-            "register_with_qpsolvers needs qpsolvers; install it with: pip install 'lcp_plugin[qpsolvers]'"
+            "register_with_qpsolvers needs qpsolvers; install it with: pip install '.[qpsolvers]'"
         ) from error
     solve_function[NAME] = solve_problem
     for names in (available_solvers, dense_solvers, sparse_solvers):

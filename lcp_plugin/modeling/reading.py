@@ -1,8 +1,8 @@
 """Reader of cvxpy expressions as rows over variables, or over parameters.
 
 Node by node along the expression tree, by the rules of :mod:`atom_rules`. No variable is changed, nothing is
-canonicalized, and parameters count as constants, disciplined or not. Results are compared with the values that cvxpy
-computes for the expressions (:func:`lcp_plugin.modeling.model.contradiction`).
+canonicalized, and parameters count as constants, disciplined or not. Results are compared with the values of cvxpy,
+before a solution is returned (:mod:`lcp_plugin.modeling.registration`).
 """
 
 from __future__ import annotations

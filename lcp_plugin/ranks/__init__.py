@@ -1,6 +1,6 @@
 """LCPs whose rows are spread over the ranks of an MPI job, for problems that do not fit one machine.
 
-``pip install mpi4py mpich`` (or an MPI library of the machine) is all that it needs. Each rank gives its local rows::
+Install mpi4py and an MPI library: ``pip install '.[mpi]'``. Each rank passes its local rows::
 
     import numpy as np, scipy.sparse as sp
     from mpi4py import MPI

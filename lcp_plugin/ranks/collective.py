@@ -20,7 +20,7 @@ try:
     from mpi4py import MPI
 except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
     raise InvalidOption(
-        f"several ranks need mpi4py and an MPI library ({error}); pip install 'lcp_plugin[mpi]'"
+        f"several ranks need mpi4py and an MPI library ({error}); pip install '.[mpi]'"
     ) from None
 
 T = TypeVar("T")

@@ -21,7 +21,7 @@ try:
     import hypothesis  # noqa: F401 - to say what is missing before the modules below do
 except ImportError:
     raise ImportError(
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install '.[test]'"
     ) from None
 
 from .judge import assert_solves

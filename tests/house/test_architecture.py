@@ -271,7 +271,7 @@ def test_star_import_needs_no_hypothesis() -> None:
     solved, *asked = printed_by(code).splitlines()
     assert solved == "SOLVED"
     assert asked == 3 * [
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install '.[test]'"
     ]
 
 
@@ -285,9 +285,7 @@ def test_layers_ask_for_their_frameworks() -> None:
         "    try:\n        importlib.import_module(f'lcp_plugin.interfaces.learn.{name}')\n"
         "    except ImportError as error:\n        print(error)"
     )
-    needed = (
-        "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
-    )
+    needed = "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install '.[learn]'"
     assert printed_by(code).splitlines() == [
         needed.format("torch", "PyTorch"),
         needed.format("jax", "JAX"),

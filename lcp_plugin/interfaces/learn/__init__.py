@@ -1,6 +1,6 @@
 """Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched. Needs the extra ``[learn]``.
 
-On Linux PyTorch brings gigabytes for graphics cards; the layers use none, and its builds for the CPU do as well.
+The layers run on the CPU. The CPU build of PyTorch is sufficient and much smaller.
 
 In PyTorch::
 

@@ -15,7 +15,7 @@ try:
     import jax
 except ImportError:
     raise ImportError(
-        "lcp_plugin.interfaces.learn.jax needs JAX; install it with: pip install 'lcp_plugin[learn]'"
+        "lcp_plugin.interfaces.learn.jax needs JAX; install it with: pip install '.[learn]'"
     ) from None
 
 import jax.numpy as jnp

@@ -114,7 +114,8 @@ class FileStatement:
         if content.is_integer.any() and not (content.partners >= 0).any():
             name = content.variable(int(np.flatnonzero(content.is_integer)[0]))
             raise UnsupportedModel(
-                f"{name} is an integer variable; integers are taken beside complementarities only, by SCIP: write "
+                f"{name} is an integer variable; integer variables are supported only in models with "
+                "complementarities, and need SCIP: write "
                 'SolverFactory("scip"), or give it a continuous domain'
             )
 

@@ -76,7 +76,7 @@ class ExhaustiveSearch(Algorithm):
                 try:
                     step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
                 except UnsuitableProblem as error:
-                    step.remark = f"a search of all cases found a solution, but {error}"
+                    step.remark = f"an enumeration of all active sets found a solution, but {error}"
             elif isinstance(outcome, NoSolution) and self.prove_infeasibility:
                 step.proof = outcome.infeasibility or outcome
             elif effort.cases >= 20_000 or effort.products >= MOST_PRODUCTS:

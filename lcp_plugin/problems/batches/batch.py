@@ -218,7 +218,7 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
         and M
         and all(isinstance(one, QuadraticProgram) for one in M)
     ):
-        _refuse_data("these problems", "new ones", q, lower, upper)
+        _refuse_data("these problems", "QuadraticProgram(P, c, …)", q, lower, upper)
         return QuadraticProgramBatch.of(M, M[0])
     return None
 
@@ -226,7 +226,10 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
     if isinstance(q, str):
         raise InvalidOption(
-            f"an algorithm is named by algorithm={q!r}; what stands second are vectors"
+            f"the second argument of solve_batch is the vectors (q of an LCP, b of least squares, c of a program), "
+            f"got {q!r}; pass the algorithm as algorithm={q!r}"
         )
     if not (q is None and lower is None and upper is None):
-        raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
+        raise InvalidOption(
+            f"{what} already contain q and bounds; to change them, build new problems: {remedy}"
+        )

@@ -99,8 +99,8 @@ class ConeAlgorithm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConeNPGS(ConeAlgorithm):
-    """Nonsmooth block projected Gauss–Seidel: blocks are solved one after the other.
+class ConeNSGS(ConeAlgorithm):
+    """Nonsmooth Gauss–Seidel: blocks are solved one after the other.
 
     A contact in space is solved exactly (open, stick, or the angle of sliding), any other cone by projections.
 
@@ -110,7 +110,7 @@ class ConeNPGS(ConeAlgorithm):
         Number of sweeps per step.
     """
 
-    name = "npgs"
+    name = "nsgs"
     needs = "blocks on the diagonal that are positive definite"
     solves = (
         "cones without friction, M symmetric positive definite (descent by blocks); else observed"
@@ -122,7 +122,7 @@ class ConeNPGS(ConeAlgorithm):
 
     def __post_init__(self) -> None:
         if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
-            raise InvalidOption(f"npgs: sweeps must be an integer ≥ 1, got {self.sweeps!r}")
+            raise InvalidOption(f"nsgs: sweeps must be an integer ≥ 1, got {self.sweeps!r}")
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point every few sweeps."""
@@ -193,5 +193,5 @@ class FixedPoint(ConeAlgorithm):
 
 
 METHODS: dict[str, type[ConeAlgorithm]] = {
-    one.name: one for one in (ConeNPGS, ConeNewton, ConeInteriorPoint, FixedPoint)
+    one.name: one for one in (ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint)
 }

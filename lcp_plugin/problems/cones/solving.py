@@ -35,7 +35,7 @@ from .methods import (
     ConeAlgorithm,
     ConeInteriorPoint,
     ConeNewton,
-    ConeNPGS,
+    ConeNSGS,
     FixedPoint,
     Points,
     move_at_random,
@@ -101,7 +101,7 @@ def solve_cones(
     ----------
     problem : ConeProblem or FrictionalContact
     algorithm : str or object
-        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of a class in
+        "nsgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of a class in
         :mod:`lcp_plugin.problems.cones.methods`, with options.
     z0 : array, shape (n,), optional
         Warm start, projected onto the cones.
@@ -331,7 +331,7 @@ class ConeRun:
                         self.best, self.residual, self.measures = z, residual, None
                     shown = None if self.log.callback is None else self._shown(z)
                     self.log.step(stage, shown, residual, work * self.share)
-                if algorithm is not ConeNPGS or not self.goal < self.residual < np.inf:
+                if algorithm is not ConeNSGS or not self.goal < self.residual < np.inf:
                     self._measure_best()
                     if self.measures.is_solved[0] or self.measures.are_limited()[0]:
                         break
@@ -370,7 +370,7 @@ class ConeRun:
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.tolerance:
-                yield ConeNPGS, SWEPT, iter(())
+                yield ConeNSGS, SWEPT, iter(())
             self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
@@ -400,7 +400,7 @@ class ConeRun:
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
             self.last = z
-            yield ConeNPGS, because, sweep_points(self.stack, z, count, self.goal)
+            yield ConeNSGS, because, sweep_points(self.stack, z, count, self.goal)
             z = self.last
             yield ConeNewton, FOLLOWS, newton_points(self.stack, z, steps, self.goal, **options)
         return z

@@ -158,7 +158,7 @@ def _begin(
         if one.n != n:
             raise InvalidProblem(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
-                "march along those of one size at a time"
+                "call march once per size"
             )
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(

@@ -40,5 +40,5 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     raise UnsupportedModel(
         f"the program is not convex: {shown}, so that a stationary point need not be a minimum; solve "
         "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install "
-        "'lcp_plugin[global]')"
+        "'.[global]')"
     )

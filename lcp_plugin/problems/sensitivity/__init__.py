@@ -110,7 +110,8 @@ def derivative(result: Any) -> Any:
     if isinstance(result, March):
         if not isinstance(result.problem, LCP):
             raise InvalidOption(
-                "no derivative leads through a march over cones; write derivative(done[k]) for that of step k by its q"
+                "march over cones is not differentiable as a whole; derivative(done[k]) differentiates step k with "
+                "respect to its q"
             )
         return MarchDerivative(result, Derivative)
     if type(result).__module__.startswith("cvxpy."):

@@ -124,7 +124,7 @@ def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
         return [Fraction(value) for value in values]
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidProblem(
-            f"z must consist of finite real numbers, got one that is none: {error}"
+            f"z must consist of finite real numbers, got a value that is not finite: {error}"
         ) from error
 
 

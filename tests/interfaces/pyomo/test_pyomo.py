@@ -537,7 +537,7 @@ def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None
     )
     assert printed_by(code).splitlines() == [
         "False",
-        "lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'",
+        "lcp_plugin.pyomo needs pyomo; install it with: pip install '.[pyomo]'",
     ]
 
 

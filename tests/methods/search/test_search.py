@@ -205,7 +205,10 @@ def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
     result = solve(BEYOND_DOUBLES)
     assert result.status is Status.STALLED
     assert np.isfinite(result.z).all()
-    assert "a search of all cases found a solution, but z[1] of the exact solution" in result.advice
+    assert (
+        "an enumeration of all active sets found a solution, but z[1] of the exact solution"
+        in result.advice
+    )
 
 
 def busy(seed: int) -> LCP:

@@ -259,8 +259,8 @@ def test_what_concerns_all_programs_is_said_before_the_first() -> None:
     ask: Any = partial(solve_batch, programs)
     for options, words in (
         ({"z0": [0.0, 0.0]}, "takes no z0"),
-        ({"lower": 1.0}, "programs bring"),
-        ({"q": [1.0, 1.0]}, "programs bring q"),
+        ({"lower": 1.0}, "programs already contain"),
+        ({"q": [1.0, 1.0]}, "programs already contain q"),
         ({"threads": 0}, "threads"),
         ({"tolerance": -1.0}, "tolerance"),
     ):

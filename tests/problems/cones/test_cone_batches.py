@@ -32,7 +32,7 @@ def test_a_batch_of_contacts_is_judged_as_by_solve() -> None:
         by_itself = solve(problem, tolerance=1e-10)
         agree += bool(np.abs(answer.z - by_itself.z).max() <= 1e-6)
     assert agree >= 190  # others have several answers
-    assert "npgs" in batch[0].explain()
+    assert "nsgs" in batch[0].explain()
     assert derivative(batch[0]).jvp(dq=np.ones(12)).shape == (12,)
 
 
@@ -74,5 +74,5 @@ def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
 
 def test_a_start_or_an_algorithm_is_the_callers() -> None:
     """Then each is solved by itself, by that."""
-    batch = solve_batch(contacts(3), algorithm="npgs", tolerance=1e-6)
-    assert all(answer.algorithm == "npgs" for answer in batch)
+    batch = solve_batch(contacts(3), algorithm="nsgs", tolerance=1e-6)
+    assert all(answer.algorithm == "nsgs" for answer in batch)

@@ -24,7 +24,7 @@ def pulled(*distances: float) -> np.ndarray:
     return np.array([[-1.0, distance, 0.0] for distance in distances])
 
 
-@pytest.mark.parametrize("algorithm", ["auto", "npgs", "newton"])
+@pytest.mark.parametrize("algorithm", ["auto", "nsgs", "newton"])
 def test_a_pad_pulled_to_and_fro_sticks_after_each_turn(algorithm: str) -> None:
     """Each step is solve's answer to its q, and a pad that is pulled back sticks before it slides."""
     forcing = pulled(*[0.1] * 8, *[-0.1] * 12)

@@ -37,7 +37,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.problems.cones.methods import METHODS, ConeNPGS
+from lcp_plugin.problems.cones.methods import METHODS, ConeNSGS
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 FC, CP = FrictionalContact, ConeProblem
@@ -94,7 +94,7 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("name", ["npgs", "newton", "fixed_point"])
+@pytest.mark.parametrize("name", ["nsgs", "newton", "fixed_point"])
 def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     """Each method finds the known solution over cones without friction for definite M."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
@@ -189,7 +189,7 @@ def test_names_of_methods_are_checked() -> None:
     with pytest.raises(UnknownAlgorithm, match="newton"):
         solve(problem, "newtn")
     with pytest.raises(LCPError, match="sweeps"):
-        ConeNPGS(sweeps=0)
+        ConeNSGS(sweeps=0)
     with pytest.raises(InvalidOption, match="z0"):
         solve(problem, z0=[1.0])
     with pytest.raises(InvalidOption, match="tolerance_on"):
@@ -356,7 +356,7 @@ def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
     with pytest.raises(InvalidProblem, match=r"friction must be a number.*rectangular array"):
         FrictionalContact(np.eye(3), np.ones(3), [[1.0], [1.0, 2.0]])
     with pytest.raises(InvalidOption, match="solve takes no sweeps for a FrictionalContact; known"):
-        solve(problem, "npgs", sweeps=3)
+        solve(problem, "nsgs", sweeps=3)
     with pytest.raises(
         InvalidOption,
         match=r"derivative needs the result of .* FrictionalContact, got BatchAnswers",
@@ -497,7 +497,7 @@ def test_a_limit_of_1e20_is_none() -> None:
 def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
     """With μ‖u_T‖ = 27 nearly canceling in R and a reference of 2e-5, few steps suffice."""
     W = np.array([[3.128, -2.472], [-2.472, 3.872]])
-    for algorithm in ("auto", "newton", "npgs", "interior_point", "fixed_point"):
+    for algorithm in ("auto", "newton", "nsgs", "interior_point", "fixed_point"):
         result = solve(
             FrictionalContact(W, [-9.81e-5, -55.0], 0.5, dimension=2), algorithm
         ).require_solved()

@@ -90,7 +90,7 @@ def test_a_yes_or_no_beside_pairs() -> None:
     m.pair.deactivate()
     with pytest.raises(
         UnsupportedModel,
-        match="b is an integer variable; integers are taken beside complementarities only",
+        match="b is an integer variable; integer variables are supported only in models with complementarities",
     ):
         solver.solve(m)
 

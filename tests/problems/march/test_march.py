@@ -285,7 +285,8 @@ def test_what_marches_of_several_matrices_refuse() -> None:
     one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
     forcing = np.zeros((2, 3))
     with pytest.raises(
-        InvalidProblem, match="must have one size, got n = 3, and 2 of problem 1; march along those"
+        InvalidProblem,
+        match="must have one size, got n = 3, and 2 of problem 1; call march once per size",
     ):
         march([one, two], forcing)
     with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, propagator 3"):

@@ -29,11 +29,9 @@ UNITS = (
 LARGEST_UNIT, ONE_UNIT = 20, 12  # exponents
 NAMED = ("npsor", "psor", "newton", "multigrid", "interior_point", "lemke", "banded", "program")
 
-MORE_WORK, LARGER_ERROR, NO_ERROR = (
-    1.1,
-    10.0,
-    1e-12,
-)  # failure levels; errors below the last are at rounding level
+MORE_WORK, LARGER_ERROR = 1.1, 10.0  # failure levels
+NO_ERROR = 1e-12  # errors below are at rounding level
+TOLERANCE = 1e-8  # the default of solve: a larger error below it is reported, and does not fail
 FEW_PASSES = 5.0  # a pivot more or less is a matter of rounding: another processor's
 FAR_BEHIND = 3.0  # times the best named method's work: often chaotic, so not compared
 CHAOTIC = 100.0  # times that, for auto on scaled problems: pivots depend on rounding
@@ -284,7 +282,7 @@ def regressions(old: Table, new: Table) -> list[str]:
             and before.work > CHAOTIC * max(least.get(key.problem, ("", np.inf))[1], 1.0)
         ):
             why = f"{after.work / before.work:.2f} × the work"
-        elif after.error > LARGER_ERROR * max(before.error, NO_ERROR):
+        elif after.error > max(LARGER_ERROR * before.error, TOLERANCE):
             why = "a larger error"
         else:
             continue
@@ -298,7 +296,16 @@ def differences(old: Table, new: Table) -> Iterator[str]:
         before, after = old.get(key), new.get(key)
         if before and after and not _differ(before, after):
             continue
-        yield f"{' '.join(key)}: {before or 'nothing'} → {after or 'nothing'}"
+        told = ": a larger error, within the tolerance" * _is_less_exact(before, after)
+        yield f"{' '.join(key)}: {before or 'nothing'} → {after or 'nothing'}{told}"
+
+
+def _is_less_exact(before: Measured | None, after: Measured | None) -> bool:
+    return (
+        before is not None
+        and after is not None
+        and LARGER_ERROR * max(before.error, NO_ERROR) < after.error <= TOLERANCE
+    )
 
 
 def _differ(a: Measured, b: Measured) -> bool:

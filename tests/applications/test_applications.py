@@ -102,13 +102,22 @@ BEFORE = Measured(900, "SOLVED", 100.0, 1e-9)
         (replace(BEFORE, work=111.0), "1.11 × the work"), (replace(BEFORE, status="STALLED"), "a worse status"),
         (replace(BEFORE, error=1.1e-8), "a larger error"), (replace(BEFORE, error=0.1), "a worse status"),
         (None, "no longer solved"), (replace(BEFORE, work=110.0, error=9e-9), ""), (replace(BEFORE, work=10.0), ""),
+        (replace(BEFORE, error=9.9e-9), ""),
     ],
 )  # fmt: skip
 def test_what_is_worse_is_told_and_nothing_else(after: Measured | None, told: str) -> None:
-    """Regressions are 10 % more work, ten times the error, or a worse status, and nothing else."""
+    """Regressions are 10 % more work, ten times an error beyond the tolerance, or a worse status, and nothing else."""
     lines = regressions({KEY: BEFORE}, {} if after is None else {KEY: after})
     assert len(lines) == bool(told)
     assert all(told in line and "→" in line and KEY.problem in line for line in lines)
+
+
+def test_a_larger_error_within_the_tolerance_is_told_and_no_regression() -> None:
+    """On another processor a path ends just below the tolerance, at a quarter of the work: the promise holds."""
+    before, after = replace(BEFORE, error=4e-17), replace(BEFORE, error=2e-11, work=25.0)
+    assert regressions({KEY: before}, {KEY: after}) == []
+    (line,) = differences({KEY: before}, {KEY: after})
+    assert line.endswith("a larger error, within the tolerance")
 
 
 def test_rounding_and_improvements_are_no_regressions() -> None:

@@ -17,6 +17,7 @@ from campaigns import components as campaign
 from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
 from collection.truth import ExactData
 from exact import exact_rows, solve_fractions
+from exact_criterion import failures
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -135,9 +136,11 @@ def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) 
 
 @pytest.mark.parametrize("name", CONSTRUCTED)
 def test_a_certificate_and_a_batch_refuse_the_wrong_point(name: str) -> None:
-    """The point itself fails one of the two tests, sparse or dense, and a batch does not end there."""
+    """The point fails one of the two tests, sparse or dense, as in rational arithmetic; a batch does not end there."""
     problem, wrong, right = constructed(name)
     M, q, lower = problem.csr, problem.q, problem.lower
+    assert failures(problem, wrong)
+    assert right is None or not failures(problem, right)
     for one in (problem, LCP(M, q, lower=lower)):
         assert not Certificate.of(one, wrong).meets(Settings())
         if right is not None:

@@ -33,14 +33,21 @@ def in_folder(source: Path) -> str:
 
 @contextmanager
 def opened(source: Path, kind: str) -> Iterator[Any]:
-    """Open a file of that format; an exception of its decoders is reported as a corrupt file."""
+    """Open a file of that format; an exception of its decoders is reported as a corrupt file.
+
+    An error of this package and a warning that is raised as an error do not concern the file: they pass.
+    """
     try:
         with source.open("rb") as file:
             yield file
     except FileNotFoundError as error:
         raise UnreadableFile(f"no such file: {source}{in_folder(source)}") from error
-    except LCPError:
+    except (LCPError, Warning):
         raise
+    except MemoryError as error:
+        raise UnreadableFile(
+            f"cannot read {source}: more memory is required than is free ({error}); check the sizes in the file"
+        ) from error
     except Exception as error:
         raise UnreadableFile(
             f"cannot read {source}: it is damaged or no {kind} ({error})"
@@ -71,7 +78,7 @@ def read_matrix_market(source: Path) -> Any:
             return (
                 sp.coo_array((rows, columns)) if form == "coordinate" else np.zeros((rows, columns))
             )
-        matrix = mmread(source)
+        matrix = mmread(source, spmatrix=False)
     return sp.coo_array(matrix) if sp.issparse(matrix) else np.asarray(matrix, dtype=np.float64)
 
 
@@ -132,7 +139,7 @@ def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], lis
             )
         names = [name for name in kinds if name in wanted]
         file.seek(0)
-        found = loadmat(file, variable_names=names) if names else {}
+        found = loadmat(file, variable_names=names, spmatrix=False) if names else {}
     return {name: _checked(found[name], name, source) for name in names}, list(kinds)
 
 

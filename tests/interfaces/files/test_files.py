@@ -403,3 +403,31 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
         PROBLEM.save(tmp_path / path)
     assert files_in(tmp_path) == {"file": b"precious"}
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "taken.npz"]
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected", "words"),
+    [
+        (DeprecationWarning("soon"), DeprecationWarning, "^soon$"),
+        (UnreadableFile("ours"), UnreadableFile, "^ours$"),
+        (MemoryError("8 TiB"), UnreadableFile, r"more memory is required than is free \(8 TiB\)"),
+    ],
+)
+@pytest.mark.parametrize("ending", [".mtx", ".mat", ".npz"])
+def test_an_error_without_relation_to_the_file_is_not_reported_as_damage(
+    ending: str, raised: Exception, expected: Any, words: str, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """A warning that is an error and an error of this package pass unchanged; a lack of memory has its own message."""
+    target = tmp_path if ending == ".mtx" else tmp_path / f"p{ending}"
+    if ending == ".mat":
+        scipy.io.savemat(target, {"M": M, "q": PROBLEM.q})
+    else:
+        PROBLEM.save(target)
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise raised
+
+    for module, name in ((scipy.io, "mmread"), (scipy.io, "loadmat"), (np, "load")):
+        monkeypatch.setattr(module, name, fail)
+    with pytest.raises(expected, match=words):
+        LCP.load(target)

@@ -57,3 +57,14 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*__all__, *_FOR_TESTS])
+
+
+def _solve_from_cvxpy(problem: Any, *args: Any, **options: Any) -> Any:
+    """Solve a cvxpy problem by ``method="LCP"``: the first call loads the models, which register it themselves."""
+    import_module(f"{__name__}.modeling")
+    return problem.solve(*args, method="LCP", **options)
+
+
+if hasattr(_cvxpy := sys.modules.get("cvxpy"), "Problem"):  # imported before
+    for _method in ("LCP", "lcp"):
+        _cvxpy.Problem.register_solve(_method, _solve_from_cvxpy)

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shlex
 import sys
+import time
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -31,10 +33,13 @@ KEYWORDS = {
     "outlev": "1 prints the run (0)",
     "prove": "1 requests a proof of the gap, if an objective comes with complementarity conditions (0)",
     "threads": "number of threads (all)",
+    "timing": "1 adds the seconds of the solve to the message (0)",
     "tolerance": "solved means a residual of at most this (1e-8), or such a gap (1e-6)",
+    "version": "prints the version",
+    "wantsol": "without -AMPL: 8 prints no message; stub.sol is always written, and 2 and 4 are ignored (1)",
 }
 MARK = "* not for an objective next to complementarities, whose nodes and gap are SCIP's or our own"
-USAGE = f"""usage: {NAME} stub [-AMPL] [<keyword>=<value> ...]
+USAGE = f"""usage: {NAME} stub [-AMPL] [<keyword>=<value> or <keyword> <value> ...]
 
 Reads the model stub.nl and writes stub.sol; without -AMPL the message is printed as well. Assignments are on the
 command line or in the environment variable {VARIABLE}. -v prints the version, -= the keywords. Values of the
@@ -89,11 +94,18 @@ def _information(words: list[str]) -> str | None:
 
 
 def assigned(text: str) -> dict[str, Any]:
-    """Return the values of keywords, written as key=value."""
+    """Return the values of keywords, written as key=value or, as modeling systems also send them, as key value."""
     try:
-        found = parse_options(shlex.split(text))
+        words = shlex.split(re.sub(r"\s*=\s*", "=", text))
     except ValueError as error:
         raise InvalidOption(f"{error} in {text!r}; close it") from error
+    assignments: list[str] = []
+    for word in words:
+        if assignments and "=" not in assignments[-1] + word:
+            assignments[-1] += f"={word}"
+        else:
+            assignments.append("version=1" if word == "version" else word)
+    found = parse_options(assignments)
     for name in found.keys() - KEYWORDS.keys():
         raise InvalidOption(f"unknown keyword {name!r}{did_you_mean(name, KEYWORDS)}")
     return found
@@ -108,14 +120,20 @@ def _solve(words: list[str], environment: str) -> int:
     settings = assigned(environment) | assigned(" ".join(rest[is_ampl:]))
     settings |= {"verbose": True} if settings.pop("outlev", 0) else {}
     settings |= {"prove": True} if settings.pop("prove", 0) else {}
+    has_timing, wanted = settings.pop("timing", 0), settings.pop("wantsol", 0)
+    if settings.pop("version", 0):
+        print(_information(["-v"]))
     Settings(**{key: settings[key] for key in settings.keys() - {"algorithm", "prove"}})
     from ..interfaces.nl.reading import read_content, source_of
     from ..interfaces.nl.solution import write_sol
 
     content = read_content(stub)
+    start = time.perf_counter()
     message, x, y, code = _answer(content, settings)
+    if has_timing:
+        message += f"\n{time.perf_counter() - start:.3g} s"
     write_sol(source_of(stub).with_suffix(".sol"), content, message, x, y, code)
-    if not is_ampl:
+    if not (is_ampl or (isinstance(wanted, int) and wanted & 8)):
         print(message)
     return 0
 

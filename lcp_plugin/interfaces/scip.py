@@ -13,7 +13,7 @@ w = w⁺ − w⁻. Smooth terms are expressions of SCIP, term by term; a repeate
 If the relaxation at the root is unbounded, SCIP 10 may prune unbounded children and report a wrong optimum (special
 ordered sets). Then SCIP runs again within |x| ≤ 10⁶; a point at the edge of this box is called unbounded.
 
-The result is in floating point, feasible to 1e-8 at best, and not a proof: :mod:`lcp_plugin.problems.equilibria` reads
+The result is in floating point, feasible to 1e-7 at best, and not a proof: :mod:`lcp_plugin.problems.equilibria` reads
 off the active sets, solves the pairs again, measures the point, and names the source of the bound. SCIP needs no key.
 
 References
@@ -41,7 +41,9 @@ from ..problems.programs.program import QuadraticProgram
 LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the requested gap
 BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
-FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
+FEASIBLE = (
+    1e-7  # SCIP tightens it to 1e-10; of less, a build without GMP prints a line per linear program
+)
 LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
 FAILED = "SCIP:"  # start of SCIP's error messages
 

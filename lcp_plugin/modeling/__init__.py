@@ -1,5 +1,8 @@
 """Complementarity problems and quadratic programs in cvxpy.
 
+If cvxpy raises ``KeyError: 'LCP'``, the method is not registered: write ``import lcp_plugin.modeling``. Importing
+`complements` does it as well, and ``import lcp_plugin`` if cvxpy was imported before.
+
 **Pairs.** List them in ``cp.Problem(cp.Minimize(0), [...])`` and call ``problem.solve(method="LCP")``:
 
 - ``complements(x >= 0, F >= 0)``: in either order. Both sides have the same shape; nothing is broadcast.

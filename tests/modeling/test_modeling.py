@@ -364,6 +364,18 @@ print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
     assert printed_by(code) == "True True"
 
 
+@pytest.mark.parametrize("then", ["import lcp_plugin", "import lcp_plugin.modeling"])
+def test_a_plain_program_is_solved_with_the_method_after_the_import(then: str) -> None:
+    """With cvxpy imported first, `import lcp_plugin` registers the method without loading the models."""
+    code = (
+        f"import sys, cvxpy as cp\n{then}\n"
+        "print('lcp_plugin.modeling' in sys.modules)\n"
+        "x = cp.Variable()\n"
+        "print(round(cp.Problem(cp.Minimize((x - 3)**2), [x <= 2]).solve(method='LCP'), 6))"
+    )
+    assert printed_by(code).split() == [str(then.endswith("modeling")), "1.0"]
+
+
 ROUND_TRIPS = {
     "plain": LCP(M, Q),
     "box and free": LCP(M, Q, lower=[-np.inf, 0.0, -1.0], upper=[np.inf, np.inf, 2.0]),

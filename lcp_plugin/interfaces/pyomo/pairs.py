@@ -91,8 +91,8 @@ def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
         other = second if first.is_equation else first
         if other.bounds:
             raise UnsupportedModel(
-                f"{stated.name} has an equation on one side and a bound on the other, whose pair says no more than "
-                "both; write the equation as a Constraint and the bound at the variable"
+                f"{stated.name} has an equation on one side and a bound on the other; if F = 0 only where x > 0, "
+                "write complements(x >= 0, F >= 0); if F is always 0, write a Constraint and bound the variable"
             )
     elif first.bounds + second.bounds != 2:
         bounds = format_count(first.bounds + second.bounds, "finite bound")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -208,7 +209,8 @@ def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
         (["m", "-AMPL", "tolerance=tiny"], "tolerance must be .*got 'tiny'"),
         (["-o"], "no stub is given"),
         (["m", "-AMPL", "max_iterations=1.5"], "max_iterations must be .*got 1.5"),
-         (["m", "-AMPL", "timing=1"], "unknown keyword 'timing'"),
+         (["m", "-AMPL", "timin=1"], "unknown keyword 'timin'"),
+         (["m", "-AMPL", "max_seconds"], "got 'max_seconds'"),
         (["m", "-AMPL", "=3"], "name=value, .* got '=3'"),
          (["damaged", "-AMPL"], r"line 3 \("),
     ],
@@ -232,6 +234,35 @@ def test_assignments_may_have_quotes() -> None:
     """key=value, several in one word."""
     found = ampl.assigned("tolerance=1e-3 outlev=1 max_seconds=7 algorithm='psor'")
     assert found == {"tolerance": 1e-3, "outlev": 1, "max_seconds": 7, "algorithm": "psor"}
+
+
+@pytest.mark.parametrize(
+    "text", ["max_seconds 5 version outlev 0", "max_seconds = 5 version outlev= 0"]
+)
+def test_assignments_may_have_a_blank_for_the_equals_sign(text: str) -> None:
+    """Key value, as modeling systems also send it; `version` has no value."""
+    assert ampl.assigned(text) == {"max_seconds": 5, "version": 1, "outlev": 0}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["wantsol=1"], r"\Alcp_plugin.*solved"),
+        (["wantsol=9"], r"\A\Z"),
+        (["-AMPL", "wantsol=1"], r"\A\Z"),
+        (["timing=1"], r"solved.*\n[\d.e-]+ s\Z"),
+        (["version"], r"\Alcp_plugin \d.*\nlcp_plugin.*solved"),
+    ],
+)
+def test_the_keywords_that_every_solver_has_are_obeyed(
+    tmp_path: Path, capsys: Any, words: list[str], said: str
+) -> None:
+    """wantsol, timing and version: the .sol is written, and only the printed text differs."""
+    write_nl(SOLVABLE, tmp_path / "m.nl")
+    assert ampl.main([str(tmp_path / "m"), *words]) == 0
+    out, err = capsys.readouterr()
+    assert (read_sol(tmp_path / "m.sol").code, err) == (0, "")
+    assert re.search(said, out.strip(), re.DOTALL)
 
 
 def test_the_command_line_goes_before_the_environment(tmp_path: Path, capsys: Any) -> None:

@@ -292,7 +292,7 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     ),
     "a bounded equation": (
         made(lambda m: (m.x >= 0, m.x == 2)),
-        "write the equation as a Constraint and the bound at the variable",
+        "write complements(x >= 0, F >= 0)",
     ),
     "held twice": (
         made(least(2), lambda m: (m.x >= 0, m.x >= 3)),

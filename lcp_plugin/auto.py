@@ -49,10 +49,10 @@ from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal
 from .core.matrix.structure import is_nearly_symmetric
 from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
+from .core.solving.lcp_run import LCPRun
+from .core.solving.progress import Callback
 from .core.solving.result import Result, StageRecord
-from .core.solving.run import Callback, Run
 from .core.solving.stage import Stage
-from .core.solving.termination import TerminationReason
 from .core.splittings.projected_relaxation import PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
@@ -329,17 +329,15 @@ def run_on(
     """
     proofs = settings.prove_infeasibility
     with threads_for(settings.threads):
-        run = Run(
-            problem, method or "auto", settings, callback, clock, header=_header, polish=_polish
+        chosen = method or "auto"
+        run = LCPRun(
+            problem, chosen, settings, callback, clock, start, header=_header, polish=_polish
         )
         goal = run.test.goal
-        stages = plan(problem, method, goal, prove_infeasibility=proofs, begin=begin)
-        try:
-            return run.result(start, run.follow_all(stages, start))
-        except KeyboardInterrupt:
-            if run.iteration < 0:  # no step is made yet
-                raise
-            return run.result(start, TerminationReason.INTERRUPTED)
+        result: Result = run.solve(
+            plan(problem, method, goal, prove_infeasibility=proofs, begin=begin)
+        )
+        return result
 
 
 def _polish(problem: LCP, z: FloatVector, most: float) -> Any:

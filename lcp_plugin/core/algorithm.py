@@ -43,6 +43,10 @@ class Step:
         A clause for the advice of a run that does not solve the problem: the undecided question, and the next step.
     label : str
         The name of the part at work, where an algorithm has several; the result shows them as its stages.
+    iterations : int or None
+        Number of iterations that this step counts as; None means 1, or 0 for the first step of a method, the start.
+    measured : Measured, optional
+        The measure of this z, if the proposal contains it already.
     """
 
     z: FloatVector
@@ -53,6 +57,8 @@ class Step:
     proof: Any = None
     remark: str = ""
     label: str = ""
+    iterations: int | None = None
+    measured: Any = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,12 +98,12 @@ def _now() -> float:
 
 @contextmanager
 def time_limit(seconds: float, *, is_enforced: bool = False) -> Iterator[None]:
-    """Set a time limit for the work inside a ``with`` statement, in seconds from now.
+    """Set a time limit for the work inside a ``with`` statement, in seconds from now; an earlier outer limit stays.
 
     If the limit is enforced, indivisible work that is predicted to end later raises OutOfTimeError before it begins.
     The caller of this function catches it.
     """
-    token = _limit.set((_now() + seconds, is_enforced))
+    token = _limit.set((min(_now() + seconds, _limit.get()[0]), is_enforced))
     try:
         yield
     finally:

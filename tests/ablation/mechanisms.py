@@ -213,7 +213,7 @@ MECHANISMS = (
     Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
-        {"core.solving.run:Run._polish": given_back(1)},
+        {"core.solving.lcp_run:LCPRun._polish": given_back(1)},
     ),
     # --- LCPs: the direct methods
     Mechanism(

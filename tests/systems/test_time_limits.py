@@ -13,7 +13,12 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from lcp_plugin import LCP, QuadraticProgram, Status, gallery, solve
-from lcp_plugin.core.deadline import OutOfTimeError, time_limit
+from lcp_plugin.core.deadline import (
+    OutOfTimeError,
+    enforced_seconds_left,
+    is_over,
+    time_limit,
+)
 from lcp_plugin.systems import factors
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 
@@ -100,3 +105,17 @@ def test_ctrl_c_acts_after_the_factorisation_under_way(monkeypatch: pytest.Monke
     assert ended
     assert result.status is Status.INTERRUPTED
     assert np.isfinite(result.z).all()
+
+
+def test_a_nested_time_limit_does_not_extend_the_outer_one() -> None:
+    """The smaller of two nested limits counts, also if the inner one is infinite; the outer one is restored."""
+    with time_limit(0.0):
+        for seconds in (100.0, np.inf):
+            with time_limit(seconds):
+                assert is_over()
+        with time_limit(100.0, is_enforced=True):
+            assert enforced_seconds_left() <= 0.0
+    with time_limit(100.0):
+        with time_limit(0.0):
+            assert is_over()
+        assert not is_over()

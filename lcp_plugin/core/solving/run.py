@@ -1,343 +1,192 @@
-"""The loop of a run: methods propose points, each is measured, and the first reason to end ends it."""
+"""The loop of a run: stages propose points, each is measured, and the first reason to end ends it.
+
+One loop serves every problem class. A class derives its run from :class:`Run`, defines `measure` and `result`, and
+yields the stages of its plan.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from ..algorithm import Algorithm, Step
-from ..certificates.criterion import POWER, measured_residual, rounding_of_data
-from ..certificates.residuals import Certificate, ratio
-from ..checks import FloatVector, read_only
-from ..deadline import Clock, OutOfTimeError, time_limit
-from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..kernels.floats import DATA_ROUNDING
-from ..lcp import LCP
-from ..settings import Settings, Status
-from .advice import NOTHING_TO_DO, advice_of_run
-from .result import Result, Sample
-from .run_log import Header, RunLog
+from ..algorithm import Step
+from ..checks import read_only
+from ..deadline import OutOfTimeError, time_limit
+from ..settings import Status
+from .progress import Callback, Progress
 from .stage import Stage
-from .termination import FAILED, TerminationReason, TerminationTest
+from .termination import FAILED, TerminationReason
 
-Callback = Callable[[Sample, FloatVector], Any]
-
-Polish = Callable[[LCP, FloatVector, float], Any]
+__all__ = ["Callback", "Run"]
 
 STATUS_OF = {
     TerminationReason.STEP_LIMIT: Status.MAX_ITERATIONS,
     TerminationReason.TIME_LIMIT: Status.MAX_SECONDS,
     TerminationReason.INTERRUPTED: Status.INTERRUPTED,
     TerminationReason.DIVERGED: Status.DIVERGED,
-}  # of a z that nothing is shown of; of any other end it is STALLED
+}  # of a point that does not pass; of any other end it is STALLED
 
 
 class Run:
-    """Run: stages, best point, status.
+    """Loop of a run: limits, Ctrl-C, the best point, its status.
+
+    A problem class derives its own run, and defines `measure`, perhaps `end_of`, `steps_of`, `shown`, and `result`.
 
     Parameters
     ----------
-    problem : LCP
-    chosen : str or Algorithm
-        The algorithm of the call.
-    settings : Settings
-    callback : callable or None
-    clock : Clock
-        Running.
-    test : TerminationTest, optional
-        Stopping test of the user's problem if it differs from the problem of the methods: a nonlinear problem, for
-        which the methods take the linearization at the start.
-    header : callable, optional
-        The lines on M that ``verbose=True`` prints.
-    polish : callable, optional
-        Returns the solution of the linear system on the active set of z, and its work, from (problem, z, most work).
+    progress : Progress
+        Settings, limits, callback and counters; runs on parts of a problem share it.
+
+    Attributes
+    ----------
+    best : Measured or None
+        The first point that passes, or the point of the smallest residual.
+    proof : object or None
+        The proof of the largest margin that the problem has no solution.
     """
 
-    def __init__(
-        self,
-        problem: LCP,
-        chosen: str | Algorithm,
-        settings: Settings,
-        callback: Callback | None,
-        clock: Clock,
-        test: TerminationTest | None = None,
-        header: Header | None = None,
-        polish: Polish | None = None,
-    ) -> None:
-        self.problem, self.chosen, self.settings = problem, chosen, settings
-        self.callback, self.clock = callback, clock
-        self.test, self.polish = test or TerminationTest(problem, settings), polish
-        self.stages: list[Stage] = []
-        self.samples: list[Sample] = []
-        self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
-        self.best: FloatVector | None = None
-        self.residual = self.start_residual = math.inf
-        self.unmeasured: FloatVector | None = None  # the latest iterate
-        self.proof: Any = None  # of the largest margin, that the problem has no solution
-        with clock.pause():
-            self.log = RunLog(self.test.user_problem, header) if settings.verbose else None
-        self._next_sample = 0
+    def __init__(self, progress: Progress) -> None:
+        self.progress, self.settings = progress, progress.settings
+        self.best: Any = None
+        self.residual = math.inf  # of the best point
+        self.proof: Any = None
 
-    def follow_all(self, plan: Iterable[Stage], start: FloatVector) -> TerminationReason:
-        """Follow the stages until a stage ends the run, within the remaining time; return the reason for the end."""
-        left, end = self.settings.max_seconds - self.clock.read(), TerminationReason.NOTHING_LEFT
-        if self.test.solved_rows is not None:  # no point but z° can be measured there
-            start = np.where(self.test.solved_rows, self.problem.nearest_to_zero, start)
+    # --- a problem class defines --------------------------------------------------------------------------
+
+    def measure(self, stage: Stage, step: Step) -> Any:
+        """Return the point of a step as :class:`Measured`; None if no measurement is due."""
+        return step.measured
+
+    def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:
+        """Return a reason of this problem class to end the stage with this step, or None."""
+        return None
+
+    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+        """Return the reason why the run ends with this stage; one of FAILED if the next stage follows.
+
+        A class that measures its best point only here replaces this function.
+        """
+        if end not in FAILED or self.best is None:
+            return end
+        if self.best.passes:
+            return TerminationReason.CONVERGED
+        return TerminationReason.AT_FLOOR if self.best.is_limited else end
+
+    def steps_of(self, stage: Stage) -> Iterator[Step]:
+        """Return the steps of a stage."""
+        return iter(stage.steps)
+
+    def shown(self, step: Step) -> Any:
+        """Return the point of a step as a callback receives it, read-only."""
+        return read_only(step.z)
+
+    def result(self, end: TerminationReason) -> Any:
+        """Return the result of the run."""
+        raise NotImplementedError
+
+    # --- the loop -----------------------------------------------------------------------------------------
+
+    def solve(self, plan: Iterable[Stage]) -> Any:
+        """Follow the stages of a plan, and return the result, also after Ctrl-C.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If no step is made yet.
+        """
+        try:
+            return self.result(self.follow_all(plan))
+        except KeyboardInterrupt:
+            if self.progress.iteration < 0:
+                raise
+            self.progress.end = TerminationReason.INTERRUPTED
+            return self.result(TerminationReason.INTERRUPTED)
+
+    def follow_all(self, plan: Iterable[Stage]) -> TerminationReason:
+        """Follow the stages until a stage ends the run, within the remaining time; return the reason for the end.
+
+        Ctrl-C ends it with KeyboardInterrupt, because it also ends the runs around this one.
+        """
+        progress, end = self.progress, TerminationReason.NOTHING_LEFT
+        left = self.settings.max_seconds - progress.clock.read()
         try:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
                 for stage in plan:
-                    end = self.follow(stage, start if self.best is None else self.best)
+                    end = self.follow(stage)
                     if end not in FAILED:
                         break
         except OutOfTimeError:
-            return TerminationReason.TIME_LIMIT
-        return end
+            progress.end = TerminationReason.TIME_LIMIT
+        return progress.end or end
 
-    def follow(self, stage: Stage, start: FloatVector) -> TerminationReason:
-        """Take the steps of a method until the run, the budget of the stage or the method ends."""
-        if self.log is not None:
-            self.log.begin(stage)
-        if self.stages:
-            self.stages[-1].z = None
-        self.stages.append(stage)
-        for step in self._steps_of(stage, start):
+    def follow(self, stage: Stage) -> TerminationReason:
+        """Take the steps of a stage until the run, the budget of the stage or its steps end."""
+        progress = self.progress
+        progress.begin(stage)
+        for step in self.steps_of(stage):
             if (end := self._take(stage, step)) is not None:
                 break
             if stage.is_over is not None and stage.is_over(stage):
                 return TerminationReason.OVER_BUDGET
         else:
-            self.clock.read()  # a method may end by itself because time is over
-            is_late = self.clock.elapsed >= self.settings.max_seconds
-            end = TerminationReason.TIME_LIMIT if is_late else TerminationReason.NOTHING_LEFT
-        self._measure_last()
-        is_at_floor = end in FAILED and self.test.is_at_floor(self.best)
-        return TerminationReason.AT_FLOOR if is_at_floor else end
+            progress.clock.read()  # steps may end by themselves because time is over
+            end = TerminationReason.NOTHING_LEFT
+            if progress.clock.elapsed >= self.settings.max_seconds:
+                end = progress.end = TerminationReason.TIME_LIMIT
+        return self.end_of_stage(stage, end)
 
-    def _steps_of(self, stage: Stage, start: FloatVector) -> Iterator[Step]:
-        """Yield the steps; none if a method of auto does not take this problem."""
-        try:
-            yield from stage.algorithm.iterates(self.problem, start.copy())
-        except (UnsuitableMatrix, UnsuitableProblem):
-            if len(self.stages) == 1 or stage.iterations > 0:
-                raise
-
-    def _take(self, stage: Stage, step: Any) -> TerminationReason | None:
+    def _take(self, stage: Stage, step: Step) -> TerminationReason | None:
         """Count, measure and report one step; return why the run ends with it, or None."""
-        if not isinstance(step, Step):  # of an algorithm from outside
-            raise InvalidOption(
-                f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
-            )
-        self.seconds = self.clock.read()
-        is_first = stage.z is None  # the start, no iteration
-        stage.count(step, iterations=0 if is_first else 1)
-        self.work += step.work
-        self.iteration = max(self.iteration + (not is_first), 0)
-        if is_first and self.iteration == 0:
-            self.setup_seconds = self.seconds
-        residual = self._measure(stage, step, is_first)
-        end = self._end_of(stage, step, residual)
-        is_watched = self.settings.record or self.log is not None or self.callback is not None
-        if is_watched and self._report(stage, step, residual, is_last=end is not None):
-            end = end or TerminationReason.INTERRUPTED
-        if end is not None or step.proof is None:
-            return end
-        if step.proof.verify():
-            tolerances = self.settings.tolerance, self.settings.absolute_tolerance
-            excludes = step.proof.excludes(*tolerances)
-            if excludes or self.proof is None or step.proof.margin > self.proof.margin:
-                self.proof = step.proof
-            if excludes:
-                return TerminationReason.NO_SOLUTION
-        is_limited = self.best is not None and self._is_within_rounding_of_data(self.best)
-        return TerminationReason.AT_FLOOR if is_limited else None
-
-    def _measure(self, stage: Stage, step: Step, is_first: bool) -> float | None:
-        """Return the residual of a step if it is known or due, proved if it may be small enough; keep the best z."""
-        test, self.unmeasured = self.test, step.z
-        change = step.residual if step.increment is None else step.increment
-        increment = None if change is None else ratio(change, test.reference)
-        known = step.residual if test.is_uniform else None
-        if known is not None:
-            residual = ratio(known, test.reference)
-        elif is_first or stage.is_due(increment, test.goal):
-            residual = test.measure(step.z)
-            self.work += 1.0 if self.iteration > 0 else 0.0  # the start is always measured
+        progress = self.progress
+        progress.count(stage, step)
+        found = self.measure(stage, step)
+        if found is not None:
+            self.keep(found)
+        if found is not None and found.passes:
+            end: TerminationReason | None = TerminationReason.CONVERGED
         else:
-            return None
-        if residual <= test.goal:
-            residual = test.certify(step.z)
-        stage.record(residual, increment if known is None else None)
-        self._keep(step.z, residual)
-        if self.iteration == 0:
-            self.start_residual = residual
-        return residual
-
-    def _keep(self, z: FloatVector, residual: float, *, is_final: bool = False) -> None:
-        """Keep a copy of z if its residual is smaller than the best, or if it is final; NaN counts as ∞."""
-        self.unmeasured = None
-        if self.best is None or residual < self.residual or is_final:
-            if self.best is None:
-                self.best = z.copy()
-            np.copyto(self.best, z)
-            self.residual = math.inf if math.isnan(residual) else residual
-
-    def _measure_last(self) -> None:
-        if self.unmeasured is not None:
-            self._keep(self.unmeasured, self.test.measure(self.unmeasured))
-
-    def _end_of(self, stage: Stage, step: Step, residual: float | None) -> TerminationReason | None:
-        """Return the reason that the run ends with this step, or None."""
-        algorithm, settings, test = stage.algorithm, self.settings, self.test
-        if residual is not None:
-            power = 1.0 if algorithm.ends_on_active_set else POWER
-            if test.is_passed(step.z, residual, self.iteration, power):
-                self._keep(step.z, residual, is_final=True)
-                return TerminationReason.CONVERGED
-            # A method that is not monotone may rise, but not to ∞.
-            is_lost = algorithm.is_monotone and stage.rises >= 10
-            is_lost = is_lost or not math.isfinite(residual)
-            if is_lost and not residual <= 1e8 * max(1.0, self.start_residual):
-                return TerminationReason.DIVERGED
-        elif step.increment is not None and not math.isfinite(step.increment):
-            return TerminationReason.DIVERGED
-        if self.iteration >= settings.max_iterations:
-            return TerminationReason.STEP_LIMIT
-        if self.clock.elapsed >= settings.max_seconds:
-            return TerminationReason.TIME_LIMIT
-        if residual is None:
-            return None
-        if stage.is_flat() and test.is_at_floor(self.best):
-            return TerminationReason.AT_FLOOR
-        left = settings.max_iterations - self.iteration
-        is_watched = algorithm.is_monotone or algorithm.is_watched
-        if is_watched and stage.is_stalled(self.problem.n, test.goal, left):
-            return TerminationReason.STALLED
-        return None
-
-    def _report(self, stage: Stage, step: Step, residual: float | None, *, is_last: bool) -> bool:
-        """Record, print and call back, with the clock paused; return whether the callback returned True."""
-        settings, log, callback = self.settings, self.log, self.callback
-        with self.clock.pause():
-            sample = Sample(self.iteration, self.work, self.seconds, residual, stage.algorithm.name)
-            wants_to_stop = callback is not None and bool(callback(sample, read_only(step.z)))
-            is_due = self.iteration >= self._next_sample or is_last or wants_to_stop
-            is_recorded, is_printed = (
-                settings.record and is_due,
-                log is not None and log.is_due(stage),
+            end = self.end_of(stage, step, found) or progress.limit()
+        if progress.is_watched:
+            wants_to_stop = progress.report(
+                stage,
+                None if found is None else found.residual,
+                lambda: self.shown(step),
+                lambda: self.residual_of(step),
+                is_last=end is not None,
             )
-            if residual is None and (is_recorded or is_printed):
-                sample = replace(sample, residual=self.test.measure(step.z))
-            if log is not None and is_printed:
-                log.step(stage, sample)
-            if is_recorded:  # at geometric intervals
-                self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
-                self.samples.append(sample)
-        return wants_to_stop
+            if wants_to_stop:
+                end = end or TerminationReason.INTERRUPTED
+        if end is None and step.proof is not None:
+            end = self.end_of_proof(step.proof)
+        return end
 
-    # --- the end ----------------------------------------------------------------------------------------
+    def residual_of(self, step: Step) -> float:
+        """Return the residual of a step that was not measured, for a sample."""
+        return math.nan if step.residual is None else step.residual
 
-    def result(self, start: FloatVector, end: TerminationReason) -> Result:
-        """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
-        settings = self.settings
-        self._measure_last()
-        certificate = self._final(start if self.best is None else self.best, end)
-        status = self._status(certificate, end)
-        stages = tuple(record for stage in self.stages for record in stage.records())
-        if status is Status.SOLVED and self.iteration <= 0 and self.best is not None:
-            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        name = self.chosen if isinstance(self.chosen, str) else self.chosen.name
-        chain = [stage.name for stage in stages]
-        is_linear = not certificate.is_linearised
-        result = Result(
-            z=certificate.z,
-            w=certificate.w,
-            status=status,
-            certificate=certificate,
-            tolerance=settings.tolerance,
-            absolute_tolerance=settings.absolute_tolerance,
-            algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
-            iterations=max(self.iteration, 0),
-            work=self.work,
-            seconds=self.clock.read(),
-            setup_seconds=self.setup_seconds,
-            history=tuple(self.samples),
-            stages=stages,
-            infeasibility=self.proof,
-            _asked=self.chosen,
-            _wants_bound=settings.error_bound and bool(self.stages),
-            _advice=advice_of_run(self.problem, self.chosen, settings)
-            if is_linear and status is not Status.SOLVED
-            else dict(self.test.words),
-        )
-        if self.log is not None:
-            self.log.end(result)
-        return result
+    def keep(self, found: Any) -> None:
+        """Keep a measured point that passes, or whose residual is smaller than the best one; NaN counts as ∞."""
+        if self.best is None or found.passes or found.residual < self.residual:
+            self.best = found
+            self.residual = math.inf if math.isnan(found.residual) else float(found.residual)
 
-    def _final(self, z: FloatVector, end: TerminationReason) -> Certificate:
-        """Return the certificate of z, or of z after a last step of the method or on its active set if no worse."""
-        test, settings = self.test, self.settings
-        certificate = test.certificate_of(z)
-        if not (certificate.is_linearised or certificate.meets(settings)):
-            # The best iterate itself; SOLVED refers to the projected point.
-            plain = Certificate.of(self.problem, z)
-            certificate = certificate if plain.meets(settings) else plain
-        last = self.stages[-1] if self.stages else None
-        if last is None:
-            return certificate
-        is_cut_short = end in (TerminationReason.INTERRUPTED, TerminationReason.TIME_LIMIT)
-        if not is_cut_short and np.isfinite(z).all():
-            finished = last.algorithm.finish(self.problem, z)
-            if finished is not z:
-                certificate = test.better_of(certificate, test.certificate_of(finished))
-        may_polish = not (certificate.is_linearised or last.algorithm.ends_on_active_set)
-        return self._polish(certificate, last, end) if may_polish else certificate
+    def end_of_proof(self, proof: Any) -> TerminationReason | None:
+        """Keep a proof that verifies; return NO_SOLUTION if it excludes the tolerance."""
+        if not proof.verify():
+            return None
+        excludes = proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance)
+        if excludes or self.proof is None or proof.margin > self.proof.margin:
+            self.proof = proof
+        return TerminationReason.NO_SOLUTION if excludes else None
 
-    def _polish(self, certificate: Certificate, last: Stage, end: TerminationReason) -> Certificate:
-        """Return the certificate of the solution of the linear system on the active set of z, if it is no worse.
-
-        A residual is not an error: if M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
-        and the solution of that system is off by rounding errors. It may take a tenth of the work of the run, or all of
-        that if auto has not solved the problem. Twenty passes pay for the calls around it.
-        """
-        most = math.inf if self.chosen == "auto" else 0.0
-        if certificate.meets(self.settings):
-            most = 0.1 * self.work - 20.0
-        elif end not in (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED):
-            return certificate
-        if self.polish is None or most <= 0.0:
-            return certificate
-        found = self.polish(self.problem, certificate.z, min(most, self.work + 20.0))
-        if found is None:
-            return certificate
-        self.work += found.work
-        last.count(Step(found.z, work=found.work), iterations=0)
-        polished = np.clip(found.z, self.problem.lower, self.problem.upper)
-        return self.test.better_of(certificate, self.test.certificate_of(polished))
-
-    def _status(self, certificate: Certificate, end: TerminationReason) -> Status:
-        """Return the status from the certificate or a proof, or else from the reason for the end of the run."""
-        if certificate.meets(self.settings):
+    def status(self, end: TerminationReason) -> Status:
+        """Return the status of the best point or of a proof, or else of the reason for the end of the run."""
+        if self.best is not None and self.best.passes:
             return Status.SOLVED
         if end is TerminationReason.NO_SOLUTION:
             return self.proof.status  # type: ignore[no-any-return]
-        if certificate.is_limited_by_rounding or self._is_within_rounding_of_data(certificate.z):
+        if self.best is not None and self.best.is_limited:
             return Status.PRECISION_LIMIT
-        # If one of several algorithms diverged, the best z need not have.
-        is_chain = end is TerminationReason.DIVERGED and len(self.stages) > 1
-        return Status.STALLED if is_chain else STATUS_OF.get(end, Status.STALLED)
-
-    def _is_within_rounding_of_data(self, z: FloatVector) -> bool:
-        """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""
-        if self.proof is None or not self.proof.is_rounding:
-            return False
-        certificate, problem = self.test.certificate_of(z), self.problem
-        rounding = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
-        is_large = certificate.natural_residual > rounding
-        if is_large and certificate.term_residual > self.settings.goal:
-            return False  # small relative to a coefficient that may be inactive
-        return measured_residual(problem, certificate.z) <= rounding_of_data(problem)
+        return STATUS_OF.get(end, Status.STALLED)

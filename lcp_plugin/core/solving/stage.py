@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
-from ..algorithm import Algorithm, Step
+from ..algorithm import Step
 from ..checks import FloatVector
 from .result import StageRecord
 
@@ -21,11 +22,13 @@ class Stage:
 
     Attributes
     ----------
-    algorithm : Algorithm
+    algorithm : Algorithm, or another object with a `name`
     because : str
         The reason for it, for readers.
     is_over : callable or None
         Budget, checked after each step: if it returns True, the next method takes over. None means no budget.
+    steps : iterable of Step
+        The proposed points, unless the run takes them from the algorithm.
     iterations, work : int, float
         Work in passes over M.
     z : ndarray, shape (n,), or None
@@ -40,9 +43,10 @@ class Stage:
         A clause for the advice.
     """
 
-    algorithm: Algorithm
+    algorithm: Any
     because: str = ""
     is_over: Callable[[Stage], bool] | None = None
+    steps: Iterable[Step] = ()
     iterations: int = 0
     work: float = 0.0
     z: FloatVector | None = None

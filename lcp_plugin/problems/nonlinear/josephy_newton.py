@@ -20,8 +20,8 @@ from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.settings import Settings
+from ...core.solving.lcp_run import LCPRun
 from ...core.solving.result import Result
-from ...core.solving.run import Run
 from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import fischer_burmeister
@@ -279,6 +279,6 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
-    run = Run(problem, method or "auto", settings, None, clock)
+    run = LCPRun(problem, method or "auto", settings, None, clock, start)
     stages = _stages_of_step(problem, method, run.test.goal)
-    return run.result(start, run.follow_all(stages, start))
+    return run.result(run.follow_all(stages))

@@ -16,8 +16,9 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.settings import Settings, Status, checked_callback
+from ...core.solving.lcp_run import LCPRun
+from ...core.solving.progress import Callback
 from ...core.solving.result import Result
-from ...core.solving.run import Callback, Run
 from ...core.solving.stage import Stage
 from ...core.solving.termination import TerminationReason, TerminationTest
 from .certificate import NonlinearCertificate, Reference
@@ -137,14 +138,14 @@ def solve_nonlinear(
             points=points, compared_with=reference, linear=algorithm, tolerance=settings.goal
         )
         test = NonlinearTest(points, reference, first, settings)
-        run = Run(test.problem, newton, settings, callback, clock, test)
+        run = LCPRun(test.problem, newton, settings, callback, clock, start, test)
         try:
             if check_jacobian and problem.jacobian is not None:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            end = run.follow_all([Stage(newton, TANGENTS)], start)
+            end = run.follow_all([Stage(newton, TANGENTS)])
         except KeyboardInterrupt:
             end = TerminationReason.INTERRUPTED
-        return replace(run.result(start, end), begun=begun)
+        return replace(run.result(end), begun=begun)
 
 
 def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, str]:

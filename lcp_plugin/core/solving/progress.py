@@ -1,0 +1,134 @@
+"""Progress of a run over all its parts: counters, samples, printed lines, callback and limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from ..algorithm import Step
+from ..deadline import Clock
+from ..settings import Settings
+from .result import Sample, StageRecord
+from .run_log import RunLog
+from .stage import Stage
+from .termination import TerminationReason
+
+Callback = Callable[[Sample, Any], Any]
+
+
+class Progress:
+    """Counters, samples and limits of one call, shared by the runs on parts of its problem.
+
+    Parameters
+    ----------
+    settings : Settings
+    callback : callable or None
+    clock : Clock
+        Running.
+    log : RunLog or None
+        Prints the run if ``verbose=True``.
+
+    Attributes
+    ----------
+    stages : list of Stage
+        The stages that began, in order.
+    samples : list of Sample
+    iteration : int
+        Number of iterations; −1 before the first step.
+    work, seconds, setup_seconds : float
+    end : TerminationReason or None
+        The limit, the callback or Ctrl-C that ended the call.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        callback: Callback | None,
+        clock: Clock,
+        log: RunLog | None = None,
+    ) -> None:
+        self.settings, self.callback, self.clock, self.log = settings, callback, clock, log
+        self.is_watched = settings.record or log is not None or callback is not None
+        self.stages: list[Stage] = []
+        self.samples: list[Sample] = []
+        self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
+        self.end: TerminationReason | None = None
+        self._next_sample = 0
+
+    def begin(self, stage: Stage) -> None:
+        """Record that a stage begins, or continues if it is in the list."""
+        if self.log is not None:
+            self.log.begin(stage)
+        if self.stages:
+            self.stages[-1].z = None
+        if stage not in self.stages:
+            self.stages.append(stage)
+
+    def count(self, stage: Stage, step: Step) -> None:
+        """Count a step, its iterations and its work."""
+        self.seconds = self.clock.read()
+        is_start = stage.z is None
+        iterations = step.iterations
+        if iterations is None:
+            iterations = 0 if is_start else 1
+        stage.count(step, iterations)
+        self.work += step.work
+        self.iteration = max(self.iteration, 0) + iterations
+        if is_start and self.iteration == 0:
+            self.setup_seconds = self.seconds
+
+    def limit(self) -> TerminationReason | None:
+        """Return the limit that is reached, or None; the clock was read at the last step."""
+        if self.iteration >= self.settings.max_iterations:
+            self.end = TerminationReason.STEP_LIMIT
+        elif self.clock.elapsed >= self.settings.max_seconds:
+            self.end = TerminationReason.TIME_LIMIT
+        return self.end
+
+    def report(
+        self,
+        stage: Stage,
+        residual: float | None,
+        shown: Callable[[], Any],
+        measure: Callable[[], float],
+        *,
+        is_last: bool,
+    ) -> bool:
+        """Record, print and call back, with the clock paused; return whether the callback returned True.
+
+        Parameters
+        ----------
+        stage : Stage
+        residual : float or None
+            Residual of the step; None if it was not measured.
+        shown : callable
+            Returns the point that the callback receives.
+        measure : callable
+            Returns the residual of a step that was not measured.
+        is_last : bool
+            The run ends with this step.
+        """
+        log, callback = self.log, self.callback
+        with self.clock.pause():
+            seconds, name = self.seconds, stage.algorithm.name
+            sample = Sample(self.iteration, self.work, seconds, residual, name)
+            wants_to_stop = callback is not None and bool(callback(sample, shown()))
+            is_recorded = self.settings.record and (
+                self.iteration >= self._next_sample or is_last or wants_to_stop
+            )
+            is_printed = log is not None and log.is_due(stage)
+            if residual is None and (is_recorded or is_printed):
+                sample = Sample(self.iteration, self.work, seconds, measure(), name)
+            if log is not None and is_printed:
+                log.step(stage, sample)
+            if is_recorded:  # at geometric intervals
+                self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
+                self.samples.append(sample)
+        if wants_to_stop:
+            self.end = self.end or TerminationReason.INTERRUPTED
+        return wants_to_stop
+
+    def records(self) -> tuple[StageRecord, ...]:
+        """Return the stages as a result shows them."""
+        return tuple(record for stage in self.stages for record in stage.records())

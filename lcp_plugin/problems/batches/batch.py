@@ -20,6 +20,7 @@ from ...core.settings import checked_threads
 from ...methods.banded import banded_passes
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContactBatch
+from ..least_squares.data import BoundedLeastSquares
 from ..programs.convexity import refuse_nonconvex
 from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
@@ -27,10 +28,16 @@ from ..programs.solving import programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_run import Asked, BatchAnswers, BatchRun
 from .program_batch import ProgramBatchRun
-from .stated import Listed, Stacked
+from .stated import Listed, RightSides, Stacked
 from .worlds import Worlds
 
 P = TypeVar("P", LCP, QuadraticProgram)
+# The arguments with which one problem of a class makes a batch.
+MANY = {
+    "LCP": "problem, Q",
+    "QuadraticProgram": "program, C",
+    "BoundedLeastSquares": "problem, B",
+}
 
 
 @np.errstate(under="ignore")
@@ -94,6 +101,7 @@ def solve_batch(
     absolute_tolerance: float = 0.0,
     prove_infeasibility: bool = True,
     threads: int | None = None,
+    callback: Any = None,
 ) -> BatchAnswers:
     """Return the results of many problems; small ones are solved as stacks.
 
@@ -110,6 +118,8 @@ def solve_batch(
         same cones, and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
         (B, n, n) are not copied: do not change their entries while you use the result.
     q : array, shape (B, n) or (n,)
+        For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
+        b, shape (B, m).
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; for a list of LCPs a list of vectors or None.
@@ -120,6 +130,9 @@ def solve_batch(
     threads : int, optional
         Number of threads that solve stacks; by default all threads available to the process. Results are bit-identical
         for any number.
+    callback : callable, optional
+        Called as ``callback(finished, count)``, numbers of problems, after each stack and after each problem that is
+        solved by itself. A truthy return value ends the batch: the remaining problems are INTERRUPTED.
 
     Returns
     -------
@@ -152,6 +165,12 @@ def solve_batch(
     >>> solve_batch(program, [{"b": [2]}, {"b": [4]}]).x.tolist()
     [[1.0, 1.0], [2.0, 2.0]]
 
+    >>> solve_batch(program, [[0, 2], [2, 0]]).x.tolist()
+    [[-1.0, -3.0], [-3.0, -1.0]]
+    >>> fit = BoundedLeastSquares([[1, 0], [1, 1], [0, 1]], [0, 0, 0])
+    >>> solve_batch(fit, [[2, 1, -1], [1, 3, 2]]).x.round(6).tolist()
+    [[1.5, 0.0], [1.0, 2.0]]
+
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
 
     >>> answers = solve_batch(QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2]))
@@ -172,19 +191,27 @@ def solve_batch(
                 "a batch of programs takes no z0 or absolute_tolerance; leave them out"
             )
         options.setdefault("tolerance", PROGRAM_TOLERANCE)
-        return ProgramBatchRun(programs, asked._replace(item="program")).run()
+        return ProgramBatchRun(programs, asked).run(callback)
+    stated = _problems_of(M, q, lower, upper, z0)
+    if stated.are_lcps:
+        method_of(algorithm, {})
+    return BatchRun(stated, asked).run(callback)
+
+
+def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
+    """Return the checked problems of a batch that is not of programs of one shape."""
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact.worlds(W, b, friction)", q, lower, upper)
-        return BatchRun(Worlds(M, z0), asked._replace(item="world"), M.errors).run()
+        return Worlds(M, z0)
+    if isinstance(M, BoundedLeastSquares) and q is not None:
+        _refuse_algorithm(q)
+        return RightSides(M, q, lower, upper, z0)
     if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
-        write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(
-            type(M), "[problem]"
-        )
+        write = MANY.get(name, "[problem]")
         raise InvalidProblem(
             f"solve_batch needs many problems, got one {name}; write solve_batch({write})"
         )
-    are_problems = isinstance(M, Sequence) and (not len(M) or any(map(class_of, M)))
-    if are_problems:
+    if isinstance(M, Sequence) and (not len(M) or any(map(class_of, M))):
         for k, one in enumerate(M):
             if class_of(one) is None:
                 raise InvalidProblem(
@@ -193,15 +220,11 @@ def solve_batch(
             if not takes("solve_batch", one):
                 raise InvalidProblem(refusal("solve_batch", one))
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
-        stated: Any = Listed(M, z0)
-    else:
-        held = M if isinstance(M, LCP) else None
-        lower = (0.0 if held is None else held.lower) if lower is None else lower
-        upper = (np.inf if held is None else held.upper) if upper is None else upper
-        stated = Stacked(M, q, lower, upper, z0)
-    if not are_problems or stated.are_lcps:
-        method_of(algorithm, {})
-    return BatchRun(stated, asked, stated.errors).run()
+        return Listed(M, z0)
+    held = M if isinstance(M, LCP) else None
+    lower = (0.0 if held is None else held.lower) if lower is None else lower
+    upper = (np.inf if held is None else held.upper) if upper is None else upper
+    return Stacked(M, q, lower, upper, z0)
 
 
 def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticProgramBatch | None:
@@ -210,7 +233,10 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
         _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
         return M
     if isinstance(M, QuadraticProgram) and q is not None:
-        _refuse_data("the mappings", '[{"lower": …, "upper": …}]', None, lower, upper)
+        _refuse_algorithm(q)
+        _refuse_data("the vectors", '[{"lower": …, "upper": …}]', None, lower, upper)
+        if isinstance(q, np.ndarray) or _holds_rows(q):
+            return QuadraticProgramBatch.with_costs(M, q)
         return QuadraticProgramBatch.of(programs_for(M, q), M)
     if (
         z0 is None
@@ -223,12 +249,21 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
     return None
 
 
-def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
+def _holds_rows(q: Any) -> bool:
+    """Return whether q is a list of vectors, not of mappings."""
+    return isinstance(q, Sequence) and bool(q) and isinstance(q[0], (Sequence, np.ndarray))
+
+
+def _refuse_algorithm(q: Any) -> None:
     if isinstance(q, str):
         raise InvalidOption(
             f"the second argument of solve_batch is the vectors (q of an LCP, b of least squares, c of a program), "
             f"got {q!r}; pass the algorithm as algorithm={q!r}"
         )
+
+
+def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
+    _refuse_algorithm(q)
     if not (q is None and lower is None and upper is None):
         raise InvalidOption(
             f"{what} already contain q and bounds; to change them, build new problems: {remedy}"

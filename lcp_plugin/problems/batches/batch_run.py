@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,13 +13,18 @@ from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.settings import Settings, Status, checked_threads
+from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...core.solving.base_result import BaseResult
 from ...core.solving.result import Result
+from ..least_squares.certificate import Optimality
+from ..least_squares.data import BoundedLeastSquares
+from ..least_squares.enclosures import Enclosures
+from ..least_squares.solving import LeastSquaresResult
 from ..many.answers import AnswerSequence
 from ..many.chunks import run_in_chunks
 
 MOST_ITERATIONS = 200  # of a stack
+REPORTING = Lock()  # threads call the callback one after another
 
 
 class Asked(NamedTuple):
@@ -28,7 +34,6 @@ class Asked(NamedTuple):
     options: dict[str, Any]
     max_seconds: Any
     threads: Any
-    item: str = "problem"
 
 
 class BatchRun:
@@ -36,44 +41,55 @@ class BatchRun:
 
     Parameters
     ----------
-    problems : Listed, Stacked or Worlds
+    problems : Listed, Stacked, RightSides, Worlds or QuadraticProgramBatch
         ``problems[k]``, ``problems.start(k)``, ``problems.points``: a table of z at the start,
+        ``problems.errors``: the error of problem k, if its data are invalid,
         ``problems.stacks(tolerance, has_time)``: pairs of item numbers and a function that returns z, residual,
         iterations and is_solved of these.
     asked : Asked
-    errors : dict
-        The error of problem k, if its data are invalid.
     """
 
-    def __init__(self, problems: Any, asked: Asked, errors: dict[int, LCPError]) -> None:
+    def __init__(self, problems: Any, asked: Asked) -> None:
         self.problems, self.asked, count = problems, asked, len(problems)
+        self.item = getattr(problems, "item", "problem")
         self.settings = Settings(max_seconds=asked.max_seconds, **asked.options)
         self.threads = checked_threads(asked.threads)
-        self.errors, self.z = {**errors}, problems.points
-        for k in errors if isinstance(self.z, np.ndarray) else ():
+        self.errors, self.z = {**getattr(problems, "errors", {})}, problems.points
+        for k in self.errors if isinstance(self.z, np.ndarray) else ():
             self.z[k] = np.nan
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
         self.is_open[[*self.errors]] = False
         self.results: dict[int, Any] = {}  # of problems outside of stacks
         self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
+        self.callback: Any = None
 
     @property
     def has_time(self) -> bool:
-        """True until the time limit of the batch is reached."""
-        return bool(self.clock.read() < self.settings.max_seconds)
+        """True until the time limit of the batch is reached, or it is interrupted."""
+        return not self.is_interrupted and self.clock.read() < self.settings.max_seconds
+
+    def report(self) -> None:
+        """Call the callback with the number of finished problems; a truthy return value ends the batch."""
+        if self.callback is not None:
+            with REPORTING:
+                count = len(self.status)
+                self.is_interrupted |= bool(self.callback(count - int(self.is_open.sum()), count))
 
     @np.errstate(under="ignore")
-    def run(self) -> BatchAnswers:
-        """Solve all problems, until the clock runs out or Ctrl-C."""
+    def run(self, callback: Any = None) -> BatchAnswers:
+        """Solve all problems, until the clock runs out, Ctrl-C, or the callback ends the batch."""
+        self.callback = checked_callback(callback)
         try:
             self.solve_at_once()
             for k in np.flatnonzero(self.is_open).tolist():
-                if self.is_interrupted or not self.has_time:
+                if not self.has_time:
                     break
                 self._solve_or_keep_error(k)
+                self.report()
         except KeyboardInterrupt:
             self.is_interrupted = True
+        self.callback = None  # which need not be picklable
         end = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
         self.status[self.is_open] = end
         self.seconds = self.clock.read()
@@ -100,6 +116,7 @@ class BatchRun:
                         self.z[k] = read_only(z[i])
                 self.residual[at], self.iterations[at] = residual[good], iterations[good]
                 self.status[at], self.is_open[at] = Status.SOLVED, False
+                self.report()
 
         run_in_chunks(take, len(stacks), self.threads)
 
@@ -139,8 +156,14 @@ class BatchRun:
             options = {**self.asked.options, "max_seconds": 0.0}
             found = self._solved(k, self.problems.start(k), options)
             return replace(found, status=self.status[k])
-        found = self._solved(k, self.z[k][: self.problems[k].n], self.asked.options)
-        share = self.seconds / len(self.status)
+        share, problem = self.seconds / len(self.status), self.problems[k]
+        if isinstance(problem, BoundedLeastSquares):
+            tolerance, count = self.settings.tolerance, int(self.iterations[k])
+            with np.errstate(all="ignore"):
+                point = Optimality.of(Enclosures(problem), self.z[k], tolerance=tolerance)
+                found = (Status.SOLVED, count, "normal equations", share, tolerance)
+                return LeastSquaresResult.at(point, *found)
+        found = self._solved(k, self.z[k][: problem.n], self.asked.options)
         return replace(found, iterations=int(self.iterations[k]), seconds=share)
 
     def tables(self) -> dict[str, Any]:
@@ -156,6 +179,8 @@ class BatchRun:
     def objectives(self) -> Any:
         """Return the objective of each problem, NaN if it has none."""
         values = np.full(len(self.status), np.nan)
+        if hasattr(self.problems, "objectives"):
+            values = self.problems.objectives(self.z)
         for k, found in self.results.items():
             values[k] = np.nan if found.objective is None else found.objective
         return values
@@ -201,7 +226,7 @@ class BatchAnswers(AnswerSequence[Any]):
     residual: Any
 
     def __init__(self, run: BatchRun) -> None:
-        self._run, self.item = run, run.asked.item
+        self._run, self.item = run, run.item
         self.status, self.seconds = run.status, run.seconds
         self.errors, self.problems, self.threads = run.errors, run.problems, run.threads
         vars(self).update(run.tables())

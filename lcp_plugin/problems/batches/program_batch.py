@@ -40,7 +40,7 @@ class ProgramBatchRun(BatchRun):
     def __init__(self, programs: QuadraticProgramBatch, asked: Asked) -> None:
         if not (isinstance(asked.algorithm, str) and asked.algorithm in ENGINES):
             method_of(asked.algorithm, {})
-        super().__init__(programs, asked, {})
+        super().__init__(programs, asked)
         programs.refuse_nonconvex()
         count, (m, p, n, _) = len(programs), programs.sizes
         self.y, self.at_bounds = np.full((count, m + p), np.nan), np.full((2, count, n), np.nan)
@@ -99,6 +99,7 @@ class ProgramBatchRun(BatchRun):
         self.at_bounds[:, at] = np.array(of_bounds)[:, good]
         self.residual[at] = errors.largest[good]
         self.is_open[at], self.status[at] = False, Status.SOLVED
+        self.report()
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
         """Solve program k by itself, from the previous solution if all have the same matrices."""

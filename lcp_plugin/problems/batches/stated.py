@@ -19,6 +19,9 @@ from ...systems.least_norm import products
 from ..cones.data import Blocks
 from ..cones.solving import solve_cone_stack
 from ..cones.stack import ConeStack, Pattern
+from ..least_squares.data import BoundedLeastSquares
+from ..least_squares.enclosures import times
+from ..least_squares.stack import length_of_stack, solve_least_squares_stack, suits_stack
 from ..many.data import length_of_all, rows_of_a_batch
 
 CONES_UP_TO = 400  # rows of a problem over cones in a stack
@@ -137,8 +140,38 @@ class Listed:
                 alike.setdefault((one.has_friction, one.starts.tobytes()), []).append(k)
         for items in alike.values():
             yield np.array(items), partial(self._solve_cones, items, tolerance, has_time)
+        yield from self._least_squares_stacks(tolerance)
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
+
+    def _least_squares_stacks(self, tolerance: float) -> Stacks:
+        """Yield least squares problems that share A, weights and ridge."""
+        alike: dict[Any, list[int]] = {}
+        for k, one in enumerate(self.problems):
+            if isinstance(one, BoundedLeastSquares) and suits_stack(one):
+                alike.setdefault((id(one.A), id(one.weights), one.ridge), []).append(k)
+        for items in alike.values():
+            base = self.problems[items[0]]
+            _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
+            for first in range(0, len(items), size):
+                part = items[first : first + size]
+                names = ("b", "lower", "upper", "l1")
+                b, lower, upper, l1 = (
+                    np.array([getattr(self.problems[k], one) for k in part]) for one in names
+                )
+                stack = base.stack(b, lower, upper, l1)
+                yield np.array(part), partial(solve_least_squares_stack, stack, tolerance)
+
+    def objectives(self, z: Any) -> Any:
+        """Return the cost of least squares problems, NaN for others, shape (B,)."""
+        return np.array(
+            [
+                one.cost(x, one.product(x) - one.b)
+                if isinstance(one, BoundedLeastSquares) and x.size
+                else np.nan
+                for one, x in zip(self.problems, z, strict=True)
+            ]
+        )
 
     def _solve_cones(self, items: list[int], tolerance: float, has_time: Any) -> Any:
         problems = [self.problems[k] for k in items]
@@ -153,8 +186,63 @@ class Listed:
         return pattern.flat(z), *others
 
 
-class Stacked:
+class Rows:
+    """Problems with one matrix, or with a stack of matrices, in arrays with an axis for the problems.
+
+    Parameters
+    ----------
+    named : dict of (array, int)
+        Each vector, and its length; shape (B, n), or (n,) for all, a bound may be a number.
+    counts : dict of int
+        Numbers of other arrays with an axis for the problems.
+    """
+
+    def __init__(self, named: dict[str, tuple[Any, int]], counts: dict[str, int]) -> None:
+        rows = {name: rows_of_a_batch(values, name, n) for name, (values, n) in named.items()}
+        rows["lower"], rows["upper"] = replace_huge_bounds_by_inf(rows["lower"], rows["upper"])
+        several = {name: len(one) for name, one in rows.items() if np.ndim(named[name][0]) == 2}
+        self.rows, self.count = rows, length_of_all(several | counts)
+        if "z0" in rows and not np.isfinite(rows["z0"]).all():
+            raise InvalidOption("z0 must be finite, got NaN or infinite entries")
+        self.errors: dict[int, LCPError] = {}
+
+    def _find_errors(self, is_good: Any) -> None:
+        """Keep the error of each problem that is not good; bounds must be consistent as well."""
+        lower, upper = self.rows["lower"], self.rows["upper"]
+        with np.errstate(invalid="ignore"):
+            has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
+        for k in np.flatnonzero(~np.broadcast_to(is_good & has_values, self.count)).tolist():
+            try:
+                self[k]
+            except LCPError as error:
+                self.errors[k] = error
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, k: int) -> Any:
+        """Return problem k."""
+        raise NotImplementedError
+
+    def _row(self, name: str, k: int) -> Any:
+        rows = self.rows[name]
+        return rows[k if len(rows) > 1 else 0]
+
+    def start(self, k: int) -> Any:
+        """Return the start of problem k, or None."""
+        return self._row("z0", k) if "z0" in self.rows else None
+
+    @property
+    def points(self) -> Any:
+        """The points at which the problems begin, shape (B, n)."""
+        begun = np.clip(self.rows.get("z0", 0.0), self.rows["lower"], self.rows["upper"])
+        return np.array(np.broadcast_to(begun, (self.count, begun.shape[1])))
+
+
+class Stacked(Rows):
     """Arrays: M of shape (B, n, n), or one (n, n) or LCP for all; the vectors of shape (B, n), (n,) or numbers."""
+
+    are_lcps = True
 
     def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
         need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
@@ -170,57 +258,22 @@ class Stacked:
                 "q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none"
             )
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
-        rows = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
-        rows["lower"], rows["upper"] = replace_huge_bounds_by_inf(rows["lower"], rows["upper"])
-        counts = {name: len(one) for name, one in rows.items() if np.ndim(named[name]) == 2}
-        if self.M.ndim == 3:
-            counts["M"] = len(self.M)
-        self.count = length_of_all(counts)
-        if "z0" in rows and not np.isfinite(rows["z0"]).all():
-            raise InvalidOption("z0 must be finite, got NaN or infinite entries")
-        self.rows, self.base = rows, given
+        counts = {"M": len(self.M)} if self.M.ndim == 3 else {}
+        super().__init__({name: (values, n) for name, values in named.items()}, counts)
+        self.base = given
         if given is None and self.M.ndim == 2:
             self.base = LCP(self.M, np.zeros(n))
-        self.errors: dict[int, LCPError] = {}
-        for k in np.flatnonzero(~self._are_good()).tolist():
-            try:
-                self[k]
-            except LCPError as error:
-                self.errors[k] = error
-
-    def _are_good(self) -> Any:
-        """Return a mask of the problems with finite numbers and consistent bounds."""
-        q, lower, upper = (self.rows[name] for name in ("q", "lower", "upper"))
-        with np.errstate(all="ignore"):
-            is_good = np.isfinite(q).all(1)
-            is_good = is_good & ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
-            if self.M.ndim == 3:
+        is_good = np.isfinite(self.rows["q"]).all(1)
+        if self.M.ndim == 3:
+            with np.errstate(all="ignore"):
                 is_good = is_good & np.isfinite(self.M.sum(axis=(1, 2)))
-        return np.broadcast_to(is_good, self.count)
-
-    def __len__(self) -> int:
-        return self.count
-
-    def _row(self, name: str, k: int) -> Any:
-        rows = self.rows[name]
-        return rows[k if len(rows) > 1 else 0]
+        self._find_errors(is_good)
 
     def __getitem__(self, k: int) -> LCP:
         q, lower, upper = (self._row(name, k) for name in ("q", "lower", "upper"))
         if self.base is not None:
             return self.base.with_q(q, lower=lower, upper=upper)
         return LCP(self.M[k], q, lower=lower, upper=upper)
-
-    def start(self, k: int) -> Any:
-        """Return the start of problem k, or None."""
-        return self._row("z0", k) if "z0" in self.rows else None
-
-    @property
-    def points(self) -> Any:
-        """The points at which the problems begin, shape (B, n)."""
-        start = self.rows.get("z0", np.zeros((1, self.M.shape[-1])))
-        begun = np.clip(start, self.rows["lower"], self.rows["upper"])
-        return np.array(np.broadcast_to(begun, (self.count, begun.shape[1])))
 
     def slacks(self, z: Any) -> Any:
         """Return M z + q of each problem, shape (B, n)."""
@@ -257,3 +310,51 @@ class Stacked:
         """Yield stacks of small problems."""
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
+
+
+class RightSides(Rows):
+    """One least squares problem with many right-hand sides b, shape (B, m), and bounds, shapes (B, n) or (n,)."""
+
+    are_lcps = False
+
+    def __init__(self, problem: BoundedLeastSquares, b: Any, lower: Any, upper: Any, z0: Any):
+        self.base, (m, n) = problem, problem.shape
+        lower = problem.lower if lower is None else lower
+        upper = problem.upper if upper is None else upper
+        named = {"b": (b, m), "lower": (lower, n), "upper": (upper, n)}
+        super().__init__(named | ({} if z0 is None else {"z0": (z0, n)}), {})
+        self._find_errors(problem.is_in_range(self.rows["b"]))
+
+    def __getitem__(self, k: int) -> BoundedLeastSquares:
+        return self.base.with_vectors(*(self._row(name, k) for name in ("b", "lower", "upper")))
+
+    def stack(self, items: Any) -> BoundedLeastSquares:
+        """Return these problems as a stack."""
+        rows = (self.rows[name] for name in ("b", "lower", "upper"))
+        b, lower, upper = (one if len(one) == 1 else one[items] for one in rows)
+        return self.base.stack(b, lower, upper, self.base.l1)
+
+    def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
+        """Yield stacks of small problems."""
+        if "z0" in self.rows or not suits_stack(self.stack(slice(None))):
+            return
+        _ = self.base.normal_equations  # shared by all stacks
+        is_here = np.ones(self.count, np.bool_)
+        is_here[[*self.errors]] = False
+        items = np.flatnonzero(is_here)
+        size = length_of_stack(self.base)
+        for first in range(0, items.size, size):
+            part = items[first : first + size]
+            yield part, partial(self._solve, part, tolerance)
+
+    def _solve(self, items: Any, tolerance: float) -> Any:
+        return solve_least_squares_stack(self.stack(items), tolerance)
+
+    def objectives(self, z: Any) -> Any:
+        """Return the cost of each z, shape (B,)."""
+        values, size = np.empty(self.count), length_of_stack(self.base)
+        for first in range(0, self.count, size):
+            part = slice(first, first + size)
+            stack = self.stack(part)
+            values[part] = stack.cost(z[part], times(stack.A, z[part]) - stack.b)
+        return values

@@ -37,8 +37,10 @@ class Worlds:
     z0 : array, shape (B, n) or (n,), optional
     """
 
+    item, are_lcps = "world", False
+
     def __init__(self, contacts: FrictionalContactBatch, z0: ArrayLike | None) -> None:
-        self.worlds, self.is_warm = contacts, z0 is not None
+        self.worlds, self.is_warm, self.errors = contacts, z0 is not None, contacts.errors
         shape, n = contacts.b.shape, contacts.n
         need = f"z0 must have shape ({len(contacts)}, {n}) or ({n},)"
         given = real_array(np.zeros(n) if z0 is None else z0, need)

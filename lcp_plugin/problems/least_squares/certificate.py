@@ -29,7 +29,7 @@ whose entries are unknown, SOLVED means a small gradient, and all numbers are es
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -49,6 +49,7 @@ from .enclosures import (
     Enclosures,
     clip,
     shortest_solution,
+    times,
 )
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
@@ -98,13 +99,10 @@ class Optimality:
 
     def is_worse_than_known(self, tolerance: float) -> bool:
         """Return whether x costs more than a known point, including the rounding of that point's cost."""
-        problem, slip, known = self.enclosures.problem, self.residual[1], self.enclosures.known
-        if problem.is_small and 0.5 * (problem.apply_weights(slip) @ slip) > tolerance * self.cost:
-            known = [*known, self.enclosures.unbounded_solution]
-        return any(
-            not self.cost <= OUTWARD * (1.0 + tolerance) * self.enclosures.cost_above(x)
-            for x in known
-        )
+        enclosures, slip, known = self.enclosures, self.residual[1], self.enclosures.known
+        if _may_be_rounding(enclosures.problem, self.cost, slip, tolerance):
+            known = [*known, enclosures.unbounded_solution]
+        return any(_exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
 
     def meets(self, tolerance: float) -> bool:
         """Return whether x is SOLVED."""
@@ -113,7 +111,7 @@ class Optimality:
     @cached_property
     def cost(self) -> float:
         """The cost of x."""
-        return self.enclosures.problem.cost(self.x, self.residual[0])
+        return float(self.enclosures.problem.cost(self.x, self.residual[0]))
 
     @property
     def is_at_rounding_level(self) -> bool:
@@ -161,13 +159,68 @@ def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVec
     least, best = np.inf, residual[0]
 
     for y, slope in _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals:
-        gap, cost = _gap(problem, x, residual, y, slope, rounding=-1.0)
-        value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
-        if value < least:
+        if (value := float(_gap_of_cost(problem, x, residual, y, slope))) < least:
             least, best = value, y
         if least <= tolerance:
             break
     return min(least, 1.0), best
+
+
+def _gap_of_cost(
+    problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball
+) -> Any:
+    """Return the gap apart from rounding, relative to its cost; ∞ if that is 0."""
+    gap, cost = _gap(problem, x, residual, y, slope, rounding=-1.0)
+    return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
+
+
+def _may_be_rounding(problem: BoundedLeastSquares, cost: Any, slip: FloatVector, tol: float) -> Any:
+    """Return whether rounding of A x − b, known up to slip, exceeds the tolerance, of a small A."""
+    return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(slip), slip) > tol * cost)
+
+
+def _exceeds(cost: Any, known: Any, tolerance: float) -> Any:
+    """Return whether a cost exceeds an upper bound of the least by more than the tolerance, or is NaN."""
+    return np.logical_not(cost <= OUTWARD * (1.0 + tolerance) * known)
+
+
+def measure_stack(
+    problem: BoundedLeastSquares,
+    x: FloatVector,
+    tolerance: float,
+    newton_step: Callable[[FloatVector], FloatVector],
+) -> tuple[FloatVector, BoolVector]:
+    """Return the relative gap of each point of a stack, and whether it proves that the point is SOLVED.
+
+    y = r, then y = r + A d for the Newton step d of the free columns, as the docstring of this module allows. Other y
+    may show that further points are solved.
+
+    Parameters
+    ----------
+    problem : BoundedLeastSquares
+        Stack of B problems with entries.
+    x : array, shape (B, n)
+        Within the bounds.
+    tolerance : float
+    newton_step : callable
+        Returns d of a gradient, each of shape (B, n).
+
+    Returns
+    -------
+    value, is_solved : array, shape (B,)
+    """
+    enclosures = Enclosures(problem)
+    residual = enclosures.residual(x)
+    y, slope = residual[0], enclosures.gradient_at(x, residual[0])
+    value = _gap_of_cost(problem, x, residual, y, slope)
+    if not (value <= tolerance).all():
+        y = y + times(problem.A, newton_step(slope[0]))
+        more = _gap_of_cost(problem, x, residual, y, enclosures.gradient_at(x, y))
+        value = np.where(more < value, more, value)
+    cost = problem.cost(x, residual[0])
+    least = enclosures.cost_above(np.broadcast_to(problem.nearest_to_zero, x.shape))
+    is_solved = (value <= tolerance) & ~_exceeds(cost, least, tolerance)
+    return value, is_solved & ~_may_be_rounding(problem, cost, residual[1], tolerance)
 
 
 def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
@@ -247,7 +300,7 @@ def duality_gap(
         slopes.append(shrunk)
 
     def bound_gap(*given: Any) -> float:
-        return _gap(problem, x, *given)[0]
+        return float(_gap(problem, x, *given)[0])
 
     found = [
         bound_gap(exactly, residual[0], at_x),
@@ -271,8 +324,8 @@ def _gap(
     convexity: FloatVector = NOTHING,
     *,
     rounding: float = 1.0,
-) -> tuple[float, float]:
-    """Return gap(x, y) for s in `slope`, and the cost of y.
+) -> tuple[Any, Any]:
+    """Return gap(x, y) for s in `slope`, and the cost of y, each of shape (B,) for a stack.
 
     Radii of residual and slope are added if `rounding` is 1, subtracted if it is −1.
     """
@@ -281,7 +334,7 @@ def _gap(
     near, far, margin = x - problem.lower, problem.upper - x, rounding * radius
     linear, least = _fall(s, near, margin) + _fall(-s, far, margin), np.abs(s)
     if l1.any():  # x and z split at 0
-        both = np.zeros(x.size)
+        both = np.zeros(x.shape)
         for sign, low, high in (
             (1.0, problem.lower, problem.upper),
             (-1.0, -problem.upper, -problem.lower),
@@ -291,17 +344,17 @@ def _gap(
             both += _fall(-slant, np.maximum(high, 0.0) - at, margin)
         linear = np.where(l1 == 0.0, linear, both)
         least = np.where(x != 0.0, np.abs(s + np.copysign(l1, x)), np.maximum(np.abs(s) - l1, 0.0))
-    curved = convexity if convexity.size else np.full(x.size, problem.ridge)
+    curved = convexity if convexity.size else np.full(x.shape, problem.ridge)
     if curved.any():
         steep = least + margin
         steepest = 0.5 * steep * (steep / curved) + TINY
         linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
     linear = linear + 0.0 * (s + radius)  # NaN if one is not finite
-    gap = 0.5 * float(problem.apply_weights(off) @ off) + float(np.sum(linear))
-    gap = OUTWARD**3 * gap + TINY * (gap > 0.0) if gap < np.inf else np.inf
+    gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + linear.sum(-1)
+    gap = np.where(gap < np.inf, OUTWARD**3 * gap + TINY * (gap > 0.0), np.inf)
     y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
-    squares = problem.apply_weights(y) @ y + problem.ridge * (x @ x)
-    return gap, float(0.5 * squares + l1 @ distance)
+    squares = np.vecdot(problem.apply_weights(y), y) + problem.ridge * np.vecdot(x, x)
+    return gap, 0.5 * squares + np.vecdot(l1, distance)
 
 
 def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVector:

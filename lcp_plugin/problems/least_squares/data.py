@@ -88,7 +88,9 @@ class BoundedLeastSquares:
         self._transpose = self.A.T if self.has_entries else self.A.H
         need = f"b must be a vector of length {m}, an entry per row of A"
         if getattr(b, "ndim", 1) == 2:
-            need += " (for many right-hand sides: solve_batch([BoundedLeastSquares(A, column) for column in b.T]))"
+            need += (
+                " (for many right-hand sides: solve_batch(BoundedLeastSquares(A, b[:, 0]), b.T))"
+            )
         self.b = checked_vector(b, "b", m, need=need)
         self.lower, self.upper = checked_bounds(lower, upper, n)
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
@@ -114,14 +116,23 @@ class BoundedLeastSquares:
 
     def _check_range(self, name: str, entries: Any, what: str) -> None:
         """Raise InvalidProblem if squares of the largest entries, or of √weights, leave the range of doubles."""
-        root = float(np.max(self.root_weights, initial=0.0))
-        largest = max(1.0, root) * max(entries.max(initial=0.0), -entries.min(initial=0.0))
-        least, most = SQUARED_RANGE
-        if not (largest == 0.0 or least <= largest <= most):
+        if not self.is_in_range(entries.ravel()):
+            largest = np.abs(entries).max() * self._largest_root
             raise InvalidProblem(
                 f"the largest entry of {name} (with weights) is {largest:.3g}, whose square is out of range; divide "
                 f"{what} by a number that brings it near 1"
             )
+
+    def is_in_range(self, entries: FloatVector) -> Any:
+        """Return whether squares of the largest entry, or of √weights, of each row are in the range of doubles."""
+        largest = np.maximum(entries.max(-1, initial=0.0), -entries.min(-1, initial=0.0))
+        largest = largest * self._largest_root
+        least, most = SQUARED_RANGE
+        return (largest == 0.0) | ((largest >= least) & (largest <= most))
+
+    @cached_property
+    def _largest_root(self) -> float:
+        return max(1.0, float(np.max(self.root_weights, initial=0.0)))
 
     def with_vectors(
         self,
@@ -147,18 +158,24 @@ class BoundedLeastSquares:
         >>> BoundedLeastSquares([[1, 0], [0, 1]], [3, -0.5]).with_vectors(b=[1, 2]).b
         array([1., 2.])
         """
-        made, (m, n) = copy(self), self.shape
-        for name in ("nearest_to_zero", "scaled"):
-            made.__dict__.pop(name, None)
-        made.b = self.b if b is None else checked_vector(b, "b", m)
+        m, n = self.shape
+        b = self.b if b is None else checked_vector(b, "b", m)
         if self.has_entries:
-            made._check_range("b", made.b, "b, lower and upper")
-        made.lower, made.upper = checked_bounds(
+            self._check_range("b", b, "b, lower and upper")
+        bounds = checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
-        made.l1 = self.l1 if l1 is None else _checked_penalty(l1, n)
+        return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
+
+    def stack(
+        self, b: FloatVector, lower: FloatVector, upper: FloatVector, l1: FloatVector
+    ) -> BoundedLeastSquares:
+        """Return the problem with other, checked vectors; an axis in front, shapes (B, m) and (B, n), makes a stack."""
         _ = self.column_scales, self.root_weights  # shared from now on
-        made.__dict__.update(column_scales=self.column_scales, root_weights=self.root_weights)
+        made = copy(self)
+        for name in ("nearest_to_zero", "scaled"):
+            made.__dict__.pop(name, None)
+        made.b, made.lower, made.upper, made.l1 = b, lower, upper, l1
         return made
 
     @property
@@ -176,7 +193,7 @@ class BoundedLeastSquares:
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
-        return read_only(np.clip(np.zeros(self.shape[1]), self.lower, self.upper))
+        return read_only(np.clip(0.0, self.lower, self.upper))
 
     def checked_start(self, x0: ArrayLike) -> FloatVector:
         """Return the start within the bounds, shape (n,); raise InvalidOption if x0 is not a finite vector."""
@@ -199,13 +216,12 @@ class BoundedLeastSquares:
         """Return weights · y."""
         return y if self.weights is None else self.weights * y
 
-    def cost(self, x: FloatVector, residual: FloatVector) -> float:
-        """Return the objective value at x, given its residual A x − b."""
+    def cost(self, x: FloatVector, residual: FloatVector) -> Any:
+        """Return the objective value at x, given its residual A x − b; shape (B,) for a stack."""
         with np.errstate(over="ignore", invalid="ignore"):  # of an x too large to be squared
-            penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0
-            return float(
-                0.5 * (self.apply_weights(residual) @ residual + penalty) + self.l1 @ np.abs(x)
-            )
+            penalty = self.ridge * np.vecdot(x, x) if self.ridge > 0.0 else 0.0
+            squares = np.vecdot(self.apply_weights(residual), residual)
+            return 0.5 * (squares + penalty) + np.vecdot(self.l1, np.abs(x))
 
     def weighted_matrix(self) -> Any:
         """Return √weights A, which must have entries: an ndarray or a CSR array."""
@@ -240,6 +256,15 @@ class BoundedLeastSquares:
         lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
         typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
         return np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
+
+    @cached_property
+    def normal_equations(self) -> tuple[FloatVector, FloatVector]:
+        """√W A by columns of about unit length, dense, shape (m, n), and AᵀWA + ridge in these units, shape (n, n)."""
+        A = self.weighted_matrix()
+        A = (A.toarray() if self.is_sparse else A) / self.column_scales
+        gram = A.T @ A
+        gram.flat[:: len(gram) + 1] += self.ridge / self.column_scales / self.column_scales
+        return A, gram
 
     @cached_property
     def scaled(self) -> ScaledLeastSquares:

@@ -26,6 +26,8 @@ GRAM_UP_TO = 3000  # columns; AᵀWA is factorized
 class Enclosures:
     """Residuals and gradients of a problem with bounds of their rounding errors; estimates for a LinearOperator.
 
+    Vectors of a stack (`BoundedLeastSquares.stack`) have an axis in front, shape (B, m) or (B, n).
+
     Parameters
     ----------
     problem : BoundedLeastSquares
@@ -42,7 +44,7 @@ class Enclosures:
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.known = problem, [problem.nearest_to_zero]
 
-    def cost_above(self, x: FloatVector) -> float:
+    def cost_above(self, x: FloatVector) -> Any:
         """Return an upper bound of the cost of x."""
         value, radius = self.residual(x)
         return self.problem.cost(x, np.abs(value) + radius)
@@ -90,10 +92,11 @@ class Enclosures:
         self, B: Any, sizes: Any, v: FloatVector, slip: FloatVector, less: Any, terms: int
     ) -> Ball:
         """Return B v − less for a v known up to slip, with |B| = sizes and so many terms in a row of B."""
-        size, unsure = sizes @ np.abs(v) + np.abs(less), sizes @ slip if slip.size else 0.0
+        size = times(sizes, np.abs(v)) + np.abs(less)
+        unsure = times(sizes, slip) if slip.size else 0.0
         rounding = gamma(2 * terms + 8) * OUTWARD * (size + unsure)
         underflow = (2 * terms + 8) * TINY * (size + unsure > 0.0)
-        return B @ v - less, rounding + OUTWARD * unsure + underflow
+        return times(B, v) - less, rounding + OUTWARD * unsure + underflow
 
     @cached_property
     def reference(self) -> float:
@@ -155,6 +158,12 @@ def shortest_solution(A: FloatVector, b: FloatVector) -> FloatVector:
         0
     ]
     return x
+
+
+def times(B: Any, v: FloatVector) -> FloatVector:
+    """Return B v, for each row of v if v has two axes."""
+    product: FloatVector = B @ v if v.ndim == 1 else v @ B.T
+    return product
 
 
 def clip(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:

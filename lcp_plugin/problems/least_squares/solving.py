@@ -193,27 +193,11 @@ class LeastSquaresRun:
 
     def result(self, status: Status) -> LeastSquaresResult:
         """Return the result of the run with its best point."""
-        problem = self.problem
         if self.best is None or status in (Status.MAX_SECONDS, Status.INTERRUPTED):
             self._is_certified(self.nearest, np.inf)
         best: Any = self.best
-        mask = (best.x >= problem.upper).astype(np.int_)
-        mask[best.x <= problem.lower] = -1
-        return LeastSquaresResult(
-            x=read_only(best.x),
-            cost=problem.cost(best.x, best.sharp_residual),
-            fun=read_only(best.sharp_residual),
-            optimality=best.value,
-            active_mask=read_only(mask),
-            status=status,
-            nit=self.steps,
-            algorithm=self.algorithm,
-            seconds=self.clock.read(),
-            tolerance=self.settings.tolerance,
-            is_proved=problem.has_entries,
-            problem=problem,
-            _dual=best.dual,
-        )
+        run = self.steps, self.algorithm, self.clock.read(), self.settings.tolerance
+        return LeastSquaresResult.at(best, status, *run)
 
 
 def _require_time() -> None:
@@ -273,6 +257,37 @@ class LeastSquaresResult(BaseResult):
     _dual: FloatVector = field(repr=False)
 
     __setstate__ = restore_state
+
+    @classmethod
+    def at(
+        cls,
+        judged: Optimality,
+        status: Status,
+        nit: int,
+        algorithm: str,
+        seconds: float,
+        tolerance: float,
+    ) -> LeastSquaresResult:
+        """Return the result at a measured point."""
+        problem, x = judged.enclosures.problem, judged.x
+        mask = (x >= problem.upper).astype(np.int_)
+        mask[x <= problem.lower] = -1
+        residual = read_only(judged.sharp_residual)
+        return cls(
+            x=read_only(x),
+            cost=float(problem.cost(x, residual)),
+            fun=residual,
+            optimality=judged.value,
+            active_mask=read_only(mask),
+            status=status,
+            nit=nit,
+            algorithm=algorithm,
+            seconds=seconds,
+            tolerance=tolerance,
+            is_proved=problem.has_entries,
+            problem=problem,
+            _dual=judged.dual,
+        )
 
     @cached_property
     def gap(self) -> float:

@@ -477,7 +477,8 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
         raise InvalidProblem(
-            f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}'
+            f'a program takes an array of c, shape (B, n), or a list of mappings, as [{{"b": b}}], '
+            f"got {type(vectors).__name__}"
         )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):

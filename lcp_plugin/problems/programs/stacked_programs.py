@@ -54,6 +54,7 @@ class QuadraticProgramBatch:
     (QuadraticProgramBatch(2 programs, n=2), array([ 0., -1.]))
     """
 
+    item = "program"
     _given: Sequence[QuadraticProgram | LCPError] | None
     _shared: QuadraticProgram | None
 
@@ -163,6 +164,23 @@ class QuadraticProgramBatch:
             made.P, made.G, made.A = (
                 np.array([as_array(getattr(one, name)) for one in given]) for name in "PGA"
             )
+        return made
+
+    @classmethod
+    def with_costs(cls, program: QuadraticProgram, c: ArrayLike) -> QuadraticProgramBatch:
+        """Return the program with each c, shape (B, n).
+
+        Raises
+        ------
+        InvalidProblem
+            If the shape does not fit.
+        """
+        made = object.__new__(cls)
+        rest = {name: getattr(program, name)[np.newaxis] for name in ("h", "b", "lower", "upper")}
+        made.vectors = {"c": rows_of_a_batch(c, "c", program.n), **rest}
+        made.count, made.sizes = len(made.vectors["c"]), program.matrices.sizes
+        made._shared, made._given, made._is_symmetric = program, None, True
+        made.P, made.G, made.A = program.P, program.G, program.A
         return made
 
     @property

@@ -34,12 +34,12 @@ def _bounds_in_words(problem: Any) -> str:
 
 
 def describe_radius(radius: float, what: str) -> str:
-    """Return the restriction of a proof to points up to a radius, rounded down; an empty text if the radius is ∞.
+    """Return the points up to a radius, rounded down, to which a proof is restricted; an empty text if it is ∞.
 
     Examples
     --------
     >>> describe_radius(2.5e12, "x"), describe_radius(math.inf, "x")
-    ('; of all x up to 2e+12', '')
+    ('all x up to 2e+12', '')
     """
     digits, exponent = f"{radius:.15e}".split("e") if radius < math.inf else ("", "")
-    return f"; of all {what} up to {digits[0]}e{exponent}" if digits else ""
+    return f"all {what} up to {digits[0]}e{exponent}" if digits else ""

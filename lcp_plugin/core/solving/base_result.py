@@ -92,7 +92,7 @@ class BaseResult:
             if self.has_no_solution
             else ""
         )
-        return [f"{words[2:]}: a larger one is not excluded"] if words else []
+        return [f"of {words}: a larger one is not excluded"] if words else []
 
     def describe_accuracy(self) -> str:
         """Return the achieved accuracy next to the required one."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
-from ...core.kernels.floats import EPSILON, TINY
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix.matrix import largest_in_rows
 from ...core.representation import describe_radius
 from ...core.settings import Status
@@ -32,6 +32,7 @@ from ...proofs.exact.rational import (
     common_denominator,
     products,
     rational,
+    rational_rows,
     rounded_down,
     short,
 )
@@ -154,8 +155,13 @@ class QPInfeasibility:
         """Return whether the contradiction is more than rows of a solution may be off by, at any tolerance."""
         return self.margin > ROWS
 
+    @property
+    def doubt(self) -> str:
+        """Reason why a proof that excludes no solution makes the status PRECISION_LIMIT."""
+        return "the constraints are inconsistent, by a difference at rounding level relative to their coefficients"
+
     def __str__(self) -> str:
-        how = f"multipliers checked exactly{describe_radius(self.radius, 'x')}"
+        how = f"multipliers {_describe_check(self.radius, 'x')}"
         return f"infeasible: {len(self._found.y)} of its constraints are inconsistent, {self._named()} ({how})"
 
     def _named(self) -> str:
@@ -186,7 +192,8 @@ class QPUnboundedness:
     P direction, and the changes of constraints along direction, may be at rounding level instead of 0. The rounding
     bound of P is 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries, because a sum of stored numbers is 0 only to
     rounding. The proof then covers all x and multipliers of a size up to `radius`: no such pair is optimal. point may
-    then violate constraints at rounding level.
+    then violate constraints at rounding level. If the direction leaves a constraint beyond the radius, it shows how far
+    the objective falls, but not that the program is unbounded: it excludes no solution.
 
     Attributes
     ----------
@@ -308,7 +315,20 @@ class QPUnboundedness:
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x is optimal at this tolerance, or for an exact proof at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
-        return self.margin > least and self.violation <= ROWS
+        return not self.leaves_rows and self.margin > least and self.violation <= ROWS
+
+    @property
+    def leaves_rows(self) -> bool:
+        """True if the direction violates a constraint beyond the radius, because its change is not 0 there."""
+        return any(j >= self.program.n for j in self._found.left)
+
+    @property
+    def doubt(self) -> str:
+        """Reason why a proof that excludes no solution makes the status PRECISION_LIMIT; empty for other proofs."""
+        fall = f"the objective falls along a direction for {describe_radius(self.radius, 'x and multipliers')}"
+        return (
+            f"{fall}, beyond which the direction violates constraints" if self.leaves_rows else ""
+        )
 
     @cached_property
     def _is_rounding(self) -> bool:
@@ -319,12 +339,18 @@ class QPUnboundedness:
         return all(abs(float(value)) <= limit[j] for j, value in curved if j < limit.size)
 
     def __str__(self) -> str:
-        how = f"checked exactly{describe_radius(self.radius, 'x and multipliers')}"
+        how = _describe_check(self.radius, "x and multipliers")
         missed = f"point that misses constraints by {self.violation:.1e} of their terms, at most"
         along = f"a direction from a {missed if self.violation else 'feasible point'}"
         if self.is_free_motion:
             along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
         return f"unbounded below along {along} ({how})"
+
+
+def _describe_check(radius: float, what: str) -> str:
+    """Return the points for which a proof was checked, as text."""
+    points = describe_radius(radius, what)
+    return f"checked for {points}" if points else "checked exactly"
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
@@ -485,12 +511,26 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
         for point in reversed(points[0]):
             proof = QPUnboundedness(program, tuple(point), tuple(map(Fraction, d)))
             if proof.verify():
-                return proof
+                kept = _within_rows(proof) if proof.leaves_rows else None
+                return proof if kept is None else kept
         return None
 
     return _best_proof(
         stationarity(program, P[_independent_rows(P)]), None, proven, exactly=exactly
     )
+
+
+def _within_rows(proof: QPUnboundedness) -> QPUnboundedness | None:
+    """Return the proof along a nearby direction that changes no row which it changes by rounding; None for no proof."""
+    rows, near = proof.program.matrices.rows, numbers(proof.direction)
+    changes, terms = np.abs(rows @ near), abs(rows) @ np.abs(near)
+    held = np.flatnonzero((changes <= DATA_ROUNDING * terms) & (terms > 0.0))
+    free = (near != 0.0).tolist()
+    found = solved_nearby(
+        rational_rows(rows[held]), [ZERO] * held.size, list(proof.direction), free
+    )
+    kept = None if found is None else replace(proof, direction=tuple(found))
+    return kept if kept is not None and not kept.leaves_rows and kept.verify() else None
 
 
 def _best_proof(

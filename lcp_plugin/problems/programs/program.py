@@ -319,12 +319,6 @@ class ProgramFacts:
         found = self.proof_of_no_minimum
         return found if found is not None and found.excludes(tolerance) else None
 
-    @property
-    def contradicts_by_rounding(self) -> bool:
-        """True if a proof shows a contradiction below the tolerance, for example by −1e-17 instead of 0."""
-        proof = self.__dict__.get("_proof")
-        return isinstance(proof, QPInfeasibility) and not proof.excludes(PROGRAM_TOLERANCE)
-
     def proof_of_contradiction(self) -> QPInfeasibility | None:
         """Return a proof that the constraints of a program, convex or not, are inconsistent, or None."""
         found = proof_of_contradiction(self.program)

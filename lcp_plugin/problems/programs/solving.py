@@ -83,6 +83,8 @@ class QuadraticProgramResult(BaseResult):
         Same meaning as in :class:`lcp_plugin.Result`.
     contradiction : str
         Names of the inconsistent constraints of an infeasible cvxpy problem.
+    doubtful : QPInfeasibility or QPUnboundedness or None
+        Proof that holds only by rounding, or only within a radius, so that it excludes no solution.
     """
 
     status: Status
@@ -97,6 +99,7 @@ class QuadraticProgramResult(BaseResult):
     z: FloatVector | None = None
     begun: str = ""
     contradiction: str = ""
+    doubtful: QPInfeasibility | QPUnboundedness | None = None
 
     __setstate__ = restore_state
 
@@ -127,11 +130,9 @@ class QuadraticProgramResult(BaseResult):
     def advice(self) -> str:
         """Meaning of the status for this program, and after ``next:`` the next step for the user."""
         happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
+        if self.status is Status.PRECISION_LIMIT and self.doubtful is not None:
+            happened = self.doubtful.doubt
         words = [happened, *self._describe_scope("x")]
-        if self.status is Status.PRECISION_LIMIT and self.program.facts.contradicts_by_rounding:
-            words.append(
-                "the constraints contradict one another by what is rounding relative to their coefficients"
-            )
         if not self.has_no_solution and self.program.is_convex is False:
             words.append(
                 "P has a negative eigenvalue, which is taken for rounding"
@@ -266,6 +267,7 @@ class _ProgramRun:
         self.lcp_result: Result | None = None
         self.passing: FloatVector | None = None  # z of a run on the LCP whose x passes
         self.proof: QPInfeasibility | QPUnboundedness | None = None
+        self.doubtful: QPInfeasibility | QPUnboundedness | None = None  # excludes no solution
         self.stages, self.history = list[StageRecord](), tuple[Sample, ...]()
         self.is_interrupted, self.is_left = False, False
         self.says = EngineStatus.GAVE_UP
@@ -378,13 +380,21 @@ class _ProgramRun:
                 if passes
                 else run.says in NO_MINIMUM
             ):
-                self.proof = self.program.facts.accepted_proof(self.settings.tolerance)
+                self._search_proof()
             is_told = not is_proof_wanted and run.says in NO_MINIMUM and run.says is before
             if passes or self.proof is not None or is_told or self.is_interrupted or is_over():
                 return
             before = run.says
         if is_proof_wanted and not self._is_stopped and not is_over():
-            self.proof = self.program.facts.accepted_proof(self.settings.tolerance)
+            self._search_proof()
+
+    def _search_proof(self) -> None:
+        """Keep the proof that the program has no solution, or the one that shows this except for rounding."""
+        found = self.program.facts.proof_of_no_minimum
+        if found is not None and found.excludes(self.settings.tolerance):
+            self.proof = found
+        elif found is not None and found.doubt:
+            self.doubtful = found
 
     @property
     def _is_stopped(self) -> bool:
@@ -423,7 +433,7 @@ class _ProgramRun:
             return self.lcp_result.status
         if self.says is EngineStatus.STOPPED and "max_iterations" in self.wishes:
             return Status.MAX_ITERATIONS
-        is_near = self._is_nearly_optimal or self.program.facts.contradicts_by_rounding
+        is_near = self._is_nearly_optimal or self.doubtful is not None
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
 
     @property
@@ -438,8 +448,11 @@ class _ProgramRun:
         """Return the result."""
         program, status = self.program, self.status()
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
-        if self.best is None or is_rounding:
-            solution = QPSolution.from_reduced(program, *nearest(program))
+        if self.best is None or (is_rounding and self.doubtful is not None):
+            x, y = nearest(program)
+            if isinstance(self.doubtful, QPUnboundedness):
+                x = np.clip(numbers(self.doubtful.point), program.lower, program.upper)
+            solution = QPSolution.from_reduced(program, x, y)
             stage = StageRecord(name, "", 0, 0.0)
         else:
             solution, stage = self.best.solution, self.best.stage
@@ -464,6 +477,7 @@ class _ProgramRun:
             tuple(self.stages),
             self.history if self.settings.record else (),
             None if self.lcp_result is None else self.lcp_result.z,
+            doubtful=self.doubtful,
         )
 
 

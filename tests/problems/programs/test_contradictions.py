@@ -99,7 +99,7 @@ def test_rounding_in_the_place_of_0_is_named_at_once(P: np.ndarray, slope: float
     for row, limit in (([1.0, 1.0], -1e-17), ([1e-14, 1.0], -1e-14)):
         result = solve(QuadraticProgram(P, np.full(2, slope), [row], [limit], lower=0.0, upper=3.0))
         assert result.status is Status.PRECISION_LIMIT
-        assert "rounding relative to their coefficients" in result.explain()
+        assert "rounding level relative to their coefficients" in result.explain()
         np.testing.assert_array_equal(result.x, 0.0)
 
 
@@ -118,3 +118,42 @@ def test_nearly_parallel_rows_within_the_tolerance_are_met(tilt: float) -> None:
     result = solve(QuadraticProgram(np.eye(2), np.ones(2), rows, [1.0, -1.0 - 1e-9]))
     assert result.is_solved or result.status is Status.INFEASIBLE
     assert result.proof is not None or result.x == pytest.approx([0.5, 0.5], abs=1e-6)
+
+
+@pytest.mark.parametrize("k", [43, 44, 45, 47, 50])
+@pytest.mark.parametrize("is_inequality", [False, True])
+def test_a_direction_that_leaves_the_rows_is_no_recession_direction(
+    k: int, is_inequality: bool
+) -> None:
+    """Rows (1, 1) and (1, 1 + 2⁻ᵏ) meet in (−1, 2), the least x₁; along (−1, 1) the second one changes by 2⁻ᵏ."""
+    rows, right = (
+        np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-k]]),
+        np.array([1.0, 1.0 + 2.0 ** (1 - k)]),
+    )
+    signs = np.array([-1.0, 1.0])
+    limited = {"G": signs[:, None] * rows, "h": signs * right}
+    program = QuadraticProgram(
+        None, [1.0, 0.0], **(limited if is_inequality else {"A": rows, "b": right})
+    )
+    result = solve(program)
+    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
+    if result.is_solved:
+        assert result.x == pytest.approx([-1.0, 2.0])
+    limited_run = solve(program, "daqp")
+    assert limited_run.status in (Status.SOLVED, Status.PRECISION_LIMIT)
+    assert limited_run.is_solved or "up to" in limited_run.advice
+    assert certify(program, [-1.0, 2.0]).verdict == "proved"
+    assert certify(program, claim="unbounded").verdict == "disproved"
+
+
+def test_the_status_does_not_depend_on_an_earlier_call() -> None:
+    """X + y ≤ −1e-17 over x, y ≥ 0 without and with a search for a proof, in both orders."""
+
+    def program() -> QuadraticProgram:
+        return QuadraticProgram(None, [1.0, 1.0], G=[[1.0, 1.0]], h=[-1e-17], lower=0.0)
+
+    one, other = program(), program()
+    first = [solve(one, prove_infeasibility=sought).status for sought in (False, True, False)]
+    second = [solve(other, prove_infeasibility=sought).status for sought in (True, False, True)]
+    assert first == [Status.STALLED, Status.PRECISION_LIMIT, Status.STALLED]
+    assert second == [Status.PRECISION_LIMIT, Status.STALLED, Status.PRECISION_LIMIT]

@@ -71,7 +71,9 @@ def direct_methods(
     from .search.stages import ExhaustiveSearch, FeasibilityCheck
 
     check = Stage(FeasibilityCheck(), "is there a solution at all?")
-    lemke = Stage(Lemke(), "pivoting needs no property of M")
+    # For a convex program, a path from r > 0 ends in a solution if there is one: other starts do not help.
+    restarts = 0 if getattr(problem.origin, "is_of_convex_program", False) else None
+    lemke = Stage(Lemke(restarts=restarts), "pivoting needs no property of M")
     newton = Stage(Newton(), "guesses which unknowns are at a bound, solves for the others")
     interior = Stage(InteriorPoint(), "steps strictly between the bounds; M is or may be monotone")
     game = is_game(problem)

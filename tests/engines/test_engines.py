@@ -127,6 +127,34 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
         solve(program, piqp(), max_iter=3)
 
 
+@pytest.mark.parametrize("name", ["auto", *ENGINES])
+def test_more_steps_than_an_engine_can_count_are_no_error(name: str) -> None:
+    """The solution with max_iterations = 10¹⁰ is the same as without a limit."""
+    P = None if name == "highs" else np.eye(2)
+    program = QuadraticProgram(P, [1.0, 1.0], lower=-3.0)
+    found = solve(program, name, max_iterations=10**10)
+    assert found.is_solved
+    assert found.x == pytest.approx(solve(program, name).x)
+
+
+@pytest.mark.parametrize("options", [{}, {"max_iter": 50}, {"eps_abs": 1e-9}])
+def test_a_failure_of_an_engine_is_not_reported_as_an_option(
+    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If PIQP fails for this program, but not for another with the same options, its error is raised."""
+    piqp = engine_class("piqp")
+    answer = piqp.answer
+
+    def fails(self: Any, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        if program.c.size > 1:
+            raise RuntimeError("no memory for the factor")
+        return answer(self, program, limits)
+
+    monkeypatch.setattr(piqp, "answer", fails)
+    with pytest.raises(RuntimeError, match="no memory for the factor"):
+        solve(QuadraticProgram(np.eye(2), [1.0, 1.0], lower=0.0), "piqp", **options)
+
+
 def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     """For inconsistent rows daqp returns uninitialized memory, which is never used as a point."""
     program = QuadraticProgram(

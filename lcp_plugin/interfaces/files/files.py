@@ -33,6 +33,8 @@ DENSE = (
     "Aeq",
 )  # matrices; everything else in a .mat file is a vector
 MOST_ROWS = 10**8
+# Bytes, and times the compressed size: sparse arrays of a problem shrink about tenfold, a matrix of zeros 1000-fold.
+LARGE_UNPACKED, LARGE_RATIO = 2**30, 100
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
@@ -209,6 +211,15 @@ def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
     """Return the wanted arrays of the file; any fault of the file raises UnreadableFile."""
     with _archive(source) as archive:
+        parts = [
+            one for one in archive.zip.infolist() if one.filename.removesuffix(".npy") in wanted
+        ]
+        packed, size = sum(one.compress_size for one in parts), sum(one.file_size for one in parts)
+        if size > max(LARGE_UNPACKED, LARGE_RATIO * packed):
+            raise UnreadableFile(
+                f"cannot read {source}: its {packed} bytes unpack to {size}, almost all of them repetitions; save "
+                "a sparse matrix as the arrays data, indices, indptr and shape"
+            )
         return {key: archive[key] for key in archive.files if key in wanted}
 
 

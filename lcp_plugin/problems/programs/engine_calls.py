@@ -199,11 +199,20 @@ def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> En
     """Return the point of an engine."""
     try:
         return engine.answer(statement, SolverLimits(seconds_left(), is_verbose))
-    except Exception as error:  # an external solver may raise any error for an option
+    except Exception:  # an external solver may raise any error for an option
+        _check_options(engine)
+        raise
+
+
+def _check_options(engine: Engine) -> None:
+    """Raise InvalidOption if the engine does not solve a program of one unknown with its options."""
+    none = np.zeros((0, 1)), np.zeros(0)
+    one = ProgramData(np.zeros((1, 1)), np.ones(1), *none, *none, np.zeros(1), np.ones(1))
+    try:
+        engine.answer(one, SolverLimits())
+    except Exception as error:
         own = TOLERANCES.get(engine.name, ())
         asked = {name: value for name, value in engine.options.items() if name not in own}
-        if not (asked or engine.options):
-            raise
         given = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
         raise InvalidOption(
             f"{engine.name} does not take {given}: {_shorten_message(error)}"

@@ -231,11 +231,13 @@ class ProgramMatrices:
         m = self.sizes[0]
         if left.size == sum(self.sizes[:2]):
             return self
-        if left.tobytes() not in self._of_rows:
+        found = self._of_rows.get(key := left.tobytes())
+        if found is None:  # another thread may replace the entry at any time
             G, A = self.G[left[left < m]], self.A[left[left >= m] - m]
+            found = ProgramMatrices(self.P, G, A)
             self._of_rows.clear()
-            self._of_rows[left.tobytes()] = ProgramMatrices(self.P, G, A)
-        return self._of_rows[left.tobytes()]
+            self._of_rows[key] = found
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Drop the cache, because its values can be computed again."""

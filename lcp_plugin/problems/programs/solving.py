@@ -43,6 +43,7 @@ FEW = (
 OF_THE_LCP = (
     1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
 )
+MAX_STEPS = 2**31 - 1  # of an external solver, which counts in 32 bits
 SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
 
 ADVICE = {
@@ -290,7 +291,11 @@ class _ProgramRun:
 
     def engine_runs(self, engine: Engine | None) -> Iterator[EngineRun]:
         """Yield the runs of external solvers."""
-        most = self.wishes.get("max_iterations")
+        most = (
+            min(self.settings.max_iterations, MAX_STEPS)
+            if "max_iterations" in self.wishes
+            else None
+        )
         for asked, units in attempts(self.program, engine):
             steps = {} if most is None else {asked.steps: most}
             one = type(asked)(**{**asked.options, **steps})

@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, UnreadableFile
+from lcp_plugin.interfaces.files import files
 
 INF = math.inf
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 1 / 3]])
@@ -266,6 +267,21 @@ class Trap:
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, str]]:
         return open, (str(self.mark), "w")  # the file it opens is the mark
+
+
+def test_an_archive_that_unpacks_to_a_multiple_is_refused_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """8 MB of zeros from 8 kB, where 1 MB is much, are not unpacked; the same array without compression is read."""
+    monkeypatch.setattr(files, "LARGE_UNPACKED", 10**6)
+    M, q = np.zeros((1000, 1000)), np.zeros(1000)
+    np.savez_compressed(tmp_path / "packed.npz", M=M, q=q)
+    np.savez(tmp_path / "plain.npz", M=M, q=q)
+    with monkeypatch.context() as patch:
+        patch.setattr(np.lib.npyio.NpzFile, "__getitem__", lambda *_: pytest.fail("unpacked"))
+        with pytest.raises(UnreadableFile, match=r"unpack to 80\d{5}"):
+            LCP.load(tmp_path / "packed.npz")
+    assert LCP.load(tmp_path / "plain.npz").n == 1000
 
 
 @pytest.mark.parametrize("key", ["q", "data", "shape", "lower", "P_data", "unknown"])

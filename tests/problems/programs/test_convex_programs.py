@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from typing import Any
 
@@ -188,7 +191,7 @@ def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     result = solve(program)
     if not result.is_solved:
         assert result.status is Status.PRECISION_LIMIT
-        assert "contradict one another by what is rounding" in result.advice
+        assert "inconsistent, by a difference at rounding level" in result.advice
     assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
@@ -536,3 +539,35 @@ def test_conditions_written_by_hand_are_solved(rank: int, turned: float) -> None
     assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(
         answer.objective, rel=1e-8, abs=1e-8
     )
+
+
+# --- One program, many callers -----------------------------------------------------------------------------------
+
+
+def test_threads_that_share_the_matrices_of_a_program_get_its_solutions() -> None:
+    """Right-hand sides 9 and ∞ in turn change which rows remain, in four threads at once; x = min(1, h)."""
+    base = QuadraticProgram(np.eye(3), -np.ones(3), np.vstack([np.eye(3), np.ones(3)]), np.ones(4))
+    limits = [[np.inf, 0.5, 9.0, np.inf], [0.25, np.inf, 9.0, 9.0], [9.0, 9.0, np.inf, np.inf]]
+
+    def solved(k: int) -> Any:
+        h = np.array(limits[k % 3])
+        return np.abs(solve(base.with_vectors(h=h)).x - np.minimum(1.0, h[:3])).max()
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            assert max(pool.map(solved, range(120))) <= 1e-8
+    finally:
+        sys.setswitchinterval(before)
+
+
+def test_a_stiff_difference_of_two_unknowns_ends_soon() -> None:
+    """P = 2⁵⁰ ((1, −1), (−1, 1)) up to 10⁶: the gradient of one double next to another is 1e5, larger than c."""
+    P = 2.0**50 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    program = QuadraticProgram(P, [-1.0, 0.5], lower=0.0, upper=1e6)
+    solve(QuadraticProgram(np.eye(2), [-1.0, 0.5], lower=0.0, upper=1e6))
+    began = time.process_time()
+    result = solve(program)
+    assert time.process_time() - began < 1.0
+    assert not result.is_solved or result.objective == pytest.approx(-5e5)

@@ -16,8 +16,21 @@ from .core.problem_classes import class_of, refusal, with_article
 from .core.solving.result import Result
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .core.algorithm import Algorithm
+    from .core.options import (
+        ConeOptions,
+        EngineName,
+        EquilibriumOptions,
+        LCPOptions,
+        LeastSquaresOptions,
+        NonlinearOptions,
+    )
+    from .engines.engine import Engine
     from .problems.cones.data import ConeProblem
     from .problems.cones.frictional_contact import FrictionalContact
+    from .problems.cones.methods import ConeAlgorithm
     from .problems.cones.solving import ConeResult
     from .problems.equilibria.equilibrium_program import EquilibriumProgram
     from .problems.equilibria.result import EquilibriumResult
@@ -26,6 +39,8 @@ if TYPE_CHECKING:
     from .problems.nonlinear.data import NonlinearProblem
     from .problems.programs.program import QuadraticProgram
     from .problems.programs.solving import QuadraticProgramResult
+
+    Method = str | Algorithm
 
 # The function that solves each class of problem; the others need not be loaded.
 SOLVERS = {
@@ -40,27 +55,33 @@ SOLVERS = {
 
 
 @overload
-def solve(problem: LCP, algorithm: Any = "auto", **options: Any) -> Result: ...
-@overload
-def solve(problem: NonlinearProblem, algorithm: Any = "auto", **options: Any) -> Result: ...
+def solve(problem: LCP, algorithm: Method = "auto", **options: Unpack[LCPOptions]) -> Result: ...
 @overload
 def solve(
-    problem: QuadraticProgram, algorithm: Any = "auto", **options: Any
+    problem: NonlinearProblem, algorithm: Method = "auto", **options: Unpack[NonlinearOptions]
+) -> Result: ...
+@overload
+def solve(
+    problem: QuadraticProgram, algorithm: EngineName, **options: Any
 ) -> QuadraticProgramResult: ...
 @overload
 def solve(
-    problem: EquilibriumProgram, algorithm: Any = "auto", **options: Any
+    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[LCPOptions]
+) -> QuadraticProgramResult: ...
+@overload
+def solve(
+    problem: EquilibriumProgram, **options: Unpack[EquilibriumOptions]
 ) -> EquilibriumResult: ...
 @overload
 def solve(
-    problem: BoundedLeastSquares, algorithm: Any = "auto", **options: Any
+    problem: BoundedLeastSquares, **options: Unpack[LeastSquaresOptions]
 ) -> LeastSquaresResult: ...
 @overload
 def solve(
-    problem: ConeProblem | FrictionalContact, algorithm: Any = "auto", **options: Any
+    problem: ConeProblem | FrictionalContact,
+    algorithm: str | ConeAlgorithm = "auto",
+    **options: Unpack[ConeOptions],
 ) -> ConeResult: ...
-@overload
-def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any: ...
 def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     """Return the solution of a problem, with its residual measured on the problem's own data.
 

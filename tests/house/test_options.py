@@ -1,0 +1,63 @@
+"""The typed options of `solve` are those that the solvers take."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from inspect import signature
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from mypy import api as mypy
+
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.api import solver_of
+from lcp_plugin.core import options
+from lcp_plugin.core.settings import OF_SOLVE
+from lcp_plugin.engines import ENGINES
+
+CLASSES = {
+    "NonlinearProblem": options.NonlinearOptions,
+    "EquilibriumProgram": options.EquilibriumOptions,
+    "BoundedLeastSquares": options.LeastSquaresOptions,
+    "ConeProblem": options.ConeOptions,
+    "FrictionalContact": options.ConeOptions,
+}
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+def test_the_typed_options_of_a_class_are_those_of_its_solver(kind: str) -> None:
+    """Neither has an option that the other lacks; z0 is another name of x0."""
+    taken = set(signature(solver_of(kind)).parameters) - {"problem", "algorithm"}
+    assert set(CLASSES[kind].__annotations__) - {"z0"} == taken - {"z0"}
+
+
+def test_the_typed_options_of_an_lcp_are_those_of_a_run_and_of_the_algorithms() -> None:
+    """An option of a new algorithm is added to the table."""
+    of_algorithms = {field.name for name in REGISTRY for field in fields(algorithm_class(name))}
+    assert set(options.AlgorithmOptions.__annotations__) == of_algorithms
+    assert set(options.LCPOptions.__annotations__) == of_algorithms | set(OF_SOLVE)
+    assert set(get_args(options.EngineName)) == set(ENGINES)
+
+
+@pytest.mark.full
+def test_a_type_checker_finds_a_misspelled_option(tmp_path: Path) -> None:
+    """`tolerence=` is an error for each class, options of a named algorithm and of an engine are none."""
+    file = tmp_path / "call.py"
+    file.write_text(
+        "import numpy as np\n"
+        "from lcp_plugin import LCP, BoundedLeastSquares, QuadraticProgram, solve\n"
+        "p, P = LCP(np.eye(2), [1, 2]), QuadraticProgram(np.eye(2), [1, 2])\n"
+        "solve(p, 'npsor', relaxation=1.5, tolerance=1e-9)\n"
+        "solve(P, 'piqp', eps_abs=1e-9)\n"
+        "solve(p, tolerence=1e-9)\n"
+        "solve(P, tolerence=1e-9)\n"
+        "solve(BoundedLeastSquares(np.eye(2), [1, 2]), tolerence=1e-9)\n"
+    )
+    found, *_ = mypy.run(
+        [str(file), "--config-file=", "--no-error-summary", f"--cache-dir={tmp_path}"]
+    )
+    lines = {
+        line.split(":")[1] for line in found.splitlines() if "error" in line and "call.py" in line
+    }
+    assert lines == {"6", "7", "8"}

@@ -8,8 +8,8 @@ and so
 
     −qᵀy ≤ Σ_k (√(1 + μ_k²) d_k ‖y_k‖ + ‖(Mᵀy)_k‖) ‖R_k‖:
 
-no residual is smaller than the *margin*, −qᵀy divided by this sum, in the unit of z. Signs are verified in exact
-arithmetic.
+no residual is smaller than the *margin*, −qᵀy divided by this sum, in the unit of z. With friction ‖R_k‖ is the larger
+of both laws' residuals: u_N ≥ −d |R_N|, and (z_N, z_T − R_T) is in K. Signs are verified in exact arithmetic.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.settings import Status
+from .certificate import ConeRows
 from .data import Blocks
 from .programs import conic_rows, solve_conic
 from .stack import ConeStack, length
@@ -86,7 +87,9 @@ class ContactInfeasibility:
             pulled = problem.rows.csr.T @ self.y
             of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
             weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
-            shares = np.where(weights > 0.0, weights * stack.reference[0], 0.0)
+            rows = ConeRows(stack)
+            references = rows.of_blocks(np.broadcast_to(rows.reference, rows.q.shape))[0]
+            shares = np.where(weights > 0.0, weights * references, 0.0)
             return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
 
     def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:

@@ -22,7 +22,7 @@ from ...core.solving.result import Result, Sample, stage_lines
 from ...core.solving.run_log import RunLog, say
 from ...core.solving.stage import Stage
 from ..contact import ContactMotion, motion_of
-from .certificate import ConeCertificate, measure_points
+from .certificate import ConeCertificate, Measures
 from .data import Blocks
 from .frictional_contact import FrictionalContact
 from .infeasibility import ContactInfeasibility, infeasibility_proof
@@ -217,7 +217,7 @@ def solve_cone_stack(
                     break
             done = least <= goal
             best[done] = polish_points(here.take(done), best[done])[0]
-            found = measure_points(here, here.snap(best), tolerance)
+            found = Measures(here, here.snap(best), tolerance)
             worst = found.worst()
             is_better = found.is_solved | (worst < residual[left])
             z[left[is_better]], residual[left[is_better]] = found.z[is_better], worst[is_better]
@@ -358,7 +358,7 @@ class ConeRun:
             self.best, residual = polish_points(self.stack, self.best)
             self.residual = float(residual[0])
         z = self.stack.snap(self.best)
-        self.measures = measure_points(self.stack, z, self.tolerance, self.absolute)
+        self.measures = Measures(self.stack, z, self.tolerance, self.absolute)
 
     def _stages(self, chosen: str | ConeAlgorithm) -> Iterator[StagePlan]:
         """Yield the stages: the chosen method, or auto on the entire problem, then on each component."""
@@ -459,7 +459,7 @@ class ConeRun:
                 break
         self.status = max(statuses, key=WORST.index)
         z = pattern.wide(flat[None])
-        self.measures = measure_points(self.stack, z, self.tolerance, self.absolute)
+        self.measures = Measures(self.stack, z, self.tolerance, self.absolute)
         return True
 
 

@@ -1,0 +1,114 @@
+"""The stopping criterion over cones against constructed wrong points and all modes in fractions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from campaigns import cones as campaign
+
+from lcp_plugin import ConeProblem, FrictionalContact, Status, march, solve, solve_batch
+from lcp_plugin.problems.cones.certificate import Measures
+from lcp_plugin.problems.cones.stack import ConeStack
+
+LARGE = 2.0**46
+CHAIN = [[1, 0, 1, -1], [0, 1, 1, -1], [-1, -1, 0, 0], [1, 1, 0, 0]]
+LINK = np.eye(6)
+LINK[0, 3] = LINK[3, 0] = 2.0**-40
+PLANE = np.array([0, 1, 3, 4])
+SPACE = [-1, 1e7, 0, -1e9, 0, 0]
+AHEAD, TURNED = [0, 0, 0, 1e9, 0, 0], [0.9990905, 0.0, -0.49954525, 1e9, 0, 0]
+OBLIQUE = [-1, 3, 4, 1, 0, 1e9]  # of a second-order cone whose slack is large
+
+
+def boxes(M: Any, q: Any, lower: Any) -> ConeProblem:
+    return ConeProblem(np.array(M, float), q, [("box", lower, np.inf)])
+
+
+def slides(W: Any, b: Any, dimension: int) -> FrictionalContact:
+    return FrictionalContact(W, b, 0.5, dimension=dimension)
+
+
+RIGHT_2D = [1.0 - 1e9 * 2.0**-40, -0.5 + 0.5e9 * 2.0**-40, 1e9, 0]
+CONSTRUCTED: dict[str, tuple[Any, Any, Any]] = {  # problem, a wrong point, the right one or None
+    "a bound next to a large row": (
+        boxes([[1, 1, 0], [0, 1, -2], [0, 0, 1]], [-LARGE, 0, 0], [0, 0, 1]),
+        [LARGE - 10, 10, 1],
+        [LARGE - 2, 2, 1],
+    ),
+    "a chain to a row with q": (
+        boxes(CHAIN, [-1e19, 2, -2, 0], [-1e10, -1, 0, 0]),
+        [-1, -1, 1e19, 0],
+        None,
+    ),
+    "closing next to a fast slide": (
+        slides(LINK[np.ix_(PLANE, PLANE)], [-1, 1e7, -1e9, 0], 2),
+        [0, 0, 1e9, 0],
+        RIGHT_2D,
+    ),
+    "closing slowly next to a slide": (
+        slides(LINK[np.ix_(PLANE, PLANE)], [-0.01, 1e5, -1e9, 0], 2),
+        [0, 0, 1e9, 0],
+        [0.01 - 1e9 * 2.0**-40, -0.005 + 0.5e9 * 2.0**-40, 1e9, 0],
+    ),
+    "closing in space": (slides(LINK, SPACE, 3), AHEAD, [*RIGHT_2D[:2], 0, 1e9, 0, 0]),
+    "friction across a fast slide": (
+        slides(LINK, SPACE, 3),
+        TURNED,
+        [*RIGHT_2D[:2], 0, 1e9, 0, 0],
+    ),
+    "an edge across a large slack": (
+        ConeProblem(np.eye(3), [1e9 - 1, -0.6e9 - 0.6, -0.8e9 - 0.8], [("second_order", 3)]),
+        [1, 0.8, 0.6],
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONSTRUCTED)
+def test_a_constructed_wrong_point_is_never_solved(name: str) -> None:
+    """From the wrong point and from none, solve, march and solve_batch are right or not SOLVED."""
+    problem, wrong, right = CONSTRUCTED[name]
+    wrong = np.array(wrong, float)
+    step = march(problem, [problem.q], propagator=0.0, z0=wrong)
+    batch = solve_batch([problem, problem], z0=[wrong, wrong])
+    several = solve_batch([problem, problem])
+    results = [solve(problem), solve(problem, z0=wrong), step[0], *batch, *several]
+    tables = [(step.z[0], step.status[0]), *zip(batch.z, batch.status, strict=True)]
+    points = [(one.z, one.status) for one in results]
+    for z, status in [*tables, *points, *zip(several.z, several.status, strict=True)]:
+        assert right is not None or status is not Status.SOLVED
+        if status is Status.SOLVED:
+            np.testing.assert_allclose(z, right, rtol=1e-6, atol=1e-6)
+    assert solve(problem).is_solved is (right is not None)
+    stack = ConeStack.of(problem)
+    measured = Measures(stack, stack.pattern.wide(wrong[None]), 1e-8)
+    is_moved = right is not None and np.allclose(measured.z.ravel(), right)
+    assert is_moved or not measured.is_solved[0]
+
+
+def test_no_small_problem_is_solved_falsely(draws: Any) -> None:
+    """Every SOLVED point of a small problem, from right, wrong and no starts, is a solution in fractions."""
+    for seed in draws(200):
+        found = campaign.check(seed, max_seconds=1.0, prove_infeasibility=False)
+        assert not any(verdict.endswith("false") for verdict in found), (seed, found)
+
+
+def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
+    """A solution in fractions passes when it is rounded, and so do its neighbors with other last bits."""
+    rng, count = np.random.default_rng(0), 0
+    for seed in draws(200):
+        _, problem, run, kept = campaign.drawn(seed)
+        stack = ConeStack.of(run)
+        for right in campaign.solutions(problem)[0]:
+            z = np.zeros(run.n)
+            z[kept] = [float(x) for x in right]
+            for k in range(3):
+                moved = z * (1.0 + rng.integers(-1, 2, z.size) * (k > 0) * 2.0**-52)
+                with np.errstate(all="ignore"):
+                    at = stack.snap(stack.pattern.wide(moved[None]))
+                measured = Measures(stack, at, 1e-8)
+                assert measured.is_solved[0] or measured.are_limited()[0], (seed, moved)
+                count += 1
+    assert count > 10

@@ -23,6 +23,7 @@ from .evidence.study import error_against_time as error_against_time
 from .evidence.study import study as study
 from .interfaces.program_files import load_problem as load_problem
 from .methods.search import all_solutions as all_solutions
+from .modeling.agents import optimal as optimal
 from .modeling.constraint import box as box
 from .modeling.constraint import complements as complements
 from .modeling.constraint import friction_cone as friction_cone

@@ -292,11 +292,11 @@ class Statement:
         )
 
     def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:
-        """Return the bounds of all unknowns; raise UnsupportedModel if a pair conflicts."""
+        """Return the bounds of all unknowns; raise UnsupportedModel if a pair has wider ones than its unknown."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for pair in self.pairs:
-            for own, stated in ((lower, pair.low), (upper, pair.high)):
-                others = np.flatnonzero(np.isfinite(own[pair.z]) & (own[pair.z] != stated))
+            for own, stated, sign in ((lower, pair.low, 1.0), (upper, pair.high, -1.0)):
+                others = np.flatnonzero(sign * own[pair.z] > sign * stated)
                 if others.size:
                     raise UnsupportedModel(
                         f"{self.name_of(int(pair.z[others[0]]))} is declared with other bounds than its pair states; "
@@ -329,7 +329,7 @@ class Statement:
         """Return the program: minimize sign · goal."""
         seconds = [self._value_of(pair) for pair in self.pairs]
         n, goal = self.lower.size, goal.scaled(sign)
-        quadratic, smooth = self._quadratic(goal), None
+        quadratic, smooth = self.quadratic(goal), None
         linear = [one for one in self.rows if not one.rows.level]
         bent = [one for one in self.rows if one.rows.level]
         if bent or quadratic is None:
@@ -361,7 +361,7 @@ class Statement:
             return self.named(pair.rows, pair.origin, pair.sign)
         return found[0]
 
-    def _quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
+    def quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
         """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None if it is something else."""
         n, goal = self.lower.size, self._without_copies(goal)
         c, shift = np.zeros(n), float(goal.offset[0])

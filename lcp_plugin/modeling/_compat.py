@@ -24,6 +24,7 @@ from cvxpy.atoms.affine.vstack import Vstack
 from cvxpy.atoms.affine.wraps import Wrap
 from cvxpy.atoms.pnorm import Pnorm
 from cvxpy.error import SolverError
+from cvxpy.reductions.eliminate_pwl.canonicalizers import CANON_METHODS
 from numpy.typing import NDArray
 
 from ..core.errors import UnsupportedModel
@@ -56,6 +57,8 @@ NONSMOOTH = (
     *(cp.abs, cp.maximum, cp.minimum, cp.huber, cp.max, cp.min, cp.norm1, cp.norm_inf),
     *(Pnorm, cp.sum_largest),
 )
+#: Atoms with a graph of inequalities, and the functions of (atom, arguments) that return value and inequalities.
+KINKS = {kind: graph for kind, graph in CANON_METHODS.items() if kind is not cp.cumsum}
 
 
 def postorder(root: Any, stop: Container[int]) -> list[Any]:

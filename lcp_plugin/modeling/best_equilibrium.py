@@ -5,6 +5,7 @@ The objective and the rows are smooth, of any curvature; an absolute value becom
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import cvxpy as cp
@@ -20,23 +21,31 @@ from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ._compat import CVXPY_STATUS, dense, statistics
 from .constraint import Complements, complements
 from .model import Model
+from .reading import rewritten
 from .stated_terms import expression_of, sense_of
 
 
-def stated_program(problem: Any) -> tuple[EquilibriumProgram, Model]:
+def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:
     """Return the equilibrium program of a cvxpy problem, and the map back to its variables.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+    constraints : list
+        Its constraints, the conditions of agents in place of agents.
 
     Raises
     ------
     UnsupportedModel
         Names a term that is not smooth.
     """
-    pairs = [one for one in problem.constraints if isinstance(one, Complements)]
-    others = [one for one in problem.constraints if not isinstance(one, Complements)]
+    pairs = [one for one in constraints if isinstance(one, Complements)]
+    others = [one for one in constraints if not isinstance(one, Complements)]
     kinks: list[Complements] = []
-    goal = _without_abs(problem.objective.args[0], kinks)
-    rows = [_without_abs(expression_of(one), kinks) for one in others]
-    model = Model([problem, *kinks], takes_integers=True)
+    smooth = partial(rewritten, change=partial(_kink, kinks=kinks))
+    goal = smooth(problem.objective.args[0])
+    rows = [smooth(expression_of(one)) for one in others]
+    model = Model([problem.objective, *constraints, *kinks], takes_integers=True)
     statement = model.statement
     whole = [np.zeros(0, dtype=np.int64)]
     for one in model.variables:
@@ -68,26 +77,27 @@ def _chosen(variable: Any, chosen: Any) -> Indices:
     return np.asarray(found, dtype=np.int64)
 
 
-def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
-    """Return the expression with x + 2 s for |x|; 0 ≤ s ⟂ x + s ≥ 0 is added to the pairs."""
-    arguments = [_without_abs(one, kinks) for one in expression.args]
-    if isinstance(expression, cp.abs) and not expression.is_constant():
-        x, s = arguments[0], cp.Variable(expression.shape)
-        s.value = None if x.value is None else np.maximum(-dense(x.value), 0.0)
-        kinks.append(complements(s >= 0, x + s >= 0))
-        return x + 2 * s
-    is_same = all(one is own for one, own in zip(arguments, expression.args, strict=True))
-    return expression if is_same else expression.copy(arguments)
+def _kink(node: Any, kinks: list[Complements]) -> Any:
+    """Return x + 2 s instead of |x|, and every other node unchanged; 0 ≤ s ⟂ x + s ≥ 0 is added to the pairs."""
+    if not isinstance(node, cp.abs) or node.is_constant():
+        return node
+    x, s = node.args[0], cp.Variable(node.shape)
+    s.value = None if x.value is None else np.maximum(-dense(x.value), 0.0)
+    kinks.append(complements(s >= 0, x + s >= 0))
+    return x + 2 * s
 
 
-def solve_for_the_best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
-    """Solve a cvxpy problem with an objective and complementarities; return its value."""
+def solve_for_the_best(
+    problem: Any, stated: tuple[list[Any], list[Any]], warm_start: bool, options: dict[str, Any]
+) -> Any:
+    """Solve a cvxpy problem, given its constraints without agents and its agents; return its value."""
     for name in options:
         if name not in OPTIONS:
             raise UnsupportedModel(
                 f"the search for the best of all solutions has no option {name!r}; it has {', '.join(OPTIONS)}"
             )
-    program, model = stated_program(problem)
+    program, model = stated_program(problem, stated[0])
+    model.agents = stated[1]
     if warm_start and "x0" not in options:
         start = model.present()
         is_start = start is not None and np.isfinite(start).all()

@@ -11,6 +11,7 @@ from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
+from ..core.checks import replace_huge_bounds_by_inf
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import attribute_bounds, bound_value
@@ -60,15 +61,15 @@ class Side:
 
     def bounds(self) -> tuple[Any, Any]:
         """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
-        shape = self.expression.shape
+        shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
         if self.kind == "box":
-            lower, upper = bound_value(self.lower, self), bound_value(self.upper, self)
+            lower, upper = replace_huge_bounds_by_inf(
+                bound_value(self.lower, self), bound_value(self.upper, self)
+            )
         elif self.kind == "nonnegative":
-            lower, upper = 0.0, np.inf
+            lower = 0.0
         elif isinstance(self.expression, cp.Variable):
             lower, upper = attribute_bounds(self.expression)
-        else:
-            lower, upper = -np.inf, np.inf
         for bound in (lower, upper):
             if np.shape(bound) not in ((), shape):
                 raise UnsupportedModel(
@@ -259,7 +260,51 @@ def _kind(values: Any) -> str:
         return "O"
 
 
-class Complements(Constraint):  # type: ignore[misc]
+class Condition(Constraint):  # type: ignore[misc]
+    """A constraint that only method="LCP" solves: complementarity, or the optimality of an agent's program."""
+
+    def name(self) -> str:
+        """Return the constraint as text, with the call that solves it: cvxpy prints this when it rejects the model."""
+        return f"{self!r}  [{REMEDY}]"
+
+    def is_dcp(self, dpp: bool = False) -> bool:
+        """Return False: complementarity is not convex."""
+        return False
+
+    is_dgp = is_dqcp = is_dnlp = is_dcp
+
+    def violation(self) -> float:
+        """Return the largest natural residual.
+
+        Raises
+        ------
+        ValueError
+            If a variable has no value yet.
+        """
+        residual = self.residual
+        if residual is None:
+            raise ValueError(
+                "cannot measure a complementarity whose variables have no values; solve the problem first"
+            )
+        return float(np.max(residual, initial=0.0))
+
+    def value(self, tolerance: float = 1e-8) -> bool:
+        """Return whether the largest natural residual is at most the tolerance."""
+        return self.violation() <= tolerance
+
+    def copy(self, args: Any = None, id_objects: Any = None) -> Condition:
+        """Return a copy with the same parts; raise UnsupportedModel for other arguments."""
+        if args is not None and any(
+            mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
+        ):
+            raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
+        twin = type(self).__new__(type(self))
+        twin.__dict__.update(self.__dict__)
+        twin._construct_dual_variables(self.args)
+        return twin
+
+
+class Complements(Condition):
     """Two sides that complement each other; see :func:`complements`.
 
     ``dual_value`` is the value of the side that is not a variable (w); of two expressions, the value of the second.
@@ -281,18 +326,8 @@ class Complements(Constraint):  # type: ignore[misc]
     def _construct_dual_variables(self, args: Any) -> None:
         self.dual_variables = [cp.Variable(args[1].shape)]
 
-    def name(self) -> str:
-        """Return the constraint as text, with the call that solves it: cvxpy prints this when it rejects the model."""
-        return f"complements({self.first}, {self.second})  [{REMEDY}]"
-
     def __repr__(self) -> str:
         return f"complements({self.first}, {self.second})"
-
-    def is_dcp(self, dpp: bool = False) -> bool:
-        """Return False: complementarity is not convex."""
-        return False
-
-    is_dgp = is_dqcp = is_dnlp = is_dcp
 
     def parameters(self) -> list[Any]:
         """Return the parameters of both sides, including parameters in the bounds of a box."""
@@ -308,30 +343,3 @@ class Complements(Constraint):  # type: ignore[misc]
         """The natural residual of each row, in the shape of a side; None without values."""
         residual = pair_residual(self)
         return None if residual is None else residual.reshape(self.shape, order="F")
-
-    def violation(self) -> float:
-        """Return the largest natural residual.
-
-        Raises
-        ------
-        ValueError
-            If a variable has no value yet.
-        """
-        residual = self.residual
-        if residual is None:
-            raise ValueError(
-                "cannot measure a complementarity whose variables have no values; solve the problem first"
-            )
-        return float(np.max(residual, initial=0.0))
-
-    def value(self, tolerance: float = 1e-8) -> bool:
-        """Return whether the largest natural residual is at most the tolerance."""
-        return self.violation() <= tolerance
-
-    def copy(self, args: Any = None, id_objects: Any = None) -> Complements:
-        """Return a copy with the same sides; raise UnsupportedModel for other arguments."""
-        if args is not None and any(
-            mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
-        ):
-            raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
-        return Complements(self.first, self.second, self.id)

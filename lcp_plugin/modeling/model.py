@@ -82,6 +82,8 @@ class Model:
     spans : dict
         From the id of a variable to the slice of its unknowns.
     reports : list of DualReport
+    agents : list of Optimal
+        Agents whose conditions are among the constraints.
     bounds : list of tuple
         Bounds of unknowns: columns, weights, the expression that is weights · unknowns + constants or None, and the
         bounds as expressions. A later entry overrides an earlier one.
@@ -116,6 +118,7 @@ class Model:
         self.statement = Statement(self.reader.compiler, first, lower, upper, name)
         self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
+        self.agents: list[Any] = []
         self.cones: list[ConePair] = []
         self.friction: list[tuple[Any, int]] = []
         self._equations: list[Any] = []
@@ -146,7 +149,7 @@ class Model:
             for remark in self._pair(pair, *self.sides(pair))
         ]
         for remark in remarks:
-            warnings.warn(remark, ModelWarning, stacklevel=_level_of_caller())
+            warnings.warn(remark, ModelWarning, stacklevel=level_of_caller())
 
     def sides(self, pair: Complements) -> list[Side]:
         """Return the sides of a pair, first its variable: the side with bounds, of two the one that is unknowns."""
@@ -412,6 +415,8 @@ class Model:
                 entries = (found[1] if report.is_slack else found[0])[report.columns]
                 dual = report.scale * entries + report.shift
                 report.constraint.save_dual_value(dual.reshape(report.shape, order="F"))
+        for agent in self.agents:
+            agent.save_duals()
         problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
     def consistency_error(self, z: FloatVector, w: FloatVector) -> str | None:
@@ -522,7 +527,7 @@ def pair_residual(pair: Complements) -> FloatVector | None:
     return residual
 
 
-def _level_of_caller() -> int:
+def level_of_caller() -> int:
     """Return the stacklevel of the user's call of this package, or of cvxpy."""
     own = {__package__.partition(".")[0], cp.__name__}
     frame, level = inspect.currentframe(), 0

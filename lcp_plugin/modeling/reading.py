@@ -73,6 +73,16 @@ def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int,
     return results[id(root)]
 
 
+def rewritten(root: Any, change: Callable[[Any], Any]) -> Any:
+    """Return an expression with change(node) for each node, arguments first; nodes without changes stay."""
+
+    def rule(node: Any, arguments: list[Any]) -> Any:
+        is_same = all(one is own for one, own in zip(arguments, node.args, strict=True))
+        return change(node if is_same else node.copy(arguments))
+
+    return folded(root, rule, {})
+
+
 class Reader:
     """Reader of the expressions of one model into one compiler.
 
@@ -110,6 +120,11 @@ class Reader:
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
         self._taken: set[int] = set()  # constants that were checked
 
+    def hold(self, node: Any, key: int) -> None:
+        """Let a node be a source of its own, below which nothing is read."""
+        self._kept.append(node)
+        self._known[id(node)] = Rows({key: 1.0}, np.zeros(node.size), node.shape)
+
     def rows(self, expression: Any) -> Rows:
         """Return the rows of an expression: Σ blocks[variable.id] · variable + offset, and results of functions.
 
@@ -145,7 +160,7 @@ class Reader:
     def _result(self, node: Any, arguments: list[Any]) -> Any:
         key, rule = id(node), affine_rule(type(node))  # type: ignore[arg-type]
         below = list(map(id, node.args))
-        hidden = _hidden_parameters(node) if node.args and rule is None else []
+        hidden = hidden_parameters(node) if node.args and rule is None else []
         if hidden and self._held is not None:
             raise UnsupportedModel(
                 f"{name_of(node)} holds the parameter {hidden[0].name()} where no derivative reaches it; write it with "
@@ -233,7 +248,7 @@ class Reader:
             )
 
 
-def _hidden_parameters(node: Any) -> list[Any]:
+def hidden_parameters(node: Any) -> list[Any]:
     """Return the parameters that an atom holds but has not among its arguments."""
     data = (node.get_data() or []) if node.args else []
     return [

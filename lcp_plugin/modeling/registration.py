@@ -21,7 +21,8 @@ from ._compat import (
     name_of,
     solver_errors,
 )
-from .constraint import Complements, box, complements
+from .agent_checks import refuse_undecided, without_agents
+from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints
 from .stated_terms import refusal
@@ -52,7 +53,7 @@ def is_complementarity_problem(problem: Any) -> bool:
     False
     """
     return isinstance(problem, cp.Problem) and any(
-        isinstance(c, Complements) for c in problem.constraints
+        isinstance(c, Condition) for c in problem.constraints
     )
 
 
@@ -64,6 +65,8 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
     UnsupportedModel
         The message names the unsuitable constraint or variable, and the remedy.
     """
+    constraints, agents = without_agents(constraints)
+    refuse_undecided(agents, constraints)
     equations = [one for one in constraints if isinstance(one, (Equality, Zero))]
     pairs = [one for one in constraints if isinstance(one, Complements)]
     for one in constraints:
@@ -73,6 +76,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
                 f"complements({one}, F >= 0)"
             )
     model = Model(constraints, memo)
+    model.agents = agents
     if equations:
         model.add_equations(equations)
     model.add_pairs(pairs)
@@ -213,7 +217,7 @@ def _any(problem: Any, refusal: NotSquare, warm_start: bool, options: dict[str, 
     if _has_cones(problem):
         raise refusal
     try:
-        return solve_for_the_best(problem, warm_start, options)
+        return solve_for_the_best(problem, without_agents(problem.constraints), warm_start, options)
     except UnsupportedModel as error:
         raise refusal from error
 
@@ -231,7 +235,7 @@ def _best(problem: Any, algorithm: Any, warm_start: bool, options: dict[str, Any
         raise UnsupportedModel(
             f"algorithm={algorithm!r} cannot be combined with an objective and complementarity; leave it out"
         )
-    return solve_for_the_best(problem, warm_start, options)
+    return solve_for_the_best(problem, without_agents(problem.constraints), warm_start, options)
 
 
 def _has_cones(problem: Any) -> bool:

@@ -279,7 +279,7 @@ def pair_of(x: Any) -> Any:
 
 
 def with_other_bounds(y: Any) -> Any:
-    return complements(y >= 1, 2 * y + cp.sum(y) - 9 >= 0)
+    return complements(y >= -1, 2 * y + cp.sum(y) - 9 >= 0)
 
 
 REFUSED: dict[str, tuple[Any, str]] = {

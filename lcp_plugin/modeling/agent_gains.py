@@ -1,0 +1,76 @@
+"""The gain that an agent of an equilibrium could make by a change of its own decisions only."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from cvxpy.error import SolverError
+
+from ..core.errors import ModelWarning
+from ..core.settings import Status
+from ..problems.equilibria.branch_and_bound import minimize_over_solutions
+from ..problems.programs.solving import solve_program
+from ._compat import attribute_bounds
+from .agent_conditions import with_data
+from .best_equilibrium import stated_program
+from .model import level_of_caller
+from .reading import rewritten
+from .stated_terms import dense_value, sense_of
+
+
+def possible_gain(agent: Any) -> float | None:
+    """Return the gain that an agent could make, or its largest violation; see :meth:`Optimal.gap`.
+
+    A constraint that the present point violates may be violated by the same amount.
+    """
+    smooth, sense = agent.smooth, sense_of(agent.program)
+    change = with_data(smooth.entries, lambda variable: cp.Constant(variable.value))
+    held, violation = [], 0.0
+    for one in smooth.rows:
+        row, value = rewritten(one.expression, change), dense_value(one.expression.value)
+        excess = value if one.is_equation else np.maximum(value, 0.0)
+        held.append(row == excess if one.is_equation else row <= excess)
+        violation = max(violation, float(np.abs(excess).max(initial=0.0)))
+    for variable, _ in agent.entries:
+        lower, upper = attribute_bounds(variable)
+        excess = np.maximum(lower - variable.value, variable.value - upper)
+        violation = max(violation, float(excess.max(initial=0.0)))
+    goal = cp.Minimize(sense * rewritten(smooth.goal, change))
+    best, reason = _best_value(cp.Problem(goal, held))
+    if np.isnan(best):
+        warnings.warn(
+            f"the best value of {agent!r} is unknown: {reason}",
+            ModelWarning,
+            stacklevel=level_of_caller(),
+        )
+        return None
+    return max(sense * float(dense_value(agent.program.objective.value)) - best, violation)
+
+
+def _best_value(problem: Any) -> tuple[float, str]:
+    """Return the minimum of a program without kinks, or NaN and the reason.
+
+    A QuadraticProgram is solved here, another program by cvxpy's rules of convexity by cvxpy's solver, and the rest by
+    SCIP.
+    """
+    program, _ = stated_program(problem, problem.constraints)
+    is_quadratic = program.smooth is None and program.program.matrices.is_nearly_semidefinite
+    if problem.is_dcp() and not is_quadratic:
+        before = [(one, one.value) for one in problem.variables()]
+        try:
+            with warnings.catch_warnings(action="ignore"):  # on approximations that cvxpy chooses
+                problem.solve()
+            return float(problem.value if problem.value is not None else np.nan), problem.status
+        except SolverError as error:
+            return np.nan, str(error)
+        finally:
+            for variable, value in before:
+                variable.save_value(value)
+    run: Any = solve_program if is_quadratic else minimize_over_solutions
+    result = run(program.program if is_quadratic else program)
+    if not result.is_solved:
+        return (-np.inf if result.status is Status.UNBOUNDED else np.nan), result.advice
+    return (result.objective + program.offset if is_quadratic else result.value), ""

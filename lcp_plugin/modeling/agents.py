@@ -1,0 +1,194 @@
+"""optimal(program, over=…): the optimality conditions of an agent's program, as a constraint that cvxpy accepts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from functools import cached_property
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from ..core.errors import InvalidOption, UnsupportedModel
+from ..expressions.rows import Indices, as_matrix, is_definition
+from ._compat import (
+    name_of,
+)
+from .agent_conditions import AgentProgram, Conditions
+from .constraint import Condition
+from .reading import INTEGERS, Reader
+from .stated_terms import EQUATIONS, INEQUALITIES, expression_of
+
+
+def optimal(
+    program: Any, over: Any, *, shared: Iterable[Any] = (), check: str = "convex"
+) -> Optimal:
+    """Return the constraint that variables solve a program, given all other variables.
+
+    Parameters
+    ----------
+    program : cvxpy.Problem
+        The program of one agent, with affine equations and convex inequalities.
+    over : list of cvxpy.Variable, or of entries of variables
+        The agent's decisions, for example ``[x]`` or ``[x[0]]``. Other variables of the program are data of it.
+    shared : iterable of cvxpy constraints
+        Constraints of the program that other agents list also: all of them use one multiplier.
+    check : str
+        If "convex", a program that is not known to be convex in the agent's decisions causes a ModelWarning. With
+        "local" the conditions are accepted as necessary conditions.
+
+    Returns
+    -------
+    Optimal
+        For ``cp.Problem(…, [...]).solve(method="LCP")``, next to pairs, equations and other agents.
+
+    Raises
+    ------
+    InvalidOption
+        If `check` is another value.
+    UnsupportedModel
+        If the program has an integer decision or a constraint other than equations and inequalities, or `over` is not
+        a list of entries of its variables.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    >>> price = 10 - x - y
+    >>> first = cp.Problem(cp.Maximize(cp.multiply(price - 1, x)), [x <= 2])
+    >>> second = cp.Problem(cp.Maximize(cp.multiply(price - 1, y)))
+    >>> best = optimal(first, over=[x])
+    >>> _ = cp.Problem(cp.Minimize(0), [best, optimal(second, over=[y])]).solve(method="LCP")
+    >>> x.value.round(6), y.value.round(6), best.dual_value[0].round(6), best.gap() <= 1e-6
+    (array(2.), array(3.5), array(1.5), True)
+    """
+    if not isinstance(program, cp.Problem):
+        raise UnsupportedModel(
+            f"optimal needs the agent's program as a cvxpy problem, got {type(program).__name__}; write "
+            "cp.Problem(cp.Maximize(…), […])"
+        )
+    if check not in ("convex", "local"):
+        raise InvalidOption(f'check must be "convex" or "local", got {check!r}')
+    for one in program.constraints:
+        if not isinstance(one, (*EQUATIONS, *INEQUALITIES)):
+            raise UnsupportedModel(
+                f"the constraint {name_of(one)} of an agent's program is neither an equation nor an inequality; write "
+                "a second-order cone as cp.sum_squares(x) <= t**2 with a constant t, and conditions of other agents "
+                "outside of the program"
+            )
+    decisions = [over] if isinstance(over, cp.Expression) else list(over)
+    if not decisions or not all(isinstance(one, cp.Expression) for one in decisions):
+        raise UnsupportedModel(f"over must be a list of variables of the program, got {over!r}")
+    known = {one.id for one in program.variables()}
+    for variable in (variable for one in decisions for variable in one.variables()):
+        if variable.id not in known:
+            raise UnsupportedModel(
+                f"over has {variable.name()}, which does not occur in the program; list decisions of this agent"
+            )
+        for attribute in INTEGERS:
+            if np.any(variable.attributes[attribute]):
+                raise UnsupportedModel(
+                    f"over has {variable.name()}, which is {attribute}: the optimum over integers has no optimality "
+                    "conditions; relax it, or let the outer problem decide it"
+                )
+    strange = [one for one in shared if all(one is not own for own in program.constraints)]
+    if strange:
+        raise UnsupportedModel(
+            f"shared has {name_of(strange[0])}, which is not a constraint of the program; list the same object in both"
+        )
+    return Optimal(program, tuple(decisions), frozenset(one.id for one in shared), check)
+
+
+def entries_of(expression: Any) -> tuple[Any, Indices]:
+    """Return the variable and the entries that a decision consists of; raise if it is something else."""
+    reader = Reader(takes_integers=True)
+    rows, variables = reader.rows(expression), expression.variables()
+    if len(variables) == 1 and not rows.level and not rows.offset.any():
+        block = as_matrix(rows.blocks[variables[0].id], rows.size)
+        if is_definition(block) and (block.data == 1.0).all():
+            return variables[0], block.indices.astype(np.int64)
+    raise UnsupportedModel(
+        f"over has {name_of(expression)}, which is neither a variable nor entries of one; list variables, or x[i]"
+    )
+
+
+class Optimal(Condition):
+    """The condition that decisions solve an agent's program, given all other variables; see :func:`optimal`.
+
+    Parameters
+    ----------
+    program : cvxpy.Problem
+    decisions : sequence of cvxpy.Variable, or of entries of variables
+    shared : collection of int
+        Ids of the constraints whose multiplier is common to all agents that share them.
+    check : str
+        "convex" or "local".
+    """
+
+    def __init__(
+        self, program: Any, decisions: Sequence[Any], shared: Collection[int], check: str
+    ) -> None:
+        self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
+        self.entries, self.is_checked = [entries_of(one) for one in decisions], False
+        stated = [
+            program.objective.args[0],
+            *(one for row in program.constraints for one in row.args),
+        ]
+        super().__init__([*stated, *decisions])
+
+    def _construct_dual_variables(self, args: Any) -> None:
+        self.dual_variables = [
+            cp.Variable(expression_of(one).shape) for one in self.program.constraints
+        ]
+
+    def __repr__(self) -> str:
+        return f"optimal({name_of(self.program.objective)}, over=[{', '.join(map(str, self.decisions))}])"
+
+    def variables(self) -> list[Any]:
+        """Return the variables of the program, the multipliers and the variables of epigraphs."""
+        conditions = [one for pair in self.conditions.pairs for one in pair.variables()]
+        return list({one.id: one for one in (*super().variables(), *conditions)}.values())
+
+    @cached_property
+    def smooth(self) -> AgentProgram:
+        """The program with epigraphs instead of kinks."""
+        return AgentProgram(self)
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """The optimality conditions, as complementarities between expressions."""
+        return self.smooth.conditions()
+
+    @property
+    def dual_value(self) -> list[Any]:
+        """Dual values of the program's constraints, in their order, with cvxpy's signs."""
+        return [one.value for one in self.dual_variables]
+
+    @property
+    def residual(self) -> Any:
+        """The natural residual of each condition; None without values."""
+        residuals = [pair.residual for pair in self.conditions.pairs]
+        if any(one is None for one in residuals):
+            return None
+        return np.concatenate([np.ravel(one) for one in residuals])
+
+    def gap(self) -> float | None:
+        """Return the gain that the agent could make, with the present values of all other variables.
+
+        Returns
+        -------
+        float or None
+            Best value of the program less its present value, or the largest violation of its constraints if that is
+            larger; None with a ModelWarning if no solver finds the best value.
+        """
+        from .agent_gains import possible_gain  # with the classes of programs
+
+        return possible_gain(self)
+
+    def save_duals(self) -> None:
+        """Give the program's constraints their dual values; the tightest bound takes w⁺ or w⁻ of a decision."""
+        found = {key: multiplier.value for key, (_, multiplier) in self.conditions.rows.items()}
+        found |= self.conditions.duals_of_bounds()
+        for own, constraint in zip(self.dual_variables, self.program.constraints, strict=True):
+            own.save_value(found[constraint.id])
+            constraint.save_dual_value(found[constraint.id])

@@ -1,0 +1,559 @@
+"""optimal(program, over=…): published and closed-form equilibria, gaps, dual values, convexity and messages."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import (
+    InvalidOption,
+    ModelWarning,
+    UnsupportedModel,
+    complements,
+    derivative,
+    optimal,
+    trace,
+)
+
+
+def solved(
+    agents: list[Any], others: Any = (), objective: Any = None, **options: Any
+) -> cp.Problem:
+    """Return the solved problem; all values are finite, and no agent could gain more than 1e-6."""
+    problem = cp.Problem(objective or cp.Minimize(0), [*agents, *others])
+    problem.solve(method="LCP", **options)
+    assert problem.status == "optimal"
+    gaps = [one.gap() for one in agents]
+    assert all(gap is not None and 0.0 <= gap <= 1e-6 for gap in gaps), gaps
+    return problem
+
+
+def cournot(n: int, sold: Any, a: float, b: float, cost: Any) -> list[Any]:
+    """Return n firms with price a − b Σx and constant marginal costs."""
+    price = a - b * sum(sold[i] for i in range(n))
+    return [
+        optimal(
+            cp.Problem(cp.Maximize(cp.multiply(price, sold[i]) - cost[i] * sold[i])), over=[sold[i]]
+        )
+        for i in range(n)
+    ]
+
+
+@pytest.mark.parametrize("form", ["scalars", "entries"])
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_cournot_has_its_closed_form(n: int, form: str) -> None:
+    """x_i = (a − c_i − Σ_j (c_i − c_j)) / (b (n + 1)) if all firms are active."""
+    cost = np.linspace(1.0, 2.0, n)
+    one = cp.Variable(n, nonneg=True)
+    sold = one if form == "entries" else [cp.Variable(nonneg=True) for _ in range(n)]
+    solved(cournot(n, sold, 20.0, 0.5, cost))
+    expected = (20.0 - cost - (n * cost - cost.sum())) / (0.5 * (n + 1))
+    np.testing.assert_allclose([float(sold[i].value) for i in range(n)], expected, rtol=1e-9)
+
+
+COST, BETA = np.array([10.0, 8.0, 6.0, 4.0, 2.0]), np.array([1.2, 1.1, 1.0, 0.9, 0.8])
+PUBLISHED = np.array([36.9325, 41.8181, 43.7066, 42.6592, 39.1790])
+SCALE = 5000 ** (1 / 1.1)
+
+
+def oligopoly(form: str) -> tuple[list[Any], Any]:
+    """Return the five firms of Murphy, Sherali and Soyster; the income as a product, or by cvxpy's rules."""
+    sold = [cp.Variable(nonneg=True, value=10.0) for _ in COST]
+    agents = []
+    for i, x in enumerate(sold):
+        power = (1 + BETA[i]) / BETA[i]
+        cost = COST[i] * x + 5.0 ** (-1 / BETA[i]) / power * cp.power(x, power)
+        Y = sum(one for k, one in enumerate(sold) if k != i)
+        if form == "product":
+            income = cp.multiply(x, SCALE * cp.power(x + Y, -1 / 1.1))
+        else:
+            income = SCALE * (
+                cp.power(x + Y, 1 - 1 / 1.1) - cp.multiply(Y, cp.power(x + Y, -1 / 1.1))
+            )
+        check = "local" if form == "product" else "convex"
+        agents.append(optimal(cp.Problem(cp.Maximize(income - cost)), over=[x], check=check))
+    return agents, sold
+
+
+@pytest.mark.parametrize("form", ["product", "disciplined"])
+def test_the_oligopoly_of_murphy_sherali_and_soyster_is_the_published_one(form: str) -> None:
+    """As a product with check="local", and in a form that cvxpy's rules accept; no warning is issued."""
+    agents, sold = oligopoly(form)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ModelWarning)
+        cp.Problem(cp.Minimize(0), agents).solve(method="LCP")
+    np.testing.assert_allclose([float(one.value) for one in sold], PUBLISHED, atol=2e-4)
+    if form == "disciplined":
+        gaps = [one.gap() for one in agents]
+        assert all(gap is not None and gap <= 1e-4 for gap in gaps)  # Clarabel's values
+
+
+def test_an_income_that_is_not_known_to_be_concave_causes_one_warning() -> None:
+    """The same oligopoly without check="local": the conditions are only necessary."""
+    x, y = cp.Variable(nonneg=True, value=1.0), cp.Variable(nonneg=True, value=1.0)
+    firms = [cp.Problem(cp.Maximize(cp.multiply(one, cp.exp(-x - y)))) for one in (x, y)]
+    agents = [optimal(firm, over=[one]) for firm, one in zip(firms, (x, y), strict=True)]
+    problem = cp.Problem(cp.Minimize(0), agents)
+    with pytest.warns(ModelWarning, match="only necessary") as found:
+        problem.solve(method="LCP")
+    assert len(found) == 2
+    np.testing.assert_allclose([x.value, y.value], 1.0, rtol=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ModelWarning)
+        problem.solve(method="LCP")
+
+
+def test_a_leader_of_the_oligopoly_has_the_value_of_the_handwritten_model() -> None:
+    """Firm 5 leads four firms with quadratic costs."""
+    values = []
+    for is_handwritten in (True, False):
+        leads, x = cp.Variable(bounds=[0, 50]), [cp.Variable(nonneg=True) for _ in range(4)]
+        price = 100 - sum(x) - leads
+        if is_handwritten:
+            followers = [
+                complements(one >= 0, COST[k] + 2 * one - price + one >= 0)
+                for k, one in enumerate(x)
+            ]
+        else:
+            followers = [
+                optimal(
+                    cp.Problem(
+                        cp.Maximize(cp.multiply(price, one) - COST[k] * one - cp.square(one))
+                    ),
+                    over=[one],
+                )
+                for k, one in enumerate(x)
+            ]
+        income = cp.Maximize(cp.multiply(price, leads) - 2 * leads - cp.square(leads))
+        values.append(cp.Problem(income, followers).solve(method="LCP"))
+    assert values[1] == pytest.approx(values[0], rel=1e-6)
+
+
+def test_the_bilevel_program_of_pyomo_has_the_value_of_bard() -> None:
+    """The leader minimizes x − 4y, the follower y: −12 at (4, 4), proved."""
+    x, y = cp.Variable(), cp.Variable()
+    rows = [-x - y <= -3, -2 * x + y <= 0, 2 * x + y <= 12, 3 * x - 2 * y <= 4]
+    best = optimal(cp.Problem(cp.Minimize(y), rows), over=[y])
+    problem = solved([best], objective=cp.Minimize(x - 4 * y), prove=True)
+    assert problem.value == pytest.approx(-12.0, abs=1e-6)
+    np.testing.assert_allclose([x.value, y.value], 4.0, atol=1e-6)
+
+
+def test_the_bilevel_program_of_bards_book_has_its_value() -> None:
+    """(x − 5)² + (2y + 1)² over a follower with (y − 1)² − 1.5 x y: 17 at (1, 0), proved."""
+    x, y = cp.Variable(nonneg=True), cp.Variable()
+    rows = [y >= 0, 3 * x - y >= 3, -x + 0.5 * y >= -4, -x - y >= -7]
+    best = optimal(cp.Problem(cp.Minimize((y - 1) ** 2 - 1.5 * cp.multiply(x, y)), rows), over=[y])
+    problem = solved([best], objective=cp.Minimize((x - 5) ** 2 + (2 * y + 1) ** 2), prove=True)
+    assert problem.value == pytest.approx(17.0, abs=1e-6)
+    np.testing.assert_allclose([x.value, y.value], [1.0, 0.0], atol=1e-6)
+
+
+def shared_row(is_shared: bool) -> tuple[Any, Any, Any, list[Any]]:
+    """Return two agents with x + y ≤ 4, as one multiplier or as two."""
+    x, y = cp.Variable(), cp.Variable()
+    row = x + y <= 4
+    listed = [row] if is_shared else []
+    agents = [
+        optimal(cp.Problem(cp.Minimize(x**2 - 8 * x), [row]), over=[x], shared=listed),
+        optimal(cp.Problem(cp.Minimize(y**2 - 6 * y), [row]), over=[y], shared=listed),
+    ]
+    return x, y, row, agents
+
+
+def test_a_shared_constraint_gives_the_variational_equilibrium() -> None:
+    """The agents min x² − 8x and min y² − 6y with x + y ≤ 4 have (2.5, 1.5), and one multiplier of 3."""
+    x, y, row, agents = shared_row(is_shared=True)
+    solved(agents)
+    np.testing.assert_allclose([x.value, y.value], [2.5, 1.5], rtol=1e-9)
+    assert float(row.dual_value) == pytest.approx(3.0)
+    assert [float(one.dual_value[0]) for one in agents] == pytest.approx([3.0, 3.0])
+
+
+def test_a_constraint_that_is_not_shared_has_a_multiplier_of_each_agent() -> None:
+    """One of many generalized equilibria is returned: no agent could gain."""
+    x, y, _, agents = shared_row(is_shared=False)
+    solved(agents)
+    assert float(x.value + y.value) == pytest.approx(4.0)
+    multipliers = [float(one.dual_value[0]) for one in agents]
+    assert multipliers == pytest.approx([8 - 2 * float(x.value), 6 - 2 * float(y.value)])
+
+
+def test_an_agent_of_a_shared_constraint_must_share_it() -> None:
+    """The constraint holds y; y's agent does not list it."""
+    x, y = cp.Variable(), cp.Variable()
+    row = x + y <= 4
+    first = optimal(cp.Problem(cp.Minimize(x**2), [row]), over=[x], shared=[row])
+    second = optimal(cp.Problem(cp.Minimize(y**2 - y)), over=[y])
+    with pytest.raises(UnsupportedModel, match="does not share it"):
+        cp.Problem(cp.Minimize(0), [first, second]).solve(method="LCP")
+
+
+def test_a_shared_constraint_must_be_jointly_convex() -> None:
+    """The row x y ≤ 4 is affine for each agent, and not convex for both."""
+    x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    row = cp.multiply(x, y) <= 4
+    agents = [
+        optimal(cp.Problem(cp.Minimize((one - 3) ** 2), [row]), over=[one], shared=[row])
+        for one in (x, y)
+    ]
+    with pytest.raises(UnsupportedModel, match="all its agents together"):
+        cp.Problem(cp.Minimize(0), agents).solve(method="LCP")
+
+
+# --- one agent: the same values as a convex solver's ---
+
+
+def _one_agent(kind: str, y: Any) -> tuple[Any, Any]:
+    """Return a program with data y, and its decision."""
+    x = cp.Variable(3, value=np.full(3, 0.5))
+    target = np.array([1.0, -2.0, 0.4])
+    quadratic = cp.sum_squares(x - target) / 2 - y * x[0]
+    goal, rows = {
+        "abs": (quadratic + cp.sum(cp.abs(x)), [x <= 2]),
+        "kink": (quadratic + 5 * cp.abs(x[0] - 1) + cp.norm_inf(x), []),
+        "norm1": (quadratic, [cp.norm1(x) <= y]),
+        "maximum": (quadratic + cp.max(cp.maximum(x, 2 * x - 1)), [cp.sum(x) >= -1]),
+        "largest": (quadratic + cp.sum_largest(x, 2), [x[0] + x[1] == 0.5]),
+        "equality": (quadratic, [cp.sum(x) == y, x[1:] >= -1, 2 * x >= -2.5, x <= 3]),
+        "entropy": (quadratic - cp.sum(cp.entr(x)), [cp.sum(x) == 2]),
+        "exponential": (quadratic + cp.sum(cp.exp(x)), [cp.exp(x[0]) <= y + 1]),
+        "logistic": (
+            quadratic + cp.sum(cp.logistic(x + y)) + cp.log_sum_exp(x),
+            [cp.sum_squares(x) <= y],
+        ),
+        "powers": (quadratic + cp.quad_over_lin(x, 2.0) + cp.power(x[1] + 4, -0.5), [x[1] >= -3]),
+        "logarithm": (quadratic - cp.sum(cp.log(x + 2)) - cp.log1p(x[0]) + cp.kl_div(x[2], 2), []),
+        "means": (quadratic - cp.geo_mean(x + 3), [x >= -2]),
+    }[kind]
+    return cp.Problem(cp.Minimize(goal), rows), x
+
+
+KINDS = (
+    *(
+        "abs",
+        "kink",
+        "norm1",
+        "maximum",
+        "largest",
+        "equality",
+        "entropy",
+        "exponential",
+        "logistic",
+    ),
+    *("powers", "logarithm", "means"),
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_agent_has_the_optimum_and_the_dual_values_of_clarabel(kind: str) -> None:
+    """Kinks at the optimum, equalities, bounds, entropy and other smooth terms; an equation outside determines y."""
+    program, x = _one_agent(kind, cp.Parameter(value=1.5, nonneg=True))
+    program.solve(solver=cp.CLARABEL)
+    expected, duals = x.value, [one.dual_value for one in program.constraints]
+    y = cp.Variable(value=1.5)
+    program, x = _one_agent(kind, y)
+    best = optimal(program, over=[x])
+    problem = cp.Problem(cp.Minimize(0), [best, 2 * y == 3])
+    problem.solve(method="LCP")
+    assert problem.status == "optimal"
+    np.testing.assert_allclose(x.value, expected, atol=2e-5)
+    for found, own, dual in zip(best.dual_value, program.constraints, duals, strict=True):
+        np.testing.assert_allclose(found, dual, atol=1e-4)
+        np.testing.assert_allclose(own.dual_value, found)
+    gap = best.gap()
+    assert gap is not None
+    assert 0.0 <= gap <= 1e-6
+
+
+def test_dual_values_of_a_maximum_are_those_of_its_minimization() -> None:
+    """The dual value of z ≤ 1 in max 4z − z² is 2; the wider of two bounds has 0, and 2z ≤ 2 has 1."""
+    z = cp.Variable(bounds=[-5, 7])
+    firm = cp.Problem(cp.Maximize(4 * z - z**2), [z <= 1, z <= 3, 2 * z >= -3])
+    best = optimal(firm, over=[z])
+    solved([best])
+    assert [float(one) for one in best.dual_value] == pytest.approx([2.0, 0.0, 0.0])
+    assert float(firm.constraints[0].dual_value) == pytest.approx(2.0)
+    halved = optimal(cp.Problem(firm.objective, [2 * z <= 2]), over=[z])
+    solved([halved])
+    assert float(halved.dual_value[0]) == pytest.approx(1.0)
+
+
+def test_a_bound_by_another_agents_variable_is_a_constraint_with_a_multiplier() -> None:
+    """With x ≤ y y = 1 of another agent: x = 1 and the multiplier 2."""
+    x, y = cp.Variable(), cp.Variable()
+    first = optimal(cp.Problem(cp.Minimize((x - 2) ** 2), [x <= y]), over=[x])
+    solved([first, optimal(cp.Problem(cp.Minimize((y - 1) ** 2)), over=[y])])
+    assert float(x.value) == pytest.approx(1.0)
+    assert float(first.dual_value[0]) == pytest.approx(2.0)
+
+
+def test_dependent_constraints_have_some_multipliers() -> None:
+    """The same row three times: the multipliers are not unique, and their sum is."""
+    x, y = cp.Variable(2), cp.Variable()
+    rows = [cp.sum(x) <= y, 2 * cp.sum(x) <= 2 * y, x[0] + x[1] <= y]
+    best = optimal(cp.Problem(cp.Minimize(cp.sum_squares(x - 1)), rows), over=[x])
+    solved([best], [y == 1])
+    assert np.dot([float(one) for one in best.dual_value], [1, 2, 1]) == pytest.approx(1.0)
+
+
+# --- economies and games ---
+
+
+def test_walras_prices_are_those_of_cobb_and_douglas() -> None:
+    """Two consumers with log utility and a linear producer: p = 1 for the numeraire, p₂ = its unit cost."""
+    own, share = np.array([[4.0, 1.0], [2.0, 3.0]]), np.array([[0.3, 0.7], [0.4, 0.6]])
+    price, made = cp.Variable(nonneg=True, value=1.0), cp.Variable(nonneg=True, value=1.0)
+    p = cp.hstack([1.0, price])
+    eaten = [cp.Variable(2, value=np.ones(2)) for _ in own]
+    consumers = [
+        optimal(
+            cp.Problem(cp.Maximize(share[h] @ cp.log(eaten[h])), [p @ eaten[h] <= p @ own[h]]),
+            over=[eaten[h]],
+        )
+        for h in range(2)
+    ]
+    producer = optimal(
+        cp.Problem(cp.Maximize((price - 2) * made)), over=[made]
+    )  # 2 of good 1 make 1 of good 2
+    supply = own.sum(axis=0)[1] + made
+    clearing = complements(price, supply - eaten[0][1] - eaten[1][1])
+    cp.Problem(cp.Minimize(0), [*consumers, producer, clearing]).solve(method="LCP")
+    at = np.array([1.0, 2.0])
+    bought = share * (own @ at)[:, np.newaxis] / at
+    expected = bought.sum(axis=0)[1] - own.sum(axis=0)[1]
+    if expected < 0:
+        raise AssertionError("the example is chosen so that the producer works")
+    np.testing.assert_allclose([price.value, made.value], [2.0, expected], rtol=1e-6)
+    np.testing.assert_allclose([one.value for one in eaten], bought, rtol=1e-6)
+    assert all((one.gap() or 0.0) <= 1e-6 for one in (*consumers, producer))
+
+
+def test_a_polymatrix_game_of_three_players_has_an_equilibrium() -> None:
+    """Each player mixes 3 strategies; the payoff is a sum of bilinear terms: no player could gain."""
+    rng = np.random.default_rng(4)
+    x = [cp.Variable(3, nonneg=True) for _ in range(3)]
+    agents = []
+    for i in range(3):
+        payoff = sum(rng.uniform(0, 1, (3, 3)) @ x[k] for k in range(3) if k != i)
+        agents.append(
+            optimal(cp.Problem(cp.Maximize(x[i] @ payoff), [cp.sum(x[i]) == 1]), over=[x[i]])
+        )
+    solved(agents)
+    gaps = [one.gap() for one in agents]
+    assert max(gaps) <= 1e-7
+
+
+def test_price_takers_may_share_a_vector() -> None:
+    """Price takers in one program: marginal costs equal the price that clears the market."""
+    cost = np.array([1.0, 2.0, 4.0, 9.0])
+    x, p = cp.Variable(4, nonneg=True), cp.Variable(nonneg=True)
+    firms = optimal(
+        cp.Problem(cp.Maximize(p * cp.sum(x) - cost @ x - cp.sum_squares(x) / 2)), over=[x]
+    )
+    clearing = complements(p >= 0, cp.sum(x) - (12 - p) >= 0)
+    solved([firms], [clearing])
+    expected = (12 + cost[:3].sum()) / 4  # p = cost + x for the active firms
+    assert float(p.value) == pytest.approx(expected)
+    np.testing.assert_allclose(x.value, np.maximum(expected - cost, 0.0), atol=1e-9)
+
+
+# --- leaders, parameters and other constraints ---
+
+
+def test_a_constraint_on_a_follower_couples_it_with_the_leader() -> None:
+    """The leader minimizes the tax for which the follower sells at most 1: 2; without an objective any is found."""
+    tax, sold = cp.Variable(bounds=[0, 4]), cp.Variable(nonneg=True)
+    firm = optimal(cp.Problem(cp.Maximize((3 - tax) * sold - cp.square(sold) / 2)), over=[sold])
+    solved([firm], [sold <= 1], cp.Minimize(tax))
+    assert float(tax.value) == pytest.approx(2.0, abs=1e-6)
+    solved([firm], [sold <= 1])
+    assert float(sold.value) <= 1 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("goal", "rows"),
+    [
+        (lambda x, y: x, lambda x, y: [x >= y + 2, x <= y + 1]),
+        (lambda x, y: -x + y, lambda x, y: [x >= y]),
+    ],
+    ids=["infeasible", "unbounded"],
+)
+def test_a_follower_without_an_optimum_is_infeasible(goal: Any, rows: Any) -> None:
+    """An infeasible or unbounded program has no optimality conditions: the model is infeasible, with a proof."""
+    x, y = cp.Variable(), cp.Variable()
+    best = optimal(cp.Problem(cp.Minimize(goal(x, y)), rows(x, y)), over=[x])
+    problem = cp.Problem(cp.Minimize(0), [best, y == 1])
+    problem.solve(method="LCP")
+    assert problem.status == "infeasible"
+    assert best.dual_value == [None] * len(best.dual_value)
+
+
+def test_parameters_move_an_equilibrium_as_its_derivative_states() -> None:
+    """By capacity and cost: derivative agrees with solves, trace with a piecewise affine path."""
+    x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    cap, cost = cp.Parameter(value=2.0), cp.Parameter(value=1.0)
+    price = 10 - x - y - cost
+    agents = [
+        optimal(cp.Problem(cp.Maximize(cp.multiply(price, x)), [x <= cap]), over=[x]),
+        optimal(cp.Problem(cp.Maximize(cp.multiply(price, y))), over=[y]),
+    ]
+    problem = solved(agents)
+    np.testing.assert_allclose([x.value, y.value], [2.0, 3.5])
+    change = derivative(problem).jvp({cap: 1.0, cost: 0.5})
+    np.testing.assert_allclose([change[x], change[y]], [1.0, -0.75])
+    path = trace(problem, cap, start=0.0, stop=5.0)
+    np.testing.assert_allclose(path.value(y, [0.0, 1.0, 3.0, 4.0]), [4.5, 4.0, 3.0, 3.0])
+    cap.value = 5.0
+    solved(agents)
+    np.testing.assert_allclose([x.value, y.value], [3.0, 3.0])
+    assert float(agents[0].dual_value[0]) == 0.0
+
+
+def test_bounds_of_decisions_may_be_parameters_and_attributes() -> None:
+    """The tightest of an attribute with a parameter, of a constraint on one entry and of a constraint on all."""
+    low, high = cp.Parameter(2, value=[0.5, 1.5]), cp.Parameter(nonneg=True, value=3.0)
+    x = cp.Variable(2, bounds=[low, 9.0])
+    rows = [x[1] >= 2 * high - 4, x <= 2 * high, 0.5 * x[0] >= 0.1, x[0] <= 4]
+    best = optimal(cp.Problem(cp.Minimize(cp.sum_squares(x)), rows), over=[x])
+    problem = solved([best])
+    np.testing.assert_allclose(x.value, [0.5, 2.0])
+    assert float(best.dual_value[0]) == pytest.approx(4.0)
+    np.testing.assert_allclose(derivative(problem).jvp({high: 1.0, low: np.ones(2)})[x], [1.0, 2.0])
+    low.value, high.value = [0.1, 2.5], 3.0
+    solved([best])
+    np.testing.assert_allclose(x.value, [0.2, 2.5])
+    assert [float(best.dual_value[k]) for k in (0, 2)] == pytest.approx([0.0, 0.8])
+
+
+def test_an_agent_is_copied_and_pickled() -> None:
+    """The problem that pickle returns has the same solution."""
+    sold = [cp.Variable(nonneg=True) for _ in range(2)]
+    problem = cp.Problem(cp.Minimize(0), cournot(2, sold, 10.0, 1.0, [1.0, 1.0]))
+    for twin in (problem, pickle.loads(pickle.dumps(problem)), problem.copy()):
+        twin.solve(method="LCP")
+        values = [float(one.value) for one in twin.variables() if one.attributes["nonneg"]]
+        assert values == pytest.approx([3.0, 3.0])
+
+
+def test_a_smooth_terms_convexity_uses_the_signs_of_others() -> None:
+    """The term y exp(x) is convex for y ≥ 0, which an attribute, a constraint outside or another program states."""
+    for place in ("attribute", "outside", "program"):
+        x, y = cp.Variable(value=0.0), cp.Variable(nonneg=place == "attribute", value=1.0)
+        rows = [y >= 0] if place == "program" else []
+        agents = [
+            optimal(cp.Problem(cp.Minimize(cp.multiply(y, cp.exp(x)) - x)), over=[x]),
+            optimal(cp.Problem(cp.Minimize((y - 2) ** 2), rows), over=[y]),
+        ]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ModelWarning)
+            solved(agents, [y >= 0] if place == "outside" else [])
+        assert float(x.value) == pytest.approx(-np.log(2.0), abs=1e-6)
+
+
+# --- messages ---
+
+
+def test_a_concave_objective_causes_a_warning_or_is_accepted_as_local() -> None:
+    """−x² on [−1, 1] has stationary points that are not optimal; gap() shows it."""
+    x = cp.Variable(bounds=[-1, 1], value=0.0)
+    program = cp.Problem(cp.Minimize(-cp.square(x)))
+    with pytest.warns(ModelWarning, match="only necessary"):
+        cp.Problem(cp.Minimize(0), [optimal(program, over=[x])]).solve(method="LCP")
+    best = optimal(program, over=[x], check="local")
+    x.value = 0.0
+    assert best.gap() == pytest.approx(1.0, abs=1e-6)
+
+
+def _undecided(x: Any, y: Any) -> Any:
+    return cp.Problem(cp.Minimize(0), [optimal(cp.Problem(cp.Minimize((x - y) ** 2)), over=[x])])
+
+
+REFUSED: dict[str, Any] = {
+    "a variable of no agent": (_undecided, "no agent decides it"),
+    "a variable of another problem": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[y]),
+        "does not occur",
+    ),
+    "an expression": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[2 * x]),
+        "neither a variable nor entries",
+    ),
+    "no decision": (lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[]), "over must be"),
+    "no program": (lambda x, y: optimal(x**2, over=[x]), "cvxpy problem"),
+    "a cone": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x), [cp.SOC(y, cp.hstack([x, 1]))]), over=[x]),
+        "second-order cone as cp.sum_squares",
+    ),
+    "an agent inside": (
+        lambda x, y: optimal(
+            cp.Problem(cp.Minimize(x), [optimal(cp.Problem(cp.Minimize(x * y)), over=[y])]),
+            over=[x],
+        ),
+        "neither an equation nor an inequality",
+    ),
+    "a foreign shared constraint": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[x], shared=[x >= 0]),
+        "no constraint of the program",
+    ),
+    "an exponent": (
+        lambda x, y: cp.Problem(
+            cp.Minimize(0),
+            [optimal(cp.Problem(cp.Minimize(cp.power(x, cp.Parameter(value=2)))), over=[x])],
+        ),
+        "exponent",
+    ),
+    "kinks without convexity": (
+        lambda x, y: cp.Problem(
+            cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(cp.square(x) - cp.abs(x))), over=[x])]
+        ),
+        "not smooth",
+    ),
+    "a variable of two agents": (
+        lambda x, y: cp.Problem(
+            cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x]) for _ in range(2)]
+        ),
+        "two agents decide",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(case: str) -> None:
+    """What is not an agent's program, decision or constraint: when it is stated, or when it is solved."""
+    state, expected = REFUSED[case]
+    with pytest.raises(UnsupportedModel, match=expected):
+        state(cp.Variable(), cp.Variable()).solve(method="LCP")
+
+
+@pytest.mark.parametrize("attribute", ["integer", "boolean"])
+def test_integer_decisions_have_no_conditions(attribute: str) -> None:
+    """They belong to the leader."""
+    x = cp.Variable(**{attribute: True})
+    with pytest.raises(UnsupportedModel, match="over integers"):
+        optimal(cp.Problem(cp.Minimize(x)), over=[x])
+    y = cp.Variable(nonneg=True)
+    follower = optimal(cp.Problem(cp.Minimize((y - 3 * x) ** 2)), over=[y])
+    cp.Problem(cp.Minimize((y - 2) ** 2), [follower]).solve(method="LCP")
+    assert float(x.value) == pytest.approx(1.0)
+
+
+def test_check_has_two_values() -> None:
+    """Any other one is an invalid option."""
+    x = cp.Variable()
+    with pytest.raises(InvalidOption, match="local"):
+        optimal(cp.Problem(cp.Minimize(x**2)), over=[x], check="none")
+
+
+def test_cvxpy_names_the_call_that_solves_agents() -> None:
+    """Without method="LCP" the model is not convex by cvxpy's rules."""
+    x = cp.Variable()
+    problem = cp.Problem(cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x])])
+    assert not problem.is_dcp()
+    with pytest.raises(cp.error.DCPError, match='method="LCP"'):
+        problem.solve()

@@ -17,9 +17,8 @@ import numpy as np
 import typer
 
 from lcp_plugin import gallery
-from lcp_plugin.algorithms import create
+from lcp_plugin.algorithms import create, paper_options
 from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.evidence.methods import paper_options
 from lcp_plugin.evidence.table import Table
 
 TOLERANCE, DELTA, MAX_ITERATIONS = 1e-5, 4.0, 1000

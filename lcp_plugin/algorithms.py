@@ -59,7 +59,7 @@ REGISTRY = {
     "npsplitting": "methods.npsplitting:NPSplitting",
 }
 
-__all__ = ["REGISTRY", "Algorithm", "Step", "algorithm_class", "create"]
+__all__ = ["REGISTRY", "Algorithm", "Step", "algorithm_class", "create", "paper_options"]
 
 
 def __getattr__(name: str) -> Any:
@@ -120,6 +120,39 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
     """
     found: Algorithm = made(algorithm_class(name), name, options)
     return found
+
+
+def paper_options(name: str, relaxation: float | None = None) -> dict[str, Any]:
+    """Return the options of the paper's tables: no row scaling for np methods, Ω = D/2 or D/(2α²) for modulus methods.
+
+    Parameters
+    ----------
+    name : str
+        An np method, "mgs" or "msor".
+    relaxation : float, optional
+        α of "npsor" (1.7 in the tables) and "msor" (0.85 and 0.88).
+
+    Raises
+    ------
+    InvalidOption
+        If the paper does not have the method.
+
+    References
+    ----------
+    Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
+
+    Examples
+    --------
+    >>> paper_options("npsor", 1.7), paper_options("mgs")
+    ({'scaling': None, 'relaxation': 1.7}, {'omega': 0.5})
+    """
+    if name.startswith("np"):
+        return {"scaling": None} | ({"relaxation": relaxation} if relaxation else {})
+    if name == "msor" and relaxation:
+        return {"relaxation": relaxation, "omega": 1.0 / (2.0 * relaxation**2)}
+    if name not in ("mgs", "msor"):
+        raise InvalidOption(f"the paper has np methods, mgs and msor, got {name!r}")
+    return {"omega": 0.5}
 
 
 def made(kind: Any, name: str, options: dict[str, Any]) -> Any:

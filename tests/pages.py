@@ -3,7 +3,7 @@
     python tests/pages.py
 
 writes ``examples/notebooks``, runs each example whose picture a page shows, and makes its picture small enough to
-commit. ``python -m pdoc -d numpy --math -o FOLDER lcp_plugin`` writes every public name as HTML.
+commit. ``python -m sphinx -W -c examples/manual examples FOLDER`` builds the site of all pages.
 """
 
 from __future__ import annotations
@@ -30,10 +30,22 @@ TRADES = (  # in examples/manual: the problem, its code and picture, a validatio
     "obstacle",
     "data",
     "control",
-    "games",
-    "which_algorithm",
+    "algorithms",
 )
-GUIDES = ("first_model", *TRADES, "what_is_proved", "layers", "many_machines")
+GUIDES = (
+    "first_model",
+    *TRADES,
+    *(
+        "nonlinear",
+        "what_is_proved",
+        "layers",
+        "many_machines",
+        "ways_in",
+        "stalled",
+        "coming_from",
+    ),
+    *("paper", "write_a_method", "test_your_solver"),
+)
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = ("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control")
 OF_SCRIPTS = (

@@ -1,4 +1,4 @@
-"""The pictures of the package: subpackages, where they lie, and arrows in the manual; storeys in the README."""
+"""The pictures of the package: subpackages, where they lie, and arrows and layers in the manual."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ GROUPS = ("methods", "problems", "interfaces")  # folders of subpackages
 
 
 def _section() -> str:
-    page = ROOT / "examples" / "manual" / "architecture.md"
+    page = ROOT / "examples" / "manual" / "developing.md"
     return page.read_text(encoding="utf-8").split("# How it is built")[1].split("\n## ")[0]
 
 
@@ -45,7 +45,7 @@ ARROWS |= {
     if one.stem not in {*DRAWN, "__init__"}
 }
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
-_storeys = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+_storeys = re.findall(r"```\n(core\n.*?)```", _section(), re.S)
 STOREYS = [_named(line) for line in _storeys[-1].splitlines()] if _storeys else []
 FOLDERS = {  # or the file of one that is one
     name: next((one for one in [*(place / name for place in PLACES), *(place / f"{name}.py" for place in PLACES)]

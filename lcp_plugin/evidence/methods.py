@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ..algorithms import REGISTRY, create
+from ..algorithms import REGISTRY, create, paper_options
 from ..auto import method_of
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption
@@ -109,15 +109,6 @@ def _label(algorithm: str | Algorithm) -> str:
         f"{field.name}={value}" for field, value in values if repr(value) != repr(field.default)
     ]
     return " ".join([algorithm.name, *changed])
-
-
-def paper_options(name: str, relaxation: float | None) -> dict[str, Any]:
-    """Return the options behind the paper's tables: no row scaling, Ω = D/2 or D/(2α²)."""
-    if name.startswith("np"):
-        return {"scaling": None} | ({"relaxation": relaxation} if relaxation else {})
-    if name == "msor" and relaxation:
-        return {"relaxation": relaxation, "omega": 1.0 / (2.0 * relaxation**2)}
-    return {"omega": 0.5}
 
 
 def _paper_settings() -> Iterator[Method]:

@@ -9,8 +9,8 @@ Install mpi4py and an MPI library: ``pip install '.[mpi]'``. Each rank passes it
     comm, n = MPI.COMM_WORLD, 1_000
     first, last = n * comm.rank // comm.size, n * (comm.rank + 1) // comm.size
     M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
-    problem = LCP.from_rows(comm, M[first:last], np.full(last - first, 1e-6), lower=-0.1)  # the own rows
-    result = problem.solve(error_bound=True)              # z and w are the own parts, all else agrees on every rank
+    problem = LCP.from_rows(comm, M[first:last], np.full(last - first, 1e-6), lower=-0.1)  # the local rows
+    result = problem.solve(error_bound=True)              # z and w are local, all else agrees on every rank
     if comm.rank == 0:
         print(result)
 

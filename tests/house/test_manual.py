@@ -6,10 +6,8 @@ import contextlib
 import io
 import json
 import re
-import subprocess
-import sys
 import textwrap
-from pathlib import Path
+from importlib.util import find_spec
 
 import pytest
 from pages import (
@@ -42,11 +40,9 @@ def test_the_code_of_a_guide_prints_what_stands_below_it(name: str) -> None:
         if "mpi4py" in code:
             assert textwrap.indent(code, "    ") in (lcp_plugin.ranks.__doc__ or "")
             continue
-        if "import torch" in code:
-            try:
-                import torch  # noqa: F401
-            except ImportError:
-                continue
+        for package in ("torch", "jax"):
+            if f"import {package}" in code and not find_spec(package):
+                pytest.skip(f"{package} is not installed")
         found = io.StringIO()
         with contextlib.redirect_stdout(found):
             exec(compile(code, name, "exec", dont_inherit=True), namespace)
@@ -107,14 +103,3 @@ def test_every_guide_has_a_picture_that_an_example_draws() -> None:
     for name in GUIDES:
         picture = re.findall(r"^!\[.*\]\(\.\./pictures/(\w+)\.png\)$", guide(name), re.M)[0]
         assert picture in examples()
-
-
-@pytest.mark.full
-def test_pdoc_shows_every_public_name(tmp_path: Path) -> None:
-    """The command of the index page writes HTML with an anchor for each name of the package."""
-    command = ["-m", "pdoc", "-d", "numpy", "--math", "-o", str(tmp_path), "lcp_plugin"]
-    subprocess.run([sys.executable, *command], check=True, capture_output=True)
-    text = (tmp_path / "lcp_plugin.html").read_text(encoding="utf-8")
-    shown = {*re.findall(r'id="(\w+)"', text)}
-    pages = {"gallery"}
-    assert {name for name in lcp_plugin.__all__ if name[0] != "_"} - pages <= shown

@@ -164,4 +164,5 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"',
         "python -m pytest --full -n 2",
+        "python -m sphinx -q -W -c examples/manual examples site",
     ]

@@ -1,4 +1,4 @@
-"""The manual's page "Guarantees", line by line: each test quotes the guarantee that it checks."""
+"""The manual's "Guarantees", line by line: each test quotes the guarantee that it checks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,11 @@ from lcp_plugin.algorithms import REGISTRY, Algorithm, Step
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 TESTS = Path(__file__).parents[1]
-PAGE = TESTS.parent.joinpath("examples", "manual", "promises.md").read_text(encoding="utf-8")
+PAGE = (
+    TESTS.parent.joinpath("examples", "manual", "guarantees.md")
+    .read_text(encoding="utf-8")
+    .partition("## Limitations")[0]
+)
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
 TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])

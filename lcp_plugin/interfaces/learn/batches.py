@@ -22,12 +22,14 @@ class Layer(ABC):
 
     Parameters
     ----------
+    mask : bool
+        Whether unsolved problems get z = 0 and the gradient 0, instead of an error.
     **options
         Options of :func:`lcp_plugin.solve_batch`.
     """
 
-    def __init__(self, **options: Any) -> None:
-        self.options = options
+    def __init__(self, *, mask: bool = False, **options: Any) -> None:
+        self.mask, self.options = mask, options
 
     @abstractmethod
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
@@ -37,24 +39,28 @@ class Layer(ABC):
     def _by(self, gradient: BatchGradient) -> Sequence[Any]:
         """Return the gradients by all arrays."""
 
-    def solve(self, *data: Any, z0: Any = None) -> Any:
-        """Return the solutions, shape (…, n), of problems whose matrix, vector, … have axes that broadcast.
+    def solve(self, *data: Any, z0: Any = None) -> tuple[Any, Any]:
+        """Return the solutions, shape (…, n), of problems with axes that broadcast, and which are solved, shape (…).
 
         Raises
         ------
         InvalidProblem
             If numbers or shapes are not a valid problem.
         NotConverged
-            If a problem is not solved.
+            If a problem is not solved. A layer with `mask` raises neither of them.
         """
         self.data, self.axes = data, common_axes(*(array.shape for array in data))
         n = data[1].shape[-1]
         start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
         self.found: Any = derivative(self._solved(self.axes, data, self.options | start))
-        if errors := self.found.errors:
+        errors = self.found.errors
+        if errors and not self.mask:
             is_none = any(isinstance(error, InvalidProblem) for error in errors.values())
             raise _first(errors, self.axes, InvalidProblem if is_none else NotConverged)
-        return np.array(self.found.z).reshape(*self.axes, n)
+        self.is_solved = np.ones(len(self.found), np.bool_)
+        self.is_solved[[*errors]] = False
+        z = np.where(self.is_solved[:, np.newaxis], self.found.z, 0.0)
+        return z.reshape(*self.axes, n), self.is_solved.reshape(self.axes)
 
     def gradients(self, g: Any) -> tuple[Any, ...]:
         """Return the gradients by the arrays of the last `solve`, in their shapes, from the gradient by z.
@@ -65,6 +71,7 @@ class Layer(ABC):
             If a problem that the loss depends on has no gradient.
         """
         found, rows = self.found, g.reshape(len(self.found), g.shape[-1])
+        rows = np.where(self.is_solved[:, np.newaxis], rows, 0.0)
         gradient = found.vjp(rows)
         if wrong := {k: error for k, error in found.errors.items() if rows[k].any()}:
             raise _first(wrong, self.axes, type(next(iter(wrong.values()))))
@@ -90,8 +97,8 @@ class LCPLayer(Layer):
         M if it is a constant of the layer; the array in its place has no entries.
     """
 
-    def __init__(self, M: Any = None, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self, M: Any = None, *, mask: bool = False, **options: Any) -> None:
+        super().__init__(mask=mask, **options)
         self.M = M
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:

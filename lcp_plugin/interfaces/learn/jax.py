@@ -27,7 +27,9 @@ from .batches import ContactLayer, Layer, LCPLayer, check_bounds, common_axes
 __all__ = ["contact_layer", "lcp_layer"]
 
 
-def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: Any) -> jax.Array:
+def lcp_layer(
+    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, *, mask: bool = False, **options: Any
+) -> Any:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 
     Parameters
@@ -37,12 +39,15 @@ def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: 
     q : array, shape (…, n)
         Leading axes are batch axes; all arguments broadcast. Arrays of JAX are float64.
     lower, upper : array, shape (…, n), or number
+    mask : bool
+        If True, return the pair (z, is_solved). An instance that is not solved then has z = 0 and the gradient 0,
+        instead of an error for the entire batch.
     **options
         ``algorithm``, ``tolerance``, ``max_seconds``, … of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
-    array, shape (…, n)
+    array, shape (…, n), or with `mask` a pair of it and an array of bool, shape (…)
 
     Raises
     ------
@@ -51,7 +56,7 @@ def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: 
     InvalidProblem
         If an array has another type or shape, or its numbers are not a valid problem.
     NotConverged
-        If a problem of the batch is not solved; the message names it.
+        If a problem of the batch is not solved, without `mask`; the message names it.
     UnsuitableProblem, UnsupportedModel
         If a derivative does not exist, or a second derivative is requested.
 
@@ -76,7 +81,7 @@ def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: 
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
     check_bounds(q, lower=lower, upper=upper)
     is_constant = sp.issparse(M)
-    layer = LCPLayer(M if is_constant else None, **options)
+    layer = LCPLayer(M if is_constant else None, mask=mask, **options)
     M = np.zeros((0, 0)) if is_constant else _array(M, "M")
     axes = common_axes(*(array.shape for array in (M, q, lower, upper)))
     data = [jnp.broadcast_to(vector, (*axes, q.shape[-1])) for vector in (q, lower, upper)]
@@ -84,24 +89,26 @@ def lcp_layer(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: 
         M = M.reshape(*(1 for _ in axes), *M.shape[-2:])
     else:
         M = jnp.broadcast_to(M, (*axes, *M.shape[-2:]))
-    z: jax.Array = _solution(layer, (M, *data))
-    return z
+    found = _solution(layer, (M, *data))
+    return found if mask else found[0]
 
 
-def contact_layer(W: Any, b: Any, friction: Any, **options: Any) -> jax.Array:
+def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **options: Any) -> Any:
     """Return the impulses z of contact problems with friction, differentiable by W, b and friction.
 
     Parameters
     ----------
     W, b, friction : array, shapes (…, n, n), (…, n) and (…, k)
         Arguments of :class:`lcp_plugin.FrictionalContact`, float64. Leading axes are batch axes, and broadcast.
+    mask : bool
+        As in `lcp_layer`.
     **options
-        ``dimension``, by default 3 if the number of rows is a multiple of 3; ``tolerance``, ``max_seconds``,
+        ``contacts`` and ``dimension`` of :class:`lcp_plugin.FrictionalContact`; ``tolerance``, ``max_seconds``,
         ``threads`` of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
-    array, shape (…, n)
+    array, shape (…, n), or with `mask` a pair of it and an array of bool, shape (…)
         The velocities are W z + b.
 
     Raises
@@ -130,8 +137,8 @@ def contact_layer(W: Any, b: Any, friction: Any, **options: Any) -> jax.Array:
     axes = common_axes(W.shape, b.shape, friction.shape)
     own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
     data = tuple(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own)
-    z: jax.Array = _solution(ContactLayer(**options), data)
-    return z
+    found = _solution(ContactLayer(mask=mask, **options), data)
+    return found if mask else found[0]
 
 
 def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
@@ -147,22 +154,25 @@ def _like(array: Any) -> Any:
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _solution(layer: Layer, data: tuple[Any, ...]) -> Any:
-    return _called(copy(layer).solve, _like(data[1]), *data)
+    is_solved = jax.ShapeDtypeStruct(data[1].shape[:-1], np.bool_)
+    return _called(copy(layer).solve, (_like(data[1]), is_solved), *data)
 
 
 def _solution_forward(layer: Layer, data: tuple[Any, ...]) -> tuple[Any, tuple[Any, ...]]:
-    z = _solution(layer, data)
-    return z, (data, z)
+    z, is_solved = _solution(layer, data)
+    return (z, is_solved), (data, z)
 
 
-def _solution_backward(layer: Layer, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
+def _solution_backward(
+    layer: Layer, kept: tuple[Any, ...], gradients: tuple[Any, Any]
+) -> tuple[Any, ...]:
     def differentiate(*arrays: Any) -> tuple[Any, ...]:
         *data, z, g = arrays
         at_z = copy(layer)
         at_z.solve(*data, z0=z)
         return at_z.gradients(g)
 
-    data, z = kept
+    (data, z), (g, _) = kept, gradients
     return (_called(differentiate, tuple(map(_like, data)), *data, z, g),)
 
 

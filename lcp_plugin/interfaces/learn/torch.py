@@ -22,8 +22,8 @@ __all__ = ["contact_layer", "lcp_layer"]
 
 
 def lcp_layer(
-    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **options: Any
-) -> torch.Tensor:
+    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, *, mask: bool = False, **options: Any
+) -> Any:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 
     Parameters
@@ -34,19 +34,22 @@ def lcp_layer(
         Leading axes are batch axes; all arguments broadcast. Tensors are float64, on the CPU.
     lower, upper : tensor, shape (…, n), or number
         A number is a constant.
+    mask : bool
+        If True, return the pair (z, is_solved). An instance that is not solved then has z = 0 and the gradient 0,
+        instead of an error for the entire batch.
     **options
         ``algorithm``, ``tolerance``, ``max_seconds``, … of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
-    tensor, shape (…, n)
+    tensor, shape (…, n), or with `mask` a pair of it and a tensor of bool, shape (…)
 
     Raises
     ------
     InvalidProblem
         If a tensor has another type, device or shape, or its numbers are not a valid problem.
     NotConverged
-        If a problem of the batch is not solved; the message names it.
+        If a problem of the batch is not solved, without `mask`; the message names it.
     UnsuitableProblem, UnsupportedModel
         If a derivative does not exist, or if a second derivative or another transformation is requested.
 
@@ -68,13 +71,16 @@ def lcp_layer(
     q, lower, upper = _tensor(q, "q"), _tensor(lower, "lower"), _tensor(upper, "upper")
     check_bounds(q, lower=lower, upper=upper)
     is_constant = sp.issparse(M)
-    layer = LCPLayer(M if is_constant else None, **options)
-    return _Solution.apply(
+    layer = LCPLayer(M if is_constant else None, mask=mask, **options)
+    found = _Solution.apply(
         layer, _tensor(np.zeros((0, 0)) if is_constant else M, "M"), q, lower, upper
     )
+    return found if mask else found[0]
 
 
-def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: Any) -> torch.Tensor:
+def contact_layer(
+    W: Any, b: Any, friction: Any, *, z0: Any = None, mask: bool = False, **options: Any
+) -> Any:
     """Return the impulses z of many contact problems, differentiable by W, b and friction.
 
     Parameters
@@ -84,13 +90,15 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
         broadcast. W is not copied.
     z0 : tensor, shape (B, n), optional
         Warm starts, constants.
+    mask : bool
+        As in `lcp_layer`.
     **options
         ``contacts`` and ``dimension`` of :class:`lcp_plugin.FrictionalContact`; ``tolerance``, ``max_seconds``,
         ``threads`` of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------
-    tensor, shape (…, n)
+    tensor, shape (…, n), or with `mask` a pair of it and a tensor of bool, shape (…)
         The velocities are W z + b.
 
     Raises
@@ -98,7 +106,7 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
     InvalidProblem
         If a tensor has another type, device or shape, or its numbers are not a valid problem.
     NotConverged
-        If an instance is not solved; the message names it.
+        If an instance is not solved, without `mask`; the message names it.
 
     Notes
     -----
@@ -117,7 +125,8 @@ def contact_layer(W: Any, b: Any, friction: Any, *, z0: Any = None, **options: A
     W, b, friction = _tensor(W, "W"), _tensor(b, "b"), _tensor(friction, "friction")
     if z0 is not None:
         options["z0"] = _numpy(_tensor(z0, "z0"))
-    return _Solution.apply(ContactLayer(**options), W, b, friction)
+    found = _Solution.apply(ContactLayer(mask=mask, **options), W, b, friction)
+    return found if mask else found[0]
 
 
 class _Solution(torch.autograd.Function):  # type: ignore[misc]
@@ -126,16 +135,19 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def forward(layer: Layer, *data: Any) -> Any:
         """Solve."""
-        return torch.from_numpy(layer.solve(*map(_numpy, data)))
+        z, is_solved = layer.solve(*map(_numpy, data))
+        return torch.from_numpy(z), torch.from_numpy(np.array(is_solved))
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], z: Any) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], found: tuple[Any, Any]) -> None:
         """Keep the layer, which has the derivative."""
         ctx.layer, *data = inputs
+        z, is_solved = found
+        ctx.mark_non_differentiable(is_solved)
         ctx.save_for_backward(*data, z)
 
     @staticmethod
-    def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
+    def backward(ctx: Any, g: Any, _: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
         *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
         return None, *_Gradient.apply(ctx.layer, z, g)

@@ -157,3 +157,12 @@ def test_contact_has_the_gradients_of_its_derivative() -> None:
             way(W, b, friction), (gradient.M, gradient.q, gradient.friction), strict=True
         ):
             np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+
+
+def test_mask_replaces_the_error_of_a_failed_instance() -> None:
+    """An instance without a solution has z = 0 and the gradient 0, also under jit."""
+    q = jnp.array([[-1.0, 2.0], [np.nan, -1.0]])
+    z, is_solved = lcp_layer(jnp.eye(2), q, mask=True)
+    assert (z.tolist(), is_solved.tolist()) == ([[1.0, 0.0], [0.0, 0.0]], [True, False])
+    by_q = jax.jit(jax.grad(lambda q: lcp_layer(jnp.eye(2), q, mask=True)[0].sum()))(q)
+    assert by_q.tolist() == [[-1.0, 0.0], [0.0, 0.0]]

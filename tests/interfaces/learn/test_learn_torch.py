@@ -209,3 +209,20 @@ def test_contact_has_the_gradients_of_differences() -> None:
     assert torch.autograd.gradcheck(
         lambda mu: contact_layer(W[0].detach(), b.detach(), mu), (one,), atol=1e-4
     )
+
+
+def test_mask_replaces_the_error_of_a_failed_instance() -> None:
+    """An instance without a solution has z = 0 and the gradient 0, and does not change the others."""
+    M, q = leaves(np.eye(2), [[-1.0, 2.0], [np.nan, -1.0], [-3.0, -4.0]])
+    z, is_solved = lcp_layer(M, q, mask=True)
+    assert is_solved.tolist() == [True, False, True]
+    assert z.tolist() == [[1.0, 0.0], [0.0, 0.0], [3.0, 4.0]]
+    z.sum().backward()
+    assert q.grad.tolist() == [[-1.0, 0.0], [0.0, 0.0], [-1.0, -1.0]]
+    assert M.grad.tolist() == [[-4.0, -4.0], [-3.0, -4.0]]  # −λ zᵀ of the first and the third
+    W, b = np.stack([np.eye(3), -np.eye(3)]), leaves([[-1.0, 3.0, 4.0]] * 2)[0]
+    r, is_solved = contact_layer(torch.tensor(W), b, torch.tensor([0.5]).double(), mask=True)
+    r.sum().backward()
+    assert is_solved.tolist() == [True, False]
+    assert r[1].tolist() == b.grad[1].tolist() == [0.0, 0.0, 0.0]
+    assert b.grad[0].abs().sum() > 0.0

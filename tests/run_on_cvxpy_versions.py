@@ -1,85 +1,117 @@
-"""Make an environment for each cvxpy version and run the modelling tests in it.
+"""Make an environment for each set of versions and run the tests of the host's interfaces in it.
 
-python tests/run_on_cvxpy_versions.py [VERSION …]
+    python tests/run_on_cvxpy_versions.py [--python PYTHON] [--suite] [VERSION …] [-- pytest's arguments]
 
-Without arguments: the newest of 1.8 and 1.9. Prints a line a version; the exit code is 1 if one fails.
+A VERSION is ``oldest`` (``oldest_versions.txt``), ``newest`` (from the package index), or a version of cvxpy. Without
+arguments: oldest, the newest of cvxpy 1.8 and 1.9, newest. PYTHON is an executable, or ``newest``: the newest Python
+that is found on PATH or in pyenv's folder. ``--suite`` runs the whole ordinary suite. Prints a line per version; the
+exit code is 1 if one fails.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
-import venv
 from pathlib import Path
 
-VERSIONS = ("1.8.*", "1.9.*")
-FLOORS = {"1.8.0": ("numpy==2.0.0", "scipy==1.15.0", "numba==0.60.0")}
-NAMES = (
-    *(
-        "extraction",
-        "modeling",
-        "modeling_derivatives",
-        "qp_solver",
-        "cvxpy_programs",
-        "conversions",
-    ),
-    *(
-        "cross_validation",
-        "certify",
-        "modeling_nonlinear",
-        "best_equilibrium",
-        "best_equilibrium_meaning",
-    ),
+VERSIONS = ("oldest", "1.8.*", "1.9.*", "newest")
+FOLDERS = ("modeling", "interfaces", "commands")
+FILES = (
+    "test_conversions",
+    "test_cross_validation",
+    "test_certify",
+    "test_best_equilibrium",
+    "test_best_equilibrium_meaning",
 )
-TESTS = [f"test_{name}.py" for name in NAMES]
-SHOW = "import cvxpy, scipy, numpy; print(cvxpy.__version__, scipy.__version__, numpy.__version__)"
+SUITE = ("report", "manual", "qpsolvers", "pyomo", "global", "fclib")
+SUITE_PACKAGES = ("quantecon", "scikit-fem", "hatchling", "jedi")
+SHOW = """import cvxpy, numba, numpy, platform, scipy
+print(platform.python_version(), *(module.__version__ for module in (numpy, scipy, numba, cvxpy)))"""
 ROOT = Path(__file__).parent.parent
+OLDEST = Path(__file__).with_name("oldest_versions.txt")
 
 
-def run_on(version: str) -> bool:
-    """Return whether the modelling tests pass with this version, in an environment of its own."""
+def newest_python() -> str:
+    """Return the newest Python that starts: of PATH and of pyenv's folder."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
+    found = {str(file) for file in pyenv.glob("3.*/bin/python3")}
+    found |= {path for minor in range(11, 30) if (path := shutil.which(f"python3.{minor}"))}
+    versions = {sys.version_info[:3]: sys.executable}
+    for python in found:
+        told = subprocess.run([python, "--version"], capture_output=True, text=True, check=False)
+        if match := re.fullmatch(r"Python 3\.(\d+)\.(\d+)", told.stdout.strip()):
+            versions[3, int(match[1]), int(match[2])] = python
+    return versions[max(versions)]
+
+
+def run_on(version: str, python: str, *, suite: bool, options: list[str]) -> bool:
+    """Return whether the tests pass with these versions, in an environment of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        venv.create(folder, with_pip=True)
-        python = str(Path(folder, "bin", "python"))
-        wanted = [
-            f"cvxpy=={version}",
-            *FLOORS.get(version, ()),
-            "pytest",
-            "pytest-xdist",
-            "hypothesis",
-            "mpmath",
-            "pyscipopt",
-            str(ROOT),
-        ]
-        subprocess.run([python, "-m", "pip", "install", "-q", *wanted], check=True)
-        tests = [str(next((ROOT / "tests").rglob(name))) for name in TESTS]
-        # Outside the source tree, so that the installed package is tested; its own deprecations are not our errors.
+        subprocess.run([python, "-m", "venv", folder], check=True)
+        own = str(Path(folder, "bin", "python"))
+        chosen = {"oldest": ["-c", str(OLDEST)], "newest": []}.get(version, [f"cvxpy=={version}"])
+        extras = ",".join(SUITE if suite else ("qpsolvers", "pyomo", "global", "fclib", "report"))
+        test = ["pytest", "pytest-xdist", "hypothesis", "mpmath", "click>=8.2"]
+        wanted = [f"{ROOT}[{extras}]", *test, *(SUITE_PACKAGES if suite else ())]
+        subprocess.run([own, "-m", "pip", "install", "-q", *chosen, *wanted], check=True)
+        names = [str(next((ROOT / "tests").rglob(f"{name}.py"))) for name in FILES]
+        tests = (
+            [str(ROOT / "tests")]
+            if suite
+            else [*(str(ROOT / "tests" / name) for name in FOLDERS), *names]
+        )
+        # Outside of the source tree, so that the installed package is tested; old versions may warn of newer Pythons.
         command = [
-            python,
+            own,
             "-m",
             "pytest",
             "-q",
-            "--full",
             "-n",
             "2",
             "-p",
             "no:cacheprovider",
             "-W",
             "default",
+            *options,
             *tests,
         ]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        found = subprocess.run([python, "-c", SHOW], capture_output=True, text=True, check=True)
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        environment["NUMBA_CACHE_DIR"] = str(Path(folder, "compiled"))
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
+        found = subprocess.run([own, "-c", SHOW], capture_output=True, text=True, check=True)
+    last = (done.stdout.strip().splitlines() or [done.stderr])[-1]
     print(
-        f"cvxpy, scipy, numpy {found.stdout.strip()}: {done.stdout.strip().splitlines()[-1]}",
-        flush=True,
+        f"{version}: Python, numpy, scipy, numba, cvxpy {found.stdout.strip()}: {last}", flush=True
     )
     if done.returncode:
-        print(done.stdout[-4000:])
+        print(done.stdout[-8000:], flush=True)
     return done.returncode == 0
 
 
+def main() -> int:
+    """Run the tests with each set of versions; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--python", default=sys.executable, help="an executable, or newest")
+    parser.add_argument("--suite", action="store_true", help="the whole ordinary suite")
+    parser.add_argument("versions", nargs="*", default=VERSIONS, metavar="VERSION")
+    words = sys.argv[1:]
+    cut = words.index("--") if "--" in words else len(words)
+    given, options = parser.parse_args(words[:cut]), words[cut + 1 :]
+    python = newest_python() if given.python == "newest" else given.python
+    outcomes = [
+        run_on(version, python, suite=given.suite, options=options) for version in given.versions
+    ]
+    return 0 if all(outcomes) else 1
+
+
 if __name__ == "__main__":
-    outcomes = [run_on(version) for version in sys.argv[1:] or VERSIONS]
-    sys.exit(0 if all(outcomes) else 1)
+    sys.exit(main())

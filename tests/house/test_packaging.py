@@ -17,6 +17,7 @@ import lcp_plugin
 
 ROOT = Path(__file__).parents[2]
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
+EXTRAS = ("report", "qpsolvers", "pyomo", "global", "fclib", "test")
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
 SMALL = 1_300_000  # bytes: nothing but code, which grew by the search for the best solution, SCIP's interface, cones
 
@@ -145,6 +146,19 @@ def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
     assert f'summary: "{PROJECT["description"]}"' in recipe
 
 
+def test_the_oldest_versions_are_the_floors_of_the_project() -> None:
+    """``oldest_versions.txt`` pins each dependency, and each extra of the tests, to its floor in pyproject.toml."""
+    lines = ROOT.joinpath("tests", "oldest_versions.txt").read_text(encoding="utf-8").splitlines()
+    pins = dict(line.split("==") for line in lines if not line.startswith("#"))
+    extras = PROJECT["optional-dependencies"]
+    stated = [*PROJECT["dependencies"], *(line for name in EXTRAS for line in extras[name])]
+    floors = dict(line.split(",")[0].split(">=") for line in stated if not line.startswith("lcp"))
+    assert set(PROJECT["dependencies"]) <= {f"{name}>={floors[name]}" for name in pins}
+    for name, pin in pins.items():
+        numbers, floor = pin.split(".")[:3], floors[name].split(".")
+        assert numbers == [*floor, "0", "0"][: len(numbers)], name
+
+
 def test_the_version_is_written_once() -> None:
     """pyproject.toml takes the version from the package, and names every Python that it is tested with."""
     assert PROJECT["dynamic"] == ["version"]
@@ -160,9 +174,13 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     if not script.exists():
         pytest.skip("a source archive has no .ci")
     text = script.read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if line.startswith(("bash", "python -m"))]
+    lines = [line for line in text.splitlines() if line.startswith(("bash", "python "))]
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"',
-        "python -m pytest --full -n 2",
+        'python -m pytest --full -n 2 "${strict[@]}"',
+        "python tests/on_other_machines.py --numeric --only Haswell --only Sandybridge --only Prescott "
+        '--only emulated --only "two threads"',
+        "python tests/run_on_cvxpy_versions.py oldest",
+        "python tests/run_on_cvxpy_versions.py --python newest newest",
         "python -m sphinx -q -W -c examples/manual examples site",
     ]

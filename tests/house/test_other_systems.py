@@ -2,16 +2,60 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
 import pytest
 from fresh_process import printed_by
 
+ROOT = Path(__file__).parents[2]
 WITHOUT = """
-import os, sys
+import os, signal, sys
 for name in ("resource", "fcntl", "pwd", "grp", "termios"):
     sys.modules[name] = None
 for name in ("register_at_fork", "fork", "sched_getaffinity", "killpg", "setsid"):
     if hasattr(os, name):
         delattr(os, name)
+for name in ("SIGALRM", "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "alarm", "setitimer", "pthread_sigmask"):
+    if hasattr(signal, name):
+        delattr(signal, name)
+"""
+# Python warns of a file that is opened in the encoding of the system, which is cp1252 on many a Windows.
+STRICT = """
+import warnings
+warnings.filterwarnings("error", category=EncodingWarning, module="lcp_plugin")
+"""
+FORBIDDEN = re.compile(r'[<>:"|?*\\\x00-\x1f]|[. ]$')  # in a name on Windows
+RESERVED = {"con", "prn", "aux", "nul"} | {
+    f"{kind}{k}" for kind in ("com", "lpt") for k in range(10)
+}
+LONGEST = 150  # characters of a path below the project: Windows has 260 for a whole path
+SPAWNED = """
+import multiprocessing
+from pathlib import Path
+
+import numpy as np
+
+from lcp_plugin import LCP, FrictionalContact, QuadraticProgram, solve
+
+PROBLEMS = [
+    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]),
+    QuadraticProgram(np.eye(2), [-1.0, 1.0], lower=0.0),
+    FrictionalContact(np.eye(3), [-1.0, 0.5, 0.0], 0.5),
+]
+
+if __name__ == "__main__":
+    multiprocessing.set_start_method("spawn")
+    with multiprocessing.Pool(1) as pool:
+        for problem, theirs in zip(PROBLEMS, pool.map(solve, PROBLEMS)):
+            ours = solve(problem)
+            z = "x" if hasattr(ours, "x") else "z"
+            same = getattr(theirs, z).tobytes() == getattr(ours, z).tobytes()
+            print(type(problem).__name__, theirs.status.name, same)
 """
 
 
@@ -37,3 +81,82 @@ for words in (["list"], ["solve", "obstacle_2d:size=10", "--json"], ["analyze", 
 """
     printed = printed_by(WITHOUT + code).splitlines()
     assert printed == ["SOLVED [[2.5, 0.0], [2.5, 0.0]]", "optimal", "0", "0", "0"]
+
+
+@pytest.mark.full
+def test_files_are_opened_in_a_named_encoding(tmp_path: Path) -> None:
+    """No file is read or written in the encoding of the system; a path may have any letter."""
+    code = """
+import numpy as np
+import lcp_plugin as lp
+from pathlib import Path
+from lcp_plugin.commands.cli import app
+from lcp_plugin.interfaces.nl import write_nl
+from typer.testing import CliRunner
+
+problem = lp.LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+problem.save("ü ß.npz"), problem.save("Ωfolder")
+np.savez("qp.npz", P=np.eye(2), c=[-1.0, 1.0])
+write_nl(problem, "zwei é.nl")
+for name in ("ü ß.npz", "Ωfolder", "zwei é.nl"):
+    print(lp.solve(lp.load_problem(name)).status.name)
+for words in (["solve", "ü ß.npz"], ["solve", "qp.npz"], ["list"], ["analyze", "zwei é.nl"]):
+    print(CliRunner().invoke(app, words).exit_code)
+"""
+    done = subprocess.run(
+        [sys.executable, "-X", "warn_default_encoding", "-X", "utf8", "-c", STRICT + code],
+        cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["SOLVED"] * 3 + ["0"] * 4
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("words", [["list"], ["solve", "obstacle_2d:size=6"], ["solve", "--help"]])
+def test_a_command_prints_in_a_code_page_of_windows(words: list[str]) -> None:
+    """Characters that cp1252 lacks are printed as '?'; no command ends with an error because of them."""
+    done = subprocess.run(
+        [sys.executable, "-m", "lcp_plugin", *words],
+        env=os.environ | {"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}, capture_output=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.decode("cp1252")
+
+
+def test_problems_and_results_pass_through_a_spawned_process(tmp_path: Path) -> None:
+    """Processes are not forked on macOS and Windows: arguments and results are pickled, and have the same bits."""
+    script = tmp_path / "spawned.py"
+    script.write_text(SPAWNED, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    names = ("LCP", "QuadraticProgram", "FrictionalContact")
+    assert done.stdout.splitlines() == [f"{name} SOLVED True" for name in names]
+
+
+def test_names_of_files_are_different_without_case_and_allowed_on_windows() -> None:
+    """No two files of a folder differ only in case, and no name is reserved, too long or has a forbidden character."""
+    files = [
+        file.relative_to(ROOT)
+        for folder in ("lcp_plugin", "tests", "examples")
+        for file in ROOT.joinpath(folder).rglob("*")
+        if "__pycache__" not in file.parts
+    ]
+    counts = Counter(file.as_posix().casefold() for file in files)
+    assert [name for name, count in counts.items() if count > 1] == []
+    for file in files:
+        assert len(file.as_posix()) <= LONGEST, file
+        assert not FORBIDDEN.search(file.name), file
+        assert file.name.partition(".")[0].casefold() not in RESERVED, file
+
+
+def test_paths_are_no_strings_with_slashes() -> None:
+    """No module of the package splits a path at '/' or names a folder of Unix."""
+    found = [
+        f"{file.name}: {line.strip()}"
+        for file in ROOT.joinpath("lcp_plugin").rglob("*.py")
+        for line in file.read_text(encoding="utf-8").splitlines()
+        if re.search(r"""split\(["']/["']|["']/(tmp|dev|home|etc|usr)\b|os\.path\.""", line)
+    ]
+    assert found == []

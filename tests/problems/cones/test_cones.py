@@ -684,12 +684,12 @@ def test_components_that_are_solved_alone_are_seen_by_the_callback() -> None:
 
 
 def test_warm_steps_of_a_pile_obey_their_limit() -> None:
-    """max_seconds=0.05 from a bad start: within a tenth of a second, compilation apart, with the best point so far."""
+    """max_seconds=1e-4 from a bad start ends the run at its second of 17 steps, with the best point so far."""
     *contacts, velocities = poured(60, 0)
     problem = FrictionalContact(tuple(contacts), velocities, 0.4)
-    solve(problem, z0=np.ones(problem.n), max_seconds=0.05)
-    result = solve(problem, z0=np.full(problem.n, 1e3), max_seconds=0.05, tolerance=1e-15)
-    assert result.seconds <= 0.15
+    result = solve(problem, z0=np.full(problem.n, 1e3), max_seconds=1e-4, tolerance=1e-15)
+    assert result.status is Status.MAX_SECONDS
+    assert result.iterations <= 2  # a step takes longer than 1e-4 seconds on any processor
     assert np.isfinite(result.z).all()
 
 

@@ -324,13 +324,19 @@ class PrimalDualPoint:
 
     @property
     def _least_norm(self) -> FloatVector:
-        """The sizes of the multipliers of least norm that pull as much at the unknowns that have room."""
-        free, on = np.flatnonzero(self.distance > 0.0), np.flatnonzero(self.y)
+        """The sizes of the multipliers of least norm that pull as much at the unknowns that have room.
+
+        An unknown has none if its distance to a bound is at rounding level of the unknowns of its component: a cost of
+        10³⁶ that keeps it there needs no multiplier of this size.
+        """
+        units, row_units = self.matrices.fit
+        way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
+        sizes = self._largest_by_component(self.of_x / units)[self.matrices.components.of_unknown]
+        free, on = np.flatnonzero(way > EXCUSED * units * sizes), np.flatnonzero(self.y)
         if not (free.size and on.size):
             return self.of_y
         from scipy.sparse.linalg import lsmr
 
-        units, row_units = self.matrices.fit
         T = sp.csr_array(self.matrices.rows[on].T)[free]
         pull, of_row = T @ self.y[on], self.matrices.components.of_row[on]
         pull, of_free = pull * units[free], self.matrices.components.of_unknown[free]

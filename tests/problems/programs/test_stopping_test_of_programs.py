@@ -13,8 +13,17 @@ import qpsolvers
 import scipy.sparse as sp
 from campaigns.outliers import ExactProgram, exact
 from numpy.random import Generator
+from scipy.optimize import linprog
 
-from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, Status, solve, solve_batch
+from lcp_plugin import (
+    QPSolver,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    Status,
+    certify,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.problems.programs.criterion import KKTErrors, PrimalDualPoint
 
@@ -495,3 +504,49 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[[int], r
                     passed += bool((gap <= 1e-6).all())
                 assert (exact.row_errors() <= plain.row_errors() * (1.0 + 1e-9)).all()
     assert passed > 0
+
+
+# --- Costs that forbid ---------------------------------------------------------------------------------------------
+
+
+def transport(costs: Any, supplies: Any, demands: Any) -> QuadraticProgram:
+    """Return the cheapest transport from sources to destinations."""
+    m, n = np.shape(costs)
+    rows = np.vstack([np.kron(np.eye(m), np.ones(n)), np.kron(np.ones(m), np.eye(n))])
+    right = np.concatenate([supplies, demands])
+    return QuadraticProgram(None, np.ravel(costs), A=rows, b=right, lower=0.0)
+
+
+@pytest.mark.parametrize("exponent", [12, 20, 28, 32, 36])
+def test_a_cost_that_forbids_hides_no_better_transport(exponent: int) -> None:
+    """Sums of 1/3 and two forbidden pairs: 5, and certify disproves 6 and 6 with noise on the forbidden pairs."""
+    B, third = 10.0**exponent, np.full(3, 1.0 / 3.0)
+    program = transport([[B, 4.0, 4.0], [10.0, 6.0, 7.0], [B, 7.0, 1.0]], third, third)
+    result = solve(program)
+    assert not result.is_solved or result.objective == pytest.approx(5.0)
+    assert certify(program, [0, 1 / 3, 0, 1 / 3, 0, 0, 0, 0, 1 / 3]).verdict != "disproved"
+    wrong = np.array([0.0, 1.0, 1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 1.0]) / 6.0
+    noisy = wrong + 6e-24 * np.eye(9)[0] + 9e-25 * np.eye(9)[6]
+    multipliers = [2e-16, 1.0, 2e-16, -1.0, -2e-16, -2e-16]
+    for x in (wrong, noisy):
+        for given in (None, ([], B * np.array(multipliers))):
+            assert certify(program, x, given).verdict != "proved"
+
+
+@pytest.mark.few(12)
+@pytest.mark.parametrize("seed", range(150))
+def test_drawn_transports_with_forbidding_costs_have_the_value_without_these_pairs(
+    seed: int,
+) -> None:
+    """Costs of 10¹⁰ … 10³⁹ on a quarter of the pairs; HiGHS solves the transport without these pairs."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(rng.integers(2, 5, 2))
+    forbids, is_forbidden = 10.0 ** rng.integers(10, 40), rng.random(shape) < 0.25
+    costs = rng.integers(1, 11, shape).astype(float)
+    flows = np.where(is_forbidden, 0.0, rng.integers(0, 6, shape) / rng.choice([3.0, 7.0, 10.0]))
+    program = transport(np.where(is_forbidden, forbids, costs), flows.sum(1), flows.sum(0))
+    limits = [(0.0, 0.0 if is_none else None) for is_none in is_forbidden.ravel()]
+    known = linprog(costs.ravel(), A_eq=program.A, b_eq=program.b, bounds=limits)
+    result = solve(program)
+    if known.status == 0 and result.is_solved:
+        assert result.objective == pytest.approx(known.fun, rel=1e-6, abs=1e-12)

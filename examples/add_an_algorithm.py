@@ -1,11 +1,12 @@
 """Your own algorithm in thirty lines, tested on problems whose answers are known exactly.
 
-Korpelevich's extragradient method takes each step twice: once to look ahead, once in earnest with the slack seen there,
+Korpelevich's extragradient method takes each step twice: a predictor step, then a corrector step with the slack at the
+predicted point,
 
     y = mid(lower, upper, z − τ w(z)),   z⁺ = mid(lower, upper, z − τ w(y)),   w(z) = M z + q.
 
-For τ < 1/‖M‖ it converges on every monotone problem, M symmetric or not. Without the look ahead the iterates of the
-game below circle for ever; with it they spiral into the equilibrium.
+For τ < 1/‖M‖ it converges on every monotone problem, M symmetric or not. Without the predictor the iterates of the
+game below circle indefinitely; with it they spiral into the equilibrium.
 
 An algorithm is a frozen dataclass with `iterates`. It has no clock, no tolerance and no status: `solve` adds these. A
 copy of the class in a file of `lcp_plugin/methods/` is an algorithm of this package, and its test is the second file.
@@ -33,12 +34,12 @@ from lcp_plugin.evidence.drawing import STYLE
 
 @dataclass(frozen=True, kw_only=True)
 class Extragradient(Algorithm):
-    """Each step twice: one to look ahead, one in earnest.
+    """Each step twice: a predictor and a corrector.
 
     Parameters
     ----------
     step : float
-        In units of 1/‖M‖.
+        Step length τ in units of 1/‖M‖.
     looks_ahead : bool
         False leaves out the first of the two, for comparison.
     """
@@ -56,12 +57,12 @@ class Extragradient(Algorithm):
     looks_ahead: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse wrong options in words."""
+        """Check the options."""
         check_positive(self, "step")
         check_flag(self, "looks_ahead")
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        """Yield z0, then one step an iteration, for ever."""
+        """Yield z0, then one step per iteration."""
         z, length = (
             z0.copy(),
             self.step / scipy.sparse.linalg.norm(problem.csr),
@@ -97,7 +98,7 @@ def worst_of_random_problems() -> float:
 
 
 def way_through(game: LCP, algorithm: Extragradient) -> np.ndarray:
-    """Return the iterates of a run, one a row, and print how it ended."""
+    """Return the iterates of a run, one per row, and print how it ended."""
     way: list[np.ndarray] = []
     result = solve(
         game,
@@ -114,7 +115,7 @@ def way_through(game: LCP, algorithm: Extragradient) -> np.ndarray:
 
 
 def main(out: Path = Path()) -> None:
-    """Test the algorithm, and draw its way through a game into the folder OUT."""
+    """Test the algorithm, and draw its path through a game into the folder OUT."""
     game = LCP(
         [[0.0, 1.0], [-1.0, 0.0]], [-0.5, 0.5], upper=1.0
     )  # matching pennies: each tosses a coin

@@ -1,16 +1,16 @@
 """An American put option, and when it is best to exercise it early.
 
-A put is the right to sell a share for the strike K until the maturity T. It is never worth less than what exercise
-brings at once, its payoff g = max(K − S, 0). Where it is worth more, waiting is right, and its value V follows the
+A put is the right to sell a share for the strike K until the maturity T. It is never worth less than
+its payoff g = max(K − S, 0). If it is worth more, waiting is right, and its value V follows the
 Black–Scholes equation. In x = log(S/K) and time to maturity τ:
 
-    V ≥ g,   V_τ − ½σ² V_xx − (r − ½σ²) V_x + r V ≥ 0,   and one of the two is an equation.
+    V ≥ g,   V_τ − ½σ² V_xx − (r − ½σ²) V_x + r V ≥ 0,   and at least one holds with equality.
 
 An implicit Euler step of length Δτ is an LCP with M = I + Δτ A, q = −(the values before the step), lower = g. M is the
 same in every step, and tridiagonal: `march` takes all steps in one compiled loop.
 
 Sources: Brennan, Schwartz, J. Finance 32, 1977, doi:10.2307/2326779. The check is the binomial tree of Cox, Ross and
-Rubinstein, J. Financial Economics 7, 1979, doi:10.1016/0304-405X(79)90015-1, which knows no differential equation.
+Rubinstein, J. Financial Economics 7, 1979, doi:10.1016/0304-405X(79)90015-1, which uses no differential equation.
 """
 
 from pathlib import Path
@@ -29,7 +29,7 @@ SIZE, STEPS = 901, 150
 
 
 def main(out: Path = Path()) -> None:
-    """Price the option, compare with a binomial tree, and save a picture into the folder OUT."""
+    """Price the option, compare with a binomial tree, and save a figure into the folder OUT."""
     x = np.linspace(-1.5, 1.5, SIZE + 2)
     h, time_step = x[1] - x[0], MATURITY / STEPS
     spot, payoff = STRIKE * np.exp(x), np.maximum(STRIKE - STRIKE * np.exp(x), 0.0)

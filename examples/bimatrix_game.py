@@ -1,7 +1,7 @@
 """A game of two players with all its equilibria.
 
 Two firms choose one of three standards. Each has a favourite, but both gain more if they agree: the row player gets
-A_ij and the column player B_ij when one plays row i and the other column j. In a Nash equilibrium nobody gains by a
+A_ij and the column player B_ij when one plays row i and the other column j. In a Nash equilibrium no player gains by a
 change of mind; the players may toss coins. With costs K, L > 0 in the place of the payoffs the equilibria are, up to a
 scale factor, the solutions of an LCP:
 
@@ -10,7 +10,7 @@ scale factor, the solutions of an LCP:
 `solve` finds one of them, `all_solutions` every one, in exact arithmetic.
 
 The check tries all pairs of supports (the actions that a player uses) of the same size, and makes each player
-indifferent between his own. It is the classical way and uses linear equations only.
+indifferent between the strategies of the player. It is the classical way and uses linear equations only.
 
 Sources: Nash, Annals of Mathematics 54, 1951, doi:10.2307/1969529; Lemke, Howson, J. SIAM 12, 1964,
 doi:10.1137/0112033.
@@ -52,7 +52,7 @@ def indifferent(payoffs: np.ndarray) -> np.ndarray:
 
 
 def main(out: Path = Path()) -> None:
-    """Find all equilibria, compare with a search over supports, and save a picture into the folder OUT."""
+    """Find all equilibria, compare with a search over supports, and save a figure into the folder OUT."""
     problem = LCP.from_game(A, B)
     equilibria = [problem.origin.recover(solution.z) for solution in all_solutions(problem)]
     for k, found in enumerate(equilibria, start=1):

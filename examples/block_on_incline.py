@@ -45,7 +45,7 @@ def speed_after(angle: float, friction: float) -> tuple[float, float]:
 
 
 def main(out: Path = Path()) -> None:
-    """Tilt the slope for three coefficients, compare the speeds, save a picture into the folder OUT."""
+    """Tilt the slope for three coefficients, compare the speeds, save a figure into the folder OUT."""
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
     degrees, worst = np.linspace(0.0, 45.0, 46), 0.0

@@ -1,15 +1,15 @@
 """Five hundred American puts, each with a volatility of its own: found from their prices by Newton's method.
 
-A market quotes prices; what traders compare is the volatility σ that explains each of them. The price of a put solves
+A market quotes prices; traders compare the volatility σ that explains each of them. The price of a put solves
 
-    V ≥ g,   V_τ − ½σ² V_xx − (r − ½σ²) V_x + r V ≥ 0,   and one of the two is an equation,
+    V ≥ g,   V_τ − ½σ² V_xx − (r − ½σ²) V_x + r V ≥ 0,   and at least one holds with equality,
 
 with x = log(S/K), τ the time to maturity, g = max(K − S, 0). An implicit step of length Δτ is an LCP with
 M(σ) = I + Δτ A(σ). σ and Δτ differ from put to put, and M with them; all matrices are tridiagonal, so that a step of
 `march` is one pass over the rows. `derivative` of each march gives vega,
 the change of the price with σ, exactly: Newton's method on the logarithm of the price takes a few marches.
 
-Quotes come from a binomial tree with planted volatilities, which knows no differential equation: these are the check.
+Quotes come from a binomial tree with known volatilities, which uses no differential equation: these are the check.
 
 Sources: Brennan, Schwartz, J. Finance 32, 1977, doi:10.2307/2326779; Cox, Ross, Rubinstein, J. Financial Economics 7,
 1979, doi:10.1016/0304-405X(79)90015-1.
@@ -48,7 +48,7 @@ def matrix(below: float, above: float, centre: float) -> sp.csr_array:
 def prices(
     sigma: np.ndarray, strike: np.ndarray, years: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Return price and vega of each put, and what they took in seconds."""
+    """Return price and vega of each put, and the seconds of the run."""
     reach, dt = (
         6 * BEGIN * np.sqrt(years),
         years / STEPS,
@@ -85,7 +85,7 @@ def prices(
 
 
 def main(out: Path = Path()) -> None:
-    """Quote 500 puts, find their volatilities again, save a picture into the folder OUT."""
+    """Quote 500 puts, find their volatilities again, save a figure into the folder OUT."""
     strike, years = (grid.ravel() for grid in np.meshgrid(STRIKES, YEARS))
     right = planted(strike, years)
     quotes = np.array(
@@ -114,7 +114,7 @@ def main(out: Path = Path()) -> None:
     )
     print(f"check: all quotes are met to {misses[-1].max():.1e}, relatively")
     print(
-        f"check: the volatilities differ from the planted ones by at most {off.max():.3f} percentage points"
+        f"check: the volatilities differ from the known ones by at most {off.max():.3f} percentage points"
     )
     print(
         f"check: vega differs from a central difference by at most {abs(bumped / vega - 1).max():.1e}, relatively"
@@ -139,9 +139,7 @@ def main(out: Path = Path()) -> None:
             markerfacecolor="white",
             label=f"{YEARS[k]:.2g} years",
         )
-    middle.set(
-        xlabel="strike (EUR)", ylabel="volatility (%)", title="found (dots), planted (lines)"
-    )
+    middle.set(xlabel="strike (EUR)", ylabel="volatility (%)", title="found (dots), known (lines)")
     middle.legend()
     last.semilogy([miss.max() for miss in misses], "o-", color="#0072B2", label="largest")
     last.semilogy([np.median(miss) for miss in misses], "o--", color="#999999", label="median")

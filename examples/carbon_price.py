@@ -2,7 +2,7 @@
 
 A plant in place 1 burns coal at cost 2 + s/2 and emits .9 a unit, one in place 2 gas at 5 + s/2 and .4. Demand is
 12 − p in both places; a trader carries up to 2 units wherever prices differ. The leader sets the carbon price τ so that
-welfare less 3 · emissions is largest, and pays nothing for it but what firms and trader answer.
+welfare less 3 · emissions is largest, and anticipates only the answer of firms and trader.
 
 The same is found by a fine grid of carbon prices, the market solved at each.
 """
@@ -21,7 +21,7 @@ COST, EMITS, DAMAGE, LIMIT = np.array([2.0, 5.0]), np.array([0.9, 0.4]), 3.0, 2.
 
 
 def market(tax: cp.Expression | float) -> tuple[cp.Expression, list[cp.Constraint], cp.Variable]:
-    """Return welfare less damage, what firms and trader answer to a carbon price, and what is made."""
+    """Return welfare less damage, the answer of firms and trader to a carbon price, and what is made."""
     made, carried, rent = cp.Variable(2), cp.Variable(2), cp.Variable(2)
     flow = carried[0] - carried[1]
     eaten = made + cp.hstack([-flow, flow])
@@ -39,7 +39,7 @@ def market(tax: cp.Expression | float) -> tuple[cp.Expression, list[cp.Constrain
 
 
 def main(out: Path = Path()) -> None:
-    """Find the carbon price, compare with a grid, and save a picture into the folder OUT."""
+    """Find the carbon price, compare with a grid, and save a figure into the folder OUT."""
     tax = cp.Variable(bounds=[0, 12])
     welfare, answers, made = market(tax)
     problem = cp.Problem(cp.Maximize(welfare), answers)

@@ -2,7 +2,7 @@
 
 A cover lies on a flange. Pressure lifts it from within, bolts hold it down, and where it does not lift it bears:
 
-    lift ≥ 0,   K lift − pressure + bolts ≥ 0,   and at every point one of the two is an equation.
+    lift ≥ 0,   K lift − pressure + bolts ≥ 0,   and at every point at least one holds with equality.
 
 K is the stiffness of the cover as a beam. At some points, the seals, the flange has to bear with a given force at
 least; elsewhere the cover may lift by a millimetre. A bolt costs as much as its force, more where it is hard to reach.
@@ -39,7 +39,7 @@ MOST = 1.0  # mm, of the lift
 
 
 def main(out: Path = Path()) -> None:
-    """Find the bolts, prove them cheapest, compare, and save a picture into the folder OUT."""
+    """Find the bolts, prove them cheapest, compare, and save a figure into the folder OUT."""
     K = _stiffness()
     pressure = np.where(
         (np.arange(POINTS) >= SEALS[0]) & (np.arange(POINTS) <= SEALS[-1]), PRESSURE, 0.0

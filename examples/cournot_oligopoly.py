@@ -1,7 +1,7 @@
 """Five firms share a market, until one of them becomes too expensive.
 
 Firm i makes q_i at the cost c_i q + β_i/(1 + β_i) L_i^(−1/β_i) q^((1 + β_i)/β_i), and the price p(Q) = (5000/Q)^(1/1.1)
-falls with what all make together. Each chooses the q_i ≥ 0 that is best for itself as the others produce now. Nobody
+falls with the total output. Each chooses the q_i ≥ 0 that is best for itself as the others produce now. Nobody
 wants to change, a Cournot–Nash equilibrium, where
 
     q_i ≥ 0  with  F_i(q) = c_i + (q_i/L_i)^(1/β_i) − p(Q) − q_i p′(Q) ≥ 0.
@@ -31,7 +31,7 @@ RISES = np.linspace(0.0, 40.0, 41)
 
 
 def main(out: Path = Path()) -> None:
-    """Find the published equilibrium, follow it while a cost rises, and save a picture into the folder OUT."""
+    """Find the published equilibrium, follow it while a cost rises, and save a figure into the folder OUT."""
     made, cost = cp.Variable(5), cp.Parameter(5, value=COST)
     total = cp.sum(made)
     price = 5000 ** (1 / ELASTICITY) * total ** (-1 / ELASTICITY)
@@ -74,7 +74,7 @@ def main(out: Path = Path()) -> None:
     axes.axvline(closed, color="#bbbbbb", linewidth=0.8)
     axes.annotate(" firm 5 closes", (closed, 6), color="#555555")
     axes.set(
-        title="What each firm makes while the cost of the fifth rises",
+        title="Output of each firm while the cost of the fifth rises",
         xlabel="rise of the cost of firm 5",
         ylabel="output",
         xlim=(0, 46),

@@ -1,6 +1,6 @@
-"""Noise taken out of a picture, edges kept: total variation.
+"""Total-variation denoising of an image: noise is removed, edges are kept.
 
-Given a noisy picture f, find the picture u that is close to it and has little total variation, that is, few and clear
+Given a noisy image f, find the image u that is close to it and has little total variation, that is, few and clear
 jumps between neighbours (D u holds all differences between neighbouring pixels):
 
     min ½ ‖u − f‖² + λ ‖D u‖₁.
@@ -8,7 +8,7 @@ jumps between neighbours (D u holds all differences between neighbouring pixels)
 (This is the anisotropic kind: it adds up jumps between rows and jumps between columns.)
 
 Its dual has one number p for each pair of neighbours, −λ ≤ p ≤ λ, and minimises ½ ‖Dᵀp − f‖²: an LCP with bounds on
-both sides, M = D Dᵀ and q = −D f. Then u = f − Dᵀp, and w = −D u: where two neighbours differ, p rests on a bound.
+both sides, M = D Dᵀ and q = −D f. Then u = f − Dᵀp, and w = −D u: where two neighbours differ, p is at a bound.
 
 The check needs no reference: every p within its bounds gives a lower bound of the least energy, every u an upper one.
 
@@ -30,7 +30,7 @@ SIZE, WEIGHT, NOISE = 96, 0.28, 0.2  # pixels, λ, standard deviation in units o
 
 
 def drawn() -> np.ndarray:
-    """Return a picture made of a disc, a bar, a triangle and a slope, shape (SIZE, SIZE), values in [0, 1]."""
+    """Return an image of a disc, a bar, a triangle and a slope, shape (SIZE, SIZE), values in [0, 1]."""
     y, x = np.mgrid[0 : 1 : SIZE * 1j, 0 : 1 : SIZE * 1j]
     picture = np.full((SIZE, SIZE), 0.15)
     picture[(x > 0.55) & (y > 0.1) & (y < 0.45) & (x < 0.92)] = 0.6
@@ -40,7 +40,7 @@ def drawn() -> np.ndarray:
 
 
 def main(out: Path = Path()) -> None:
-    """Take the noise out of a picture, check the duality gap, and save the pictures into the folder OUT."""
+    """Remove the noise of an image, check the duality gap, and save the figures into the folder OUT."""
     truth = drawn()
     noisy = (truth + NOISE * np.random.default_rng(0).standard_normal(truth.shape)).ravel()
     step = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(SIZE - 1, SIZE))
@@ -54,7 +54,7 @@ def main(out: Path = Path()) -> None:
     above = 0.5 * np.sum((clean - noisy) ** 2) + WEIGHT * abs(D @ clean).sum()
     below = 0.5 * (noisy @ noisy - clean @ clean)
     rms = [np.sqrt(np.mean((picture - truth.ravel()) ** 2)) for picture in (noisy, clean)]
-    print(f"distance from the true picture: {rms[0]:.3f} with noise, {rms[1]:.3f} without")
+    print(f"distance from the true image: {rms[0]:.3f} with noise, {rms[1]:.3f} without")
     print(
         f"check: the energy {above:.6f} is at most {(above - below) / above:.1e} above the least, relatively"
     )

@@ -2,7 +2,7 @@
 
 A membrane is fixed along the edge of a square, a load p ≥ 0 presses it down, and a floor lies beneath it:
 
-    u ≥ −1,   s = p − Δu ≥ 0,   and at every point one of the two is an equation.
+    u ≥ −1,   s = p − Δu ≥ 0,   and at every point at least one holds with equality.
 
 s is the pressure on the floor where the membrane touches, and zero elsewhere. What is wanted is u = −1 and s = S inside
 a heart and s = 0 outside; how far a load is from it, is
@@ -10,7 +10,7 @@ a heart and s = 0 outside; how far a load is from it, is
     L(p) = ½ ∫_heart (u + 1)² + ½ β ∫ (s − S · heart)².
 
 There are as many unknowns as nodes, 40 000. One adjoint, a linear solve on the nodes that do not touch, gives the
-gradient by all of them, for about what the solve costs, and scipy's L-BFGS-B goes downhill from no load at all. The
+gradient by all of them, at about the cost of the solve, and scipy's L-BFGS-B goes downhill from no load at all. The
 check: a difference of L in a random direction.
 
 Source: Mignot, J. Funct. Anal. 22, 1976, doi:10.1016/0022-1236(76)90017-3 (the derivative of an obstacle problem).
@@ -85,7 +85,7 @@ def relative_difference(membrane: Membrane) -> float:
 
 
 def main(out: Path = Path()) -> None:
-    """Find the load, compare a gradient with a difference, save a picture into the folder OUT."""
+    """Find the load, compare a gradient with a difference, save a figure into the folder OUT."""
     error = relative_difference(Membrane())
     membrane = Membrane()
     limits = {"maxfun": EVALUATIONS, "maxiter": EVALUATIONS, "maxcor": 20, "gtol": 0.0, "ftol": 0.0}

@@ -1,4 +1,4 @@
-"""The efficient frontier: every portfolio that anybody should hold, from the least risk to the highest return.
+"""The efficient frontier: all portfolios that are not dominated, from the least risk to the highest return.
 
 Of assets with expected returns μ and covariances Σ the best portfolio for a risk tolerance θ is
 
@@ -74,7 +74,7 @@ def critical_line(mean: np.ndarray, risk: np.ndarray, theta: float) -> np.ndarra
 
 
 def main(out: Path = Path()) -> None:
-    """Trace the frontier, compare it with the critical line, and save a picture into the folder OUT."""
+    """Trace the frontier, compare it with the critical line, and save a figure into the folder OUT."""
     mean, risk = market()
     program = QuadraticProgram(
         risk, np.zeros(ASSETS), A=np.ones((1, ASSETS)), b=[1], lower=0, upper=LIMIT

@@ -1,7 +1,7 @@
 """Dantzig's two canneries and three markets, when buyers answer to prices.
 
 Plant i holds a_i cases of goods and sells at the price w_i; shipping a case to market j costs c_ij; market j buys
-b_j (p̄_j/p_j)^ε_j cases at the price p_j. Where goods flow nobody profits, and what is left over costs nothing:
+b_j (p̄_j/p_j)^ε_j cases at the price p_j. If goods flow, no trader profits, and goods that remain cost nothing:
 
     x_ij ≥ 0  with  w_i + c_ij − p_j ≥ 0,      w_i ≥ 0  with  a_i − Σ_j x_ij ≥ 0,
     p_j ≥ 0   with  Σ_i x_ij − b_j (p̄_j/p_j)^ε_j ≥ 0.
@@ -36,7 +36,7 @@ LEFT = np.linspace(1.0, 0.0, 51)  # share of San Diego's capacity
 
 
 def main(out: Path = Path()) -> None:
-    """Follow the equilibrium while a plant closes, compare with the greatest surplus, save a picture into OUT."""
+    """Follow the equilibrium while a plant closes, compare with the greatest surplus, save a figure into OUT."""
     flow, at_plant, at_market = cp.Variable((2, 3)), cp.Variable(2), cp.Variable(3)
     capacity = cp.Parameter(2, value=CAPACITY)
     profit = (

@@ -1,12 +1,12 @@
 """Which algorithm for your own problem? Error against time.
 
-Put your M, q and bounds into `my_problem`; the rest stays as it is. Every algorithm runs on the same data, its clock
-stands still while its error is measured, and compilation is not on it. The axis says what the error is: a proved bound
+Put your M, q and bounds into `my_problem`; the rest is unchanged. Every algorithm runs on the same data, its clock
+stands still while its error is measured, and compilation is not on it. The axis names the error: a proved bound
 of ‖z − z*‖∞ where M allows one (as here, an H₊-matrix), else the relative residual.
 
 Here: a heated plate that loses heat to its surroundings and is carried through a cooler, so that M is not symmetric:
 
-    T ≤ T_max,   −Δ T + v ∂T/∂x + c T ≤ f,   and at every point one of the two is an equation:
+    T ≤ T_max,   −Δ T + v ∂T/∂x + c T ≤ f,   and at every point at least one holds with equality:
 
 a thermostat takes the heat away where the plate would become hotter than T_max. As M is not symmetric, T is not
 the least of an energy. The check at the end is a linear solve: with the hottest points known, T solves a linear system.

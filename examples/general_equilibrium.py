@@ -1,4 +1,4 @@
-"""Prices of an economy: three families of firms, five consumers, six goods, and nobody told what to do.
+"""Prices of an economy: three families of firms, five consumers, six goods, without a planner.
 
 An activity s turns goods into others, a_cs of good c (inputs negative), and runs at a level y_s only where it makes no
 loss. A consumer h owns e_ch, earns i_h = Σ_c p_c e_ch and spends it on goods by a utility of constant elasticity σ_h:
@@ -8,7 +8,7 @@ loss. A consumer h owns e_ch, earns i_h = Σ_c p_c e_ch and spends it on goods b
     d_ch = α_ch i_h p_c^−σ_h / Σ_k α_kh p_k^(1−σ_h).
 
 Only relative prices matter: the income of the first consumer is the unit of money. Nonlinear in p and i, and stated in
-cvxpy as it stands here. A convex solver checks each consumer: at these prices, nobody can buy a better basket.
+cvxpy as it stands here. A convex solver checks each consumer: at these prices, no consumer can buy a better basket.
 
 Sources: Scarf, Hansen, The Computation of Economic Equilibria, Yale 1973; as a complementarity problem: Mathiesen,
 Computation of economic equilibria by a sequence of linear complementarity problems, Math. Prog. Study 23, 1985.
@@ -76,7 +76,7 @@ TECHNIQUE = np.array(
 
 
 def main(out: Path = Path()) -> None:
-    """Find prices that clear all markets, check every consumer, and save a picture into the folder OUT."""
+    """Find prices that clear all markets, check every consumer, and save a figure into the folder OUT."""
     goods, activities = TECHNIQUE.shape
     share = WANTED / WANTED.sum(axis=0)
     prices, levels = cp.Variable(goods), cp.Variable(activities)
@@ -109,7 +109,8 @@ def main(out: Path = Path()) -> None:
     baskets = [basket(p, income[h], share[:, h], ELASTICITY[h]) for h in range(income.size)]
     left = TECHNIQUE @ y + OWNED.sum(axis=1) - np.sum(baskets, axis=0)
     print(
-        f"the first consumer's own budget, which nobody stated, is kept up to {abs(OWNED[:, 0] @ p - money):.1e}"
+        "the budget of the first consumer, which the model does not state, holds "
+        f"up to {abs(OWNED[:, 0] @ p - money):.1e}"
     )
     most = abs(left).max()
     print(
@@ -136,7 +137,7 @@ def main(out: Path = Path()) -> None:
 
 
 def basket(p: np.ndarray, income: float, share: np.ndarray, elasticity: float) -> np.ndarray:
-    """Return what a consumer buys, by maximising the utility: goods that nobody wants are not bought."""
+    """Return the purchases of a consumer, by maximizing the utility; goods without utility are not bought."""
     wanted, power = share > 0, 1 - 1 / elasticity
     x = cp.Variable(int(wanted.sum()))
     utility = np.sign(power) * share[wanted] ** (1 / elasticity) @ cp.power(x, power)

@@ -4,7 +4,7 @@ A shaft turns off-centre in its bearing and drags oil into the narrowing gap h(�
 there and carries the load. Behind the narrowest place the equation alone would ask for suction; oil cannot pull, the
 film tears (cavitation), and the pressure is zero:
 
-    p ≥ 0,   −∇·(h³ ∇p) ≥ ε sin θ,   and at every point one of the two is an equation.
+    p ≥ 0,   −∇·(h³ ∇p) ≥ ε sin θ,   and at every point at least one holds with equality.
 
 For a very long bearing there is a reference that needs no LCP: h³ p' = ε (cos θ − cos θc) up to the angle θc where the
 film tears, which is found from p(θc) = 0 by quadrature.
@@ -57,7 +57,7 @@ def very_long() -> tuple[float, np.ndarray]:
 
 
 def main(out: Path = Path()) -> None:
-    """Solve a short and a long bearing, compare the long one with quadrature, save a picture into the folder OUT."""
+    """Solve a short and a long bearing, compare the long one with quadrature, save a figure into the folder OUT."""
     angle, along, film, edge = pressure(1.0)
     _, width, long_film, long_edge = pressure(10.0)
     ends = long_edge.segments.reshape(-1, 2)

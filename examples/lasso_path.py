@@ -28,7 +28,7 @@ SAMPLES, GENES, TRUE = 80, 200, {3: 2.0, 17: -1.5, 60: 1.0, 101: 1.0, 150: -0.7}
 
 
 def measured(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return expressions of genes that vary in groups, and what they make with noise."""
+    """Return expressions of genes that vary in groups, and their noisy measurements."""
     A = rng.standard_normal((SAMPLES, GENES)) + np.repeat(
         rng.standard_normal((SAMPLES, GENES // 10)), 10, axis=1
     )
@@ -38,7 +38,7 @@ def measured(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main(out: Path = Path()) -> None:
-    """Trace the path, choose its best point, compare with solves, and save a picture into the folder OUT."""
+    """Trace the path, choose its best point, compare with solves, and save a figure into the folder OUT."""
     rng = np.random.default_rng(4)
     A, b = measured(rng)
     fresh, seen = measured(rng)

@@ -2,13 +2,13 @@
 
 Three sledges hang together by springs, and another spring pulls the first of them at a constant speed. Each sticks
 until the springs overcome its friction, then it slips. In a step of length Δt friction gives a sledge the impulse z, at
-most μ m g Δt: at less the sledge stands still, and at the limit it slides against it. With v = A⁻¹(z + b) the speeds,
+most μ m g Δt: at less the sledge sticks, and at the limit it slides against it. With v = A⁻¹(z + b) the speeds,
 
     −μ m g Δt ≤ z ≤ μ m g Δt;   v = 0 where z is between,  v ≥ 0 where it is at the lower limit,  v ≤ 0 at the upper,
 
 and A = m I + Δt² K by the implicit step of the springs K. This is an LCP with bounds: M = A⁻¹, q = A⁻¹ b, and its
 derivative by μ comes in through the bounds, goes through the speeds into the next step, and so through the whole film.
-Gauss–Newton steps then find the coefficients from noisy positions. The check: those with which the film was made.
+Gauss–Newton steps then find the coefficients from noisy positions. The check: the coefficients behind the film.
 
 Source: Burridge, Knopoff, Bull. Seismol. Soc. Am. 57, 1967 (sledges and springs, as a model of earthquakes).
 """
@@ -54,7 +54,7 @@ def film(friction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Fit:
-    """What least squares need: how far a film is from the measured one, its derivative, and what has been tried."""
+    """Residuals for least squares: distance from the measured film, derivative, coefficients tried."""
 
     def __init__(self, measured: np.ndarray) -> None:
         self.measured, self.tried, self.last = measured, [], None
@@ -66,7 +66,7 @@ class Fit:
         return (places - self.measured).ravel()
 
     def derivative(self, friction: np.ndarray) -> np.ndarray:
-        """Return the derivative of the distances that were asked for last, (3 · steps, 3)."""
+        """Return the derivative of the distances of the last evaluation, (3 · steps, 3)."""
         if not np.array_equal(self.tried[-1], friction):
             self.distances(friction)
         return self.last.reshape(-1, 3)
@@ -79,7 +79,7 @@ class Fit:
 
 
 def main(out: Path = Path()) -> None:
-    """Learn the coefficients from a noisy film, compare with the planted ones, save a picture into the folder OUT."""
+    """Learn the coefficients from a noisy film, compare with the known ones, save a figure into the folder OUT."""
     true, _ = film(PLANTED)
     noisy = Fit(true + NOISE * np.random.default_rng(1).standard_normal(true.shape))
     learned, exact = noisy.learn(), Fit(true).learn()
@@ -87,12 +87,12 @@ def main(out: Path = Path()) -> None:
     spread = NOISE * np.sqrt(np.diag(np.linalg.inv(by_friction.T @ by_friction)))
     for k in range(3):
         print(
-            f"sledge {k + 1}: planted {PLANTED[k]:.4f}, guessed {GUESS[k]:.4f}, "
+            f"sledge {k + 1}: known {PLANTED[k]:.4f}, guessed {GUESS[k]:.4f}, "
             f"learned {learned[k]:.4f} ± {spread[k]:.4f}"
         )
     print(f"{len(noisy.tried)} films of {STEPS} steps")
     print(
-        f"check: from a film without noise the coefficients differ from the planted ones by "
+        f"check: from a film without noise the coefficients differ from the known ones by "
         f"{abs(exact - PLANTED).max():.1e}, from one with {1000 * NOISE:g} mm of noise by "
         f"{abs(learned - PLANTED).max():.1e}"
     )
@@ -122,7 +122,7 @@ def main(out: Path = Path()) -> None:
         right.text(
             len(noisy.tried) - 1,
             PLANTED[k] + 0.007,
-            f"planted {PLANTED[k]:.2f}",
+            f"known {PLANTED[k]:.2f}",
             color=colour,
             ha="right",
         )

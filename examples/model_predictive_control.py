@@ -73,7 +73,7 @@ def planned_by_a_conic_solver(
 
 
 def main(out: Path = Path()) -> None:
-    """Steer the crane, compare with two other ways, and save a picture into the folder OUT."""
+    """Steer the crane, compare with two other ways, and save a figure into the folder OUT."""
     A, B = crane()
     P = solve_discrete_are(A, B, COSTS, EFFORT * np.eye(1))
     K = np.linalg.solve(EFFORT + B.T @ P @ B, B.T @ P @ A)

@@ -20,7 +20,7 @@ from lcp_plugin.evidence.drawing import STYLE
 
 
 def main(out: Path = Path()) -> None:
-    """Find the best output, compare with the formula, and save a picture into the folder OUT."""
+    """Find the best output, compare with the formula, and save a figure into the folder OUT."""
     x, y, price = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable()
     fringe = complements(y >= 0, 2 + y - price >= 0)
     problem = cp.Problem(cp.Maximize(cp.multiply(price, x) - x), [fringe, price == 10 - x - y])

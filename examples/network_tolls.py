@@ -3,9 +3,9 @@
 The owner of some roads of a network sets their tolls t; drivers between several pairs of places take cheapest paths.
 With flows v of a pair of places, prices π of its nodes, costs c and the incidence matrix N, each is an equilibrium:
 
-    v ≥ 0,   c + t − Nᵀπ ≥ 0,   and on every road one of the two is an equation;   N v = demand.
+    v ≥ 0,   c + t − Nᵀπ ≥ 0,   and on every road at least one holds with equality;   N v = demand.
 
-The owner's income Σ t v has products in it. Where the drivers are in equilibrium it is what they pay less what the
+The owner's income Σ t v has products in it. If drivers are in equilibrium, the income is what they pay less what the
 roads cost, Σ demandᵀπ − cᵀv, which is linear: a linear program with linear complementarity constraints. Of several
 cheapest paths the drivers take the one that pays the owner most.
 
@@ -41,7 +41,7 @@ MOST = 20.0  # above every price that matters
 
 
 def main(out: Path = Path()) -> None:
-    """Find the tolls, prove them best, compare with an integer program, and save a picture into the folder OUT."""
+    """Find the tolls, prove them best, compare with an integer program, and save a figure into the folder OUT."""
     rng = np.random.default_rng(3)
     is_highway = np.array([tuple(road) in HIGHWAY for road in ROADS.tolist()])
     costs = np.where(is_highway, 1.0, rng.integers(2, 7, len(ROADS)).astype(float))
@@ -132,7 +132,7 @@ def _by_integers(costs: np.ndarray, is_highway: np.ndarray, incidence: sp.csr_ar
 
 
 def _earned(costs: np.ndarray, tolls: np.ndarray) -> float:
-    """Return what drivers on cheapest paths pay."""
+    """Return the payments of drivers on cheapest paths."""
     graph = sp.csr_array((costs + tolls, (ROADS[:, 0], ROADS[:, 1])))
     _, before = shortest_path(graph, return_predecessors=True)
     toll_of, earned = (

@@ -8,7 +8,7 @@ are the complementary pair. `LCP.from_qp` writes it down, and `origin.recover` l
    carry the line between two classes.
 3. Portfolio: min ½ xᵀΣ x − r μᵀx over x ≥ 0, Σ x = 1: the least risk for the taste r of return, without short sales.
 
-Each has a check that knows nothing of LCPs: scipy's nnls, the gap between dual and primal objective, a conic solver.
+Each has a check without LCPs: scipy's nnls, the gap between dual and primal objective, a conic solver.
 
 Sources: Lawson, Hanson, Solving Least Squares Problems, SIAM 1995, doi:10.1137/1.9781611971217; Cortes, Vapnik, Machine
 Learning 20, 1995, doi:10.1007/BF00994018; Markowitz, J. Finance 7, 1952, doi:10.1111/j.1540-6261.1952.tb01525.x.
@@ -133,7 +133,7 @@ def portfolio(axes: plt.Axes, random: np.random.Generator) -> float:
 
 
 def main(out: Path = Path()) -> None:
-    """Solve all three, compare each with another method, and save a picture into the folder OUT."""
+    """Solve all three, compare each with another method, and save a figure into the folder OUT."""
     plt.style.use(STYLE)
     figure, panels = plt.subplots(1, 3, figsize=(12.6, 4.0), layout="constrained")
     random = np.random.default_rng(3)
@@ -142,7 +142,7 @@ def main(out: Path = Path()) -> None:
     )
     print(f"check: the classifier's duality gap is {classifier(panels[1], random):.1e}")
     print(
-        f"check: the portfolios differ from those of a conic solver by {portfolio(panels[2], random):.1e}"
+        f"check: the portfolios differ from the portfolios of a conic solver by {portfolio(panels[2], random):.1e}"
     )
     figure.savefig(out / "nnls_svm_portfolio.png", dpi=150)
 

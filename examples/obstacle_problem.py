@@ -1,9 +1,9 @@
 """A membrane over a ball, and where it touches.
 
-A membrane is fixed along the edge of a square and stretched over a ball. Where it touches, its height u equals the
+A membrane is fixed along the edge of a square and stretched over a ball. At contact, its height u equals the
 height ψ of the ball, and the ball presses it up; everywhere else it is in balance and −Δu = 0. In one line:
 
-    u ≥ ψ,   −Δu ≥ 0,   and at every point one of the two is an equation.
+    u ≥ ψ,   −Δu ≥ 0,   and at every point at least one holds with equality.
 
 The edge of the contact set, the free boundary, is not known beforehand. On a grid −Δ becomes the five-point matrix M,
 the heights along the edge go into q, and the problem is an LCP with lower = ψ.
@@ -28,7 +28,7 @@ SIZE = 120  # nodes along each side, the edge not counted
 
 
 def main(out: Path = Path()) -> None:
-    """Solve the obstacle problem, compare with the closed form, and save a picture into the folder OUT."""
+    """Solve the obstacle problem, compare with the closed form, and save a figure into the folder OUT."""
     nodes = np.linspace(-2, 2, SIZE + 2)
     r = np.hypot(*np.meshgrid(nodes, nodes, indexing="ij"))
     ball = np.where(r < 0.9, np.sqrt(1 - np.minimum(r, 0.9) ** 2), -1.0)

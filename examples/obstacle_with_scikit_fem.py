@@ -1,12 +1,12 @@
 """A membrane over a ball on an unstructured mesh, assembled by scikit-fem: linear and quadratic elements.
 
-Whoever assembles an obstacle problem with finite elements has M and q in hand; five lines then solve and certify it
+An assembler of finite elements yields M and q; five lines then solve the obstacle problem and certify the solution
 (`membrane`). The membrane is fixed along a circle of radius 2 and lies over a ball of radius 1. For this edge its
 height is known: u = −A log(r/2) outside the radius r* with r*² (1 − log(r*/2)) = 1; at r* its curvature jumps.
 
 With linear elements on a Delaunay mesh no two nodes inside have a positive entry, so that M is an M-matrix, which its
 signs and one vector prove at any size: sweeps are proved to converge. With quadratic elements there are positive
-entries, and no theorem on sweeps speaks; M is still positive definite, which takes a factorisation to prove. The
+entries, and no theorem on sweeps applies; M is still positive definite, which takes a factorisation to prove. The
 residual that judges the answer is the same, and of both the error of z has a proved bound. The error in L² falls like
 h² with linear elements, and with quadratic ones like h^2.5, not h³, because of the jump.
 
@@ -81,7 +81,7 @@ def curved(mesh: MeshTri) -> MeshTri2:
 
 
 def main(out: Path = Path()) -> None:
-    """Solve on finer and finer meshes, compare with the closed form, and save a picture into the folder OUT."""
+    """Solve on finer and finer meshes, compare with the closed form, and save a figure into the folder OUT."""
     errors = np.empty((len(ELEMENTS), len(NODES)))
     for (row, name), (column, count) in product(enumerate(ELEMENTS), enumerate(NODES)):
         mesh = disk(count)
@@ -108,7 +108,7 @@ def main(out: Path = Path()) -> None:
 
 
 def draw(out: Path, widths: np.ndarray, errors: np.ndarray, orders: list[float]) -> None:
-    """Save the picture."""
+    """Save the figure."""
     mesh = disk(PICTURED)
     u, _ = membrane(Basis(mesh, ElementTriP1()))
     plt.style.use(STYLE)

@@ -5,9 +5,9 @@ x = log(S/K) the operator is A = σ² D + r R, so that dA/dσ = 2σ D and dA/dr 
 
     M V_new + C V_old ≥ 0,   V_new ≥ g,   complementary;   M = I + ½Δτ A,   C = ½Δτ A − I.
 
-The first four steps are implicit and half as long, with the same M and C = −I: they damp what the kink of g excites
-(Rannacher). `march` takes the steps, ten marches in a row with longer and longer ones. `derivative` goes through them
-forwards, for the change of all prices with one of the data, or backwards, for that of one price with all of them.
+The first four steps are implicit and half as long, with the same M and C = −I: they damp oscillations from the
+kink of g (Rannacher). `march` takes the steps, ten marches in a row with longer and longer ones. `derivative`
+differentiates all steps, forwards by one datum, or backwards one price by all data.
 
 Delta is the derivative by a shift of the payoff along x, which comes in through the bound and the first V. The checks:
 differences of a binomial tree, extrapolated in its levels, today and 15 % above the exercise boundary, at which vega
@@ -156,7 +156,7 @@ def tree_greeks(spot: np.ndarray, years: np.ndarray) -> np.ndarray:
 
 
 def main(out: Path = Path()) -> None:
-    """Compute the Greeks at all times, compare with a binomial tree, save a picture into the folder OUT."""
+    """Compute the Greeks at all times, compare with a binomial tree, save a figure into the folder OUT."""
     x = np.linspace(-1.5, 1.5, SIZE + 2)[1:-1]
     spot, (A, payoff, changes) = STRIKE * np.exp(x), operator(x)
     done = legs(A, payoff)

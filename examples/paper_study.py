@@ -63,7 +63,7 @@ class DampedJacobi(Algorithm):
 
 
 def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
-    """Return the sweeps until max |z − max(0, z − D⁻¹ (M z + q))| is 1e-8 of what it was at 0."""
+    """Return the sweeps until max |z − max(0, z − D⁻¹ (M z + q))| is 1e-8 of its value at 0."""
     z, d, start, sweeps = np.zeros(q.size), M.diagonal(), 0.0, 0
     while True:
         w = M @ z + q

@@ -72,7 +72,7 @@ def cells() -> Iterator[Cell]:
 
 
 def main(out: Path = Path()) -> None:
-    """Print both tables, and save a picture of the iterations into the folder OUT."""
+    """Print both tables, and save a figure of the iterations into the folder OUT."""
     import matplotlib.pyplot as plt
 
     computed = list(cells())

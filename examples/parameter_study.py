@@ -3,11 +3,11 @@
 Twist a square steel bar. Its stress function u vanishes on the edge, and −Δu = 2α inside, α the twist per length. The
 stress |∇u| cannot exceed the yield stress 1, which means that u stays below the distance to the edge:
 
-    u ≤ dist,   −Δu ≤ 2α,   and at every point one of the two is an equation.
+    u ≤ dist,   −Δu ≤ 2α,   and at every point at least one holds with equality.
 
-From one α to the next only q = −2α h² changes. `prepare` computes what depends on M alone once, `with_q` shares it, and
-each solve starts from the answer before, whose contact set is nearly right: Newton's method needs a step or two.
-`solve_batch` is the short way where the starts do not matter.
+From one α to the next only q = −2α h² changes. `prepare` computes the parts that depend only on M once,
+`with_q` shares them, and each solve starts from the answer before, whose contact set is nearly right: Newton's method
+needs a step or two. `solve_batch` is shorter if the starts do not matter.
 
 Two limits are known: for small α all is elastic and the torque is 0.1406 · 2⁴ · α (a bar of side 2); for large α all is
 plastic and the torque is twice the volume under a pyramid, 8/3.
@@ -31,7 +31,7 @@ TWISTS = np.linspace(0.05, 5.0, 100)
 
 
 def main(out: Path = Path()) -> None:
-    """Solve for all twists, compare with both limits, and save a picture into the folder OUT."""
+    """Solve for all twists, compare with both limits, and save a figure into the folder OUT."""
     nodes = np.linspace(-1, 1, SIZE + 2)[1:-1]
     h = nodes[1] - nodes[0]
     distance = 1 - np.maximum(abs(nodes[:, None]), abs(nodes))

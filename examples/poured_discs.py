@@ -1,8 +1,8 @@
 """Thirty discs are poured into a box and come to rest: a thousand steps in time, with contacts that come and go.
 
 In each step of 10 ms (Moreau, Jean) the bodies that are near each other may touch. Friction is exact: no impulse leaves
-its cone, and what slides is pulled against its way. Impulses of the step before, kept by the numbers of the two bodies,
-begin the next one; a contact that is new begins with none.
+its cone, and friction acts against the sliding. Impulses of the step before, kept by the numbers of the two
+bodies, begin the next step; a new contact begins with zero.
 
 The check: at rest floor and walls carry the weight, and discs overlap by less than a millionth of their radius.
 
@@ -22,7 +22,7 @@ from lcp_plugin import FrictionalContact, solve
 from lcp_plugin.evidence.drawing import STYLE
 
 DISCS, RADIUS, MASS, GRAVITY, FRICTION = 30, 0.1, 1.0, 9.81, 0.4  # m, kg, m/s²
-STEP, STEPS, HALF, REACH = 0.01, 1000, 0.5, 0.03  # s, of the box and of what may touch: m
+STEP, STEPS, HALF, REACH = 0.01, 1000, 0.5, 0.03  # s, of the box and of possible contacts: m
 MASSES = np.tile([MASS, MASS, 0.5 * MASS * RADIUS**2], DISCS)  # sideways, up, turning
 FILM = (0, 30, 60, 120, 999)  # steps
 WALLS = (

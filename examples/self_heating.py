@@ -30,7 +30,7 @@ HEAT, LIMIT, SIZE = 12.0, 1.2, 99
 
 
 def main(out: Path = Path()) -> None:
-    """Find the temperatures and what is cooled, check a slab, and save a picture into the folder OUT."""
+    """Find the temperatures and what is cooled, check a slab, and save a figure into the folder OUT."""
     n = 2001  # between two walls first
     slab = heap(laplacian(n) * (n + 1.0) ** 2)[0]
     hot = np.flatnonzero(slab >= LIMIT)

@@ -1,8 +1,8 @@
 """A block slides down a slope exactly along gravity, whichever way the slope falls; with pyramids it drifts aside.
 
-Coulomb's friction acts against the velocity. Where its cone is replaced by a pyramid of m edges, it acts against the
+Coulomb's friction acts against the velocity. If its cone is replaced by a pyramid of m edges, it acts against the
 nearest edges, so that a block on a slope whose fall lies between two edges leaves the line of steepest descent.
-`FrictionalContact` takes the cone as it is; `LCP.from_contacts` takes pyramids.
+`FrictionalContact` takes the exact cone; `LCP.from_contacts` takes pyramids.
 
 The check: the block slides along gravity with T g (sin θ − μ cos θ).
 
@@ -23,7 +23,7 @@ EDGES = {4: "#0072B2", 8: "#D55E00", 16: "#009E73"}
 
 
 def pull(direction: float) -> np.ndarray:
-    """Return what gravity adds in a step to the velocities along normal and tangents, in m/s."""
+    """Return the change by gravity in a step of the velocities along normal and tangents, in m/s."""
     along = np.sin(SLOPE) * np.array([np.cos(direction), np.sin(direction)])
     return STEP * GRAVITY * np.array([-np.cos(SLOPE), *along])
 
@@ -35,7 +35,7 @@ def drift(slip: np.ndarray, direction: float) -> float:
 
 
 def main(out: Path = Path()) -> None:
-    """Turn the slope through a half circle, compare directions and speeds, save a picture into the folder OUT."""
+    """Turn the slope through a half circle, compare directions and speeds, save a figure into the folder OUT."""
     W, directions = np.eye(3) / MASS, np.radians(np.linspace(0.0, 180.0, 181))
     expected = STEP * GRAVITY * (np.sin(SLOPE) - FRICTION * np.cos(SLOPE))
     exact = [

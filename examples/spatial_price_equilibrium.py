@@ -1,7 +1,7 @@
-"""Trade between regions: who ships how much to whom, and at what prices.
+"""Trade between regions: who ships how much to whom, at which prices.
 
 Each region i supplies at the price π_i = a_i + b_i s_i and buys at the price ρ_i = c_i − d_i y_i; shipping a unit from
-i to j costs t_ij. Nobody ships at a loss, and where goods flow, competition leaves no profit:
+i to j costs t_ij. No trader ships at a loss, and where goods flow, competition leaves no profit:
 
     x_ij ≥ 0,   π_i + t_ij − ρ_j ≥ 0,   and for every pair (i, j) one of the two is zero,
 

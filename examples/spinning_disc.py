@@ -81,7 +81,7 @@ def ratios(start: float, edges: int | None = None) -> tuple[np.ndarray, np.ndarr
 
 
 def main(out: Path = Path()) -> None:
-    """Stop a disc from four starts, compare the ratios at the end, save a picture into the folder OUT."""
+    """Stop a disc from four starts, compare the ratios at the end, save a figure into the folder OUT."""
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     ends = []

@@ -1,4 +1,4 @@
-"""A leaning tower of blocks that stands, and one that does not.
+"""A stable leaning tower of blocks, and an unstable one.
 
 Blocks lie on each other, each shifted a little to the right. Two touching faces press at their outermost points with
 forces f ≥ 0, or they part there with a relative acceleration w ≥ 0, never both:
@@ -6,7 +6,7 @@ forces f ≥ 0, or they part there with a relative acceleration w ≥ 0, never b
     f ≥ 0,   w = J W⁻¹ Jᵀ f − J g ≥ 0,   fᵀ w = 0,
 
 where J gives the rate at which each gap opens when the blocks rise and turn, W their masses and moments of inertia, and
-g the pull of gravity (frictionless, at the first instant). If no gap opens, the tower stands.
+g the pull of gravity (frictionless, at the first instant). If no gap opens, the tower is stable.
 
 Shifts of 1/2, 1/4, 1/6, … of a block, counted from the top, are the most a tower can bear. The check: while it stands,
 the lever rule gives all forces, and a tower that is 15 % bolder must tip over.
@@ -94,7 +94,7 @@ def draw(
 
 
 def main(out: Path = Path()) -> None:
-    """Solve a tower that stands and one that tips over, check the forces, save a picture into the folder OUT."""
+    """Solve a stable tower and one that tips over, check the forces, save a figure into the folder OUT."""
     plt.style.use(STYLE)
     figure, panels = plt.subplots(1, 2, figsize=(9.6, 4.1), layout="compressed")
     for axes, boldness in zip(panels, (0.85, 1.15), strict=True):

@@ -1,12 +1,12 @@
 """A tower of ten blocks, and how hard one must pull a block to get it out.
 
 Ten equal blocks lie on each other; each face touches the next at its two edges, with friction. Someone pulls the block
-in the middle sideways. Pulled a little the tower stands; harder, all blocks from there on move together; harder still,
-the block slips out between its neighbours. Nobody needs to say which: that is what the complementarity problem decides,
+in the middle sideways. Pulled a little the tower is at rest; harder, all blocks from there on move together;
+harder still, the block slips out between its neighbours. The complementarity problem decides which,
 for all twenty contacts at once.
 
 The check: of b blocks from the pulled one on, of mass m and weight G each, nothing moves up to a pull of b μ G; then
-all get the acceleration (pull − b μ G) / (b m). Where that exceeds what friction can give those above, the block
+all get the acceleration (pull − b μ G) / (b m). If that exceeds the largest friction of the blocks above, the block
 alone gets (pull − (2 b − 1) μ G) / m. Each face carries the weight of all that lies above it. The blocks are wide:
 narrow ones would tip.
 
@@ -66,7 +66,7 @@ def closed_form(force: float) -> float:
 
 
 def main(out: Path = Path()) -> None:
-    """Pull harder and harder, compare with the closed form, save a picture into the folder OUT."""
+    """Pull harder and harder, compare with the closed form, save a figure into the folder OUT."""
     weight, moving = MASS * GRAVITY, BLOCKS - PULLED
     moves, slips_out = moving * FRICTION * weight, 2 * moving * FRICTION * weight
     forces, speeds, worst_load, worst_speed = np.linspace(0.0, 1.4 * slips_out, 29), [], 0.0, 0.0

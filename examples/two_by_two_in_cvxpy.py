@@ -5,8 +5,8 @@ the dual value of that constraint is w.
 
 Why is there exactly one answer? Write the problem as q = w₁ e₁ + w₂ e₂ − z₁ M₁ − z₂ M₂ with the columns of the identity
 and of M. In each row one of the two coefficients is zero, so q lies in one of four cones: (e₁, e₂), (−M₁, e₂),
-(e₁, −M₂) or (−M₁, −M₂). Where all principal minors of M are positive, these cones fill the plane without overlap:
-whatever q is, it lies in one of them, and the edges of that cone tell which of z and w are positive.
+(e₁, −M₂) or (−M₁, −M₂). If all principal minors of M are positive, these cones fill the plane without overlap:
+every q lies in one of them, and the edges of that cone tell which of z and w are positive.
 
 Source: Cottle, Pang, Stone, The Linear Complementarity Problem, SIAM 2009, doi:10.1137/1.9780898719000, section 1.3.
 """

@@ -25,7 +25,7 @@ COST, CAPACITY, FIXED = map(
 
 
 def market(built: cp.Expression | np.ndarray, *rows: cp.Constraint) -> tuple[float, cp.Variable]:
-    """Return welfare, and what the plants sell."""
+    """Return welfare, and the sales of the plants."""
     sold, rent = cp.Variable(4), cp.Variable(4, bounds=[0, 20])
     price = 20 - cp.sum(sold)
     pairs = [
@@ -39,7 +39,7 @@ def market(built: cp.Expression | np.ndarray, *rows: cp.Constraint) -> tuple[flo
 
 
 def main(out: Path = Path()) -> None:
-    """Choose the plants, compare with all sixteen choices, and save a picture into the folder OUT."""
+    """Choose the plants, compare with all sixteen choices, and save a figure into the folder OUT."""
     built = cp.Variable(4, boolean=True)
     welfare, sold = market(built)
     every = {

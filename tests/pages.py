@@ -9,6 +9,8 @@ commit. ``python -m sphinx -W -c examples/manual examples FOLDER`` builds the si
 from __future__ import annotations
 
 import ast
+import base64
+import contextlib
 import io
 import json
 import re
@@ -47,7 +49,10 @@ GUIDES = (
     *("paper", "write_a_method", "test_your_solver"),
 )
 NOTEBOOKS = EXAMPLES / "notebooks"
-NAMES = ("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control")
+NAMES = (
+    *("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control"),
+    *("add_an_algorithm", "learn_friction", "block_on_incline"),
+)
 OF_SCRIPTS = (
     "import typer",
     "from pathlib import Path",
@@ -113,14 +118,41 @@ def _parts(statements: list[ast.stmt], lines: list[str]) -> Iterator[str]:
     yield "\n".join(part).strip()
 
 
+def run_cell(text: str, name: str, namespace: dict[str, Any]) -> list[dict[str, Any]]:
+    """Run a cell, and return its outputs: the printed lines, and figures that it opened as small pictures."""
+    import matplotlib.pyplot as plt
+
+    before, printed = {*plt.get_fignums()}, io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(text, name, "exec", dont_inherit=True), namespace)
+    lines = printed.getvalue().splitlines(keepends=True)
+    outputs: list[dict[str, Any]] = []
+    if lines:
+        outputs.append({"output_type": "stream", "name": "stdout", "text": lines})
+    for number in sorted({*plt.get_fignums()} - before):
+        drawn = io.BytesIO()
+        plt.figure(number).savefig(drawn, dpi=90)
+        data = {"image/png": base64.b64encode(small(drawn)).decode()}
+        outputs.append({"output_type": "display_data", "data": data, "metadata": {}})
+    return outputs
+
+
 def notebook(name: str) -> str:
-    """Return the notebook of an example, as a file holds it."""
+    """Return the notebook of an example with its outputs, as a file holds it."""
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("agg")
+    namespace: dict[str, Any] = {"__name__": "notebook"}
     cells: list[dict[str, Any]] = []
-    for kind, text in cells_of(name):
-        of_code = {"execution_count": None, "outputs": []} if kind == "code" else {}
-        cells.append(
-            {"cell_type": kind, "metadata": {}, **of_code, "source": text.splitlines(keepends=True)}
-        )
+    count = 0
+    with plt.rc_context():
+        for kind, text in cells_of(name):
+            cell = {"cell_type": kind, "metadata": {}, "source": text.splitlines(keepends=True)}
+            if kind == "code":
+                count += 1
+                cell |= {"execution_count": count, "outputs": run_cell(text, name, namespace)}
+            cells.append(cell)
+    plt.close("all")
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     content = {
         "cells": cells,
@@ -152,7 +184,7 @@ def shown() -> list[str]:
     )
 
 
-def small(picture: Path) -> bytes:
+def small(picture: Path | io.BytesIO) -> bytes:
     """Return a picture of 256 colours, narrowed until it fits."""
     image = Image.open(picture).convert("RGB")
     while True:

@@ -1,4 +1,4 @@
-"""Draw the picture at the top of the README: a membrane, an exercise boundary and a pile, each solved first.
+"""Draw the figure at the top of the README: a membrane, an exercise boundary and a pile, each solved first.
 
 ``python examples/pictures/three_problems.py --out FOLDER`` writes ``three_problems.png`` there.
 """
@@ -64,7 +64,7 @@ def pile(axes: plt.Axes) -> None:
 
 
 def main(out: Path = Path()) -> None:
-    """Solve the three problems and save their picture into the folder OUT."""
+    """Solve the three problems and save their figure into the folder OUT."""
     plt.style.use(STYLE)
     figure = plt.figure(figsize=(10.4, 3.5), layout="constrained")
     places = figure.add_gridspec(1, 3, width_ratios=[1.05, 1, 1])

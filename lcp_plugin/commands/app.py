@@ -59,7 +59,7 @@ Target = Annotated[
     typer.Argument(
         help="A file, a folder with M.mtx and q.mtx, or a test problem: name:key=value,…. A file is an .npz or .mat "
         "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
-        "(contacts with friction), an .nl, .qps, .mps, or an .h5 of fclib.",
+        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib.",
         autocompletion=scene_names,
     ),
 ]

@@ -78,9 +78,9 @@ searched completely.
 >>> round(float(income.value), 6), round(float(price.value), 3), income.solver_stats.extra_stats.bound_by
 (4.0, 2.0, 'SCIP')
 
-- The status "optimal" requires a gap of ``tolerance`` (1e-6) relative to max(1, |value|). ``extra_stats.bound_by`` is
-  "proof", or "SCIP" for a bound in floating point. ``prove=True`` requires a proof if sides and rows are affine, the
-  objective is convex and no variable is an integer.
+- The status "optimal" requires a gap of ``tolerance`` (1e-6) relative to the terms of the objective.
+  ``extra_stats.bound_by`` is "proof", or "SCIP" for a bound in floating point. ``prove=True`` requires a proof if sides
+  and rows are affine, the objective is convex and no variable is an integer.
 - The search starts at the values of the variables; if they are an equilibrium, the solution is not worse. If no point
   is found, variables keep their values. If ``max_seconds``, ``max_nodes`` or Ctrl-C ends the search, the status is
   "user_limit" with the best point, ``extra_stats.lower_bound`` and ``gap``; for ``cp.Maximize(f)`` these are for −f.

@@ -121,7 +121,7 @@ class RowDataOnRanks(RowData):
 
 @np.errstate(all="ignore")
 def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
-    """Return the certificate of a point; one rule with a single process, `MATHS` of the manual's page on SOLVED."""
+    """Return the certificate of a point; the rule is the same with a single process."""
     problem, d = data.problem, data.scale
     z = data.snap_to_bounds(z, problem.slack(z))
     at = data.rows(z)

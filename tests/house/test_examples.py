@@ -39,7 +39,11 @@ CHECKS = [
     ),
     ("nnls_svm_portfolio", f"least squares differ from scipy's nnls by {NUMBER}", 1e-9),
     ("nnls_svm_portfolio", f"the classifier's duality gap is {NUMBER}", 1e-9),
-    ("nnls_svm_portfolio", f"the portfolios differ from those of a conic solver by {NUMBER}", 1e-4),
+    (
+        "nnls_svm_portfolio",
+        f"the portfolios differ from the portfolios of a conic solver by {NUMBER}",
+        1e-4,
+    ),
     (
         "denoise_picture",
         rf"the energy [\d.]+ is at most {NUMBER} above the least, relatively",
@@ -73,7 +77,7 @@ CHECKS = [
     ("option_greeks", f"rho by {NUMBER}, relatively", 1e-4),
     ("option_greeks", f"backwards they are the same at the money to {NUMBER}", 1e-8),
     ("calibration", f"all quotes are met to {NUMBER}, relatively", 1e-8),
-    ("calibration", f"differ from the planted ones by at most {NUMBER} percentage points", 0.1),
+    ("calibration", f"differ from the known ones by at most {NUMBER} percentage points", 0.1),
     (
         "calibration",
         f"vega differs from a central difference by at most {NUMBER}, relatively",
@@ -86,7 +90,7 @@ CHECKS = [
     ),
     (
         "learn_friction",
-        f"without noise the coefficients differ from the planted ones by {NUMBER}, ",
+        f"without noise the coefficients differ from the known ones by {NUMBER}, ",
         1e-9,
     ),
     ("learn_friction", f"10 mm of noise by {NUMBER}", 0.01),

@@ -66,7 +66,8 @@ class Multigrid(Algorithm):
     Passes over at least 131 072 rows are shared by the threads of the solve. If M is symmetric, sweeps take its rows in
     blocks, first all even ones: this order depends only on M, so that the number of threads changes no bit.
 
-    On plates, thirteen points, cycles grow with the grid: 32, 61 and 138 on 30², 60² and 120² points.
+    For the thirteen-point stencil of plates, the number of cycles grows with the grid: 32, 61 and 138 on 30², 60² and
+    120² points.
 
     Memory, five-point matrix: 490 bytes per unknown (98 per nonzero of M) at the peak, the problem included; measured
     at n = 10⁷: 4.9 GB.

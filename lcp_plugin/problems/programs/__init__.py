@@ -19,7 +19,6 @@
 | `conversion` | the complementarity problem of a program, and the solution that its z encodes |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
 | `certification`, `dual_bounds`, `feasible_points` | proofs about a point from any solver |
-| `kind` | interface of the problem class to the package: messages, names, entry points |
 | `stacked_programs` | many programs of one shape |
 
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` stores the original problem.

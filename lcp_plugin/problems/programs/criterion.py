@@ -14,8 +14,19 @@ decide:
 
 A point that passes violates no row beyond rounding, and no unknown that moves to its bound or to 10⁴ times its size
 gains more than the tolerance. Plain sums decide most points, because all sizes that they use are on the safe side. For
-the remaining points, the test uses sums without rounding, fitted units and multipliers of least norm. Formulas and
-reasons are in ``examples/manual/solved.md``.
+the remaining points, the test uses sums without rounding, fitted units and multipliers of least norm. The user's
+summary is ``examples/manual/solved.md``.
+
+Sizes:
+
+- The size of x_j is the largest of |x_j|, the size of the gap divided by the largest term of r_j, and the size of the
+  other unknowns in a scaling fitted to P and C (Curtis, Reid). shake_j is the larger of |x_j| and the last of them,
+  which is at most the distance to the bound; blur_j shake_j is at most |r_j| reach_j.
+- The size of the gap is the smaller of Σ |c_j x_j| + |xᵀPx| and Σ |y_i d_i| + Σ |r_j bound_j| + |xᵀPx|, and at least
+  |cᵀx + xᵀPx|; y may be replaced by the vector of least norm with the same Cᵀy. If terms cancel, it is at least 1e-8
+  of them; for slacks and blur_j, at least 1e-8 of Σ |y_i| (Σ |c_ij x_j| + |d_i|).
+- The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
+  (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the fitted scale of a row, a proof of infeasibility is searched first.
 """
 
 from __future__ import annotations

@@ -215,8 +215,9 @@ class Measures:
         block in the componentwise test.
     do_pass : array, shape (B, k)
         Blocks that meet the criterion.
-    is_solved : array, shape (B,)
-        Whether each point is SOLVED.
+    residual, passes, is_limited : array, shape (B,)
+        The largest relative residual of each problem, whether its point is SOLVED, and whether rounding explains the
+        residuals of all blocks that do not pass.
 
     Notes
     -----
@@ -225,39 +226,32 @@ class Measures:
 
     @np.errstate(all="ignore")
     def __init__(self, stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> None:
-        rows = self._rows = ConeRows(stack)
+        rows = ConeRows(stack)
         x = rows.flat(z)
         at = rows.rows(x)
         moved = rows.snap_to_bounds(x, at.w)
         if (moved != x).any():
             x, at = moved, rows.rows(moved)
         reference = np.minimum(rows.reference, rows.active_reference(at))
-        self._ends = rows.residual_ends(x, at.w, at.rounding)
+        ends = rows.residual_ends(x, at.w, at.rounding)
         goal = np.maximum(tolerance * reference, absolute)
-        if stack.B == 1 and (self._ends[1] > goal).any() and (self._ends[0] <= goal).all():
+        if stack.B == 1 and (ends[1] > goal).any() and (ends[0] <= goal).all():
             M, q = (rows.M, rows.q) if x.ndim == 1 else (sp.csr_array(rows.M[0]), rows.q[0])
             sharp = compensated_product(M, np.ascontiguousarray(x.ravel()), np.ascontiguousarray(q))
-            self._ends = rows.residual_ends(x, *(one.reshape(x.shape) for one in sharp))
-        relative = divide_nonnegative(self._ends[1], reference)
+            ends = rows.residual_ends(x, *(one.reshape(x.shape) for one in sharp))
+        relative = divide_nonnegative(ends[1], reference)
         relative = np.where(np.isfinite(reference), relative, np.inf)
         terms = rows.term_residuals(x, at)
-        do_pass = ((relative <= tolerance) & (terms <= tolerance)) | (self._ends[1] <= absolute)
+        do_pass = ((relative <= tolerance) & (terms <= tolerance)) | (ends[1] <= absolute)
         self.stack, self.z, self.w = stack, rows.wide(x), rows.wide(at.w)
-        of_blocks = map(rows.of_blocks, (self._ends[1], relative, terms, ~do_pass))
+        of_blocks = map(rows.of_blocks, (ends[1], relative, terms, ~do_pass))
         self.sizes, self.relative, self.terms, fails = of_blocks
         self.do_pass = ~fails
-        self.is_solved = self.do_pass.all(1) & np.isfinite(self.w).all((1, 2))
-        self._is_zero = rows.of_blocks(np.broadcast_to(reference == 0.0, x.shape))
-
-    def are_limited(self) -> Array:
-        """Return whether rounding explains the residuals of all blocks that do not pass, shape (B,)."""
-        is_small = (self.relative <= SMALL) | self._is_zero
-        is_rounding = self._rows.of_blocks(self._ends[0] > 0.0)
-        return (self.do_pass | (~is_rounding & is_small)).all(1)
-
-    def worst(self) -> Array:
-        """Return the largest relative residual of each problem, shape (B,)."""
-        return self.relative.max(1, initial=0.0)
+        self.passes = self.do_pass.all(1) & np.isfinite(self.w).all((1, 2))
+        self.residual = self.relative.max(1, initial=0.0)
+        is_small = (relative <= SMALL) | (reference == 0.0)
+        is_open = ~(do_pass | ((ends[0] <= 0.0) & is_small))
+        self.is_limited = ~rows.of_blocks(is_open).any(1)
 
 
 class ConeCertificate:
@@ -287,7 +281,7 @@ class ConeCertificate:
     @property
     def relative_residual(self) -> float:
         """The largest residual of a law relative to the reference of its component."""
-        return float(self.measures.worst()[0])
+        return float(self.measures.residual[0])
 
     @property
     def term_residual(self) -> float:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...core.algorithm import Step
 from ...core.errors import InvalidOption, UnsuitableProblem
 from .central_path import central_path
 from .newton import newton_steps
@@ -16,7 +17,7 @@ from .programs import minimizers
 from .stack import ConeStack
 from .sweeps import sweep_blocks
 
-Points = Iterator[tuple[Any, float, float]]  # z, shape (1, k, m), its relative residual, work
+Points = Iterator[Step]  # z of shape (1, k, m), its relative residual without rounding, work
 
 SWEEPS_PER_STEP = 10
 STOP = 1e-2  # of the goal: smaller changes end the sweeps
@@ -49,13 +50,13 @@ def sweep_points(
             return
         least, since = (residual, 0) if residual < GAIN * least else (least, since + 1)
         steps += 1
-        yield z, residual, each + 1.0
+        yield Step(z, residual=residual, work=each + 1.0, iterations=1)
 
 
 def newton_points(stack: ConeStack, z: Any, steps: int, goal: float, **options: Any) -> Points:
     """Yield a point of Newton's method per linear system of one problem."""
     for _, at, residual, work in islice(newton_steps(stack, z, steps, goal, **options), 1, None):
-        yield at, float(residual[0]), work
+        yield Step(at, residual=float(residual[0]), work=work, iterations=1)
 
 
 def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
@@ -63,12 +64,12 @@ def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
     best, least, near, since = z, np.inf, NEAR, 0
     for new, work in islice(central_path(stack, z, share), PATH_STEPS):
         size = stack.relative_residual(new)
-        yield new, size, work
+        yield Step(new, residual=size, work=work, iterations=1)
         best, least, since = (new, size, 0) if size < least else (best, least, since + 1)
         if size <= near:
             for point in newton_points(stack, new, 10, goal):
                 yield point
-                if point[1] <= goal:
+                if point.residual is not None and point.residual <= goal:
                     return
             near = NEARER * min(near, size)
         if since > NO_GAIN:
@@ -186,7 +187,7 @@ class FixedPoint(ConeAlgorithm):
             residual = stack.relative_residual(z)
             is_gain = residual < GAIN * least
             best, least, since = (z, residual, 0) if is_gain else (best, least, since + 1)
-            yield z, residual, PROGRAM_WORK
+            yield Step(z, residual=residual, work=PROGRAM_WORK, iterations=1)
             if least <= goal or since >= PROGRAMS:
                 break
         yield from newton_points(stack, best, 30, goal)

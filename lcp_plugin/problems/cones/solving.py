@@ -11,16 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
-from ...core.checks import FloatVector, checked_start
-from ...core.deadline import Clock, time_limit
+from ...core.checks import FloatVector, checked_start, read_only
+from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.advice import NOTHING_TO_DO
-from ...core.solving.result import Result, Sample, stage_lines
+from ...core.solving.progress import Callback, Progress
+from ...core.solving.result import Result, stage_lines
+from ...core.solving.run import Run
 from ...core.solving.run_log import RunLog, say
 from ...core.solving.stage import Stage
+from ...core.solving.termination import FAILED, TerminationReason
+from ...methods.search import is_searchable
+from ...methods.search.stages import ExhaustiveSearch
 from ..contact import ContactMotion, motion_of
 from .certificate import ConeCertificate, Measures
 from .data import Blocks
@@ -47,22 +52,11 @@ from .newton import EXACT, newton_steps, polish_points
 from .stack import Array, ConeStack
 from .sweeps import sweep_blocks
 
-Callback = Callable[[Sample, FloatVector], Any]
-
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
 LONG_SCHEDULE = tuple((count, NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
-WORST = (
-    Status.SOLVED,
-    Status.PRECISION_LIMIT,
-    Status.STALLED,
-    Status.MAX_ITERATIONS,
-    Status.MAX_SECONDS,
-    Status.INFEASIBLE,
-    Status.INTERRUPTED,
-)  # the last of these statuses that a component has is the status of the problem
 WORDS = {
     Status.STALLED: (
         "no method reduces the residual further; next: try another start z0, or less friction: with much friction or "
@@ -77,7 +71,6 @@ SWEPT = "cheap sweeps over the blocks find most of the active set"
 FOLLOWS = "Newton's steps solve for the active set that the sweeps found"
 MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
 NEARBY = "from a point nearby"
-StagePlan = tuple[Any, str, Points]  # method, reason of its choice, points
 
 
 def solve_cones(
@@ -130,43 +123,14 @@ def solve_cones(
         verbose=verbose,
         prove_infeasibility=prove_infeasibility,
     )
-    chosen = _checked_algorithm(algorithm)
-    log = Log(problem, settings, checked_callback(callback), Clock())
-    with (
-        np.errstate(all="ignore"),
-        threads_for(settings.threads),
-        time_limit(settings.max_seconds - log.clock.read()),
-    ):
+    chosen, clock = _checked_algorithm(algorithm), Clock()
+    log = RunLog(problem) if verbose else None
+    progress = Progress(settings, checked_callback(callback), clock, log)
+    with np.errstate(all="ignore"), threads_for(settings.threads):
         stack = ConeStack.of(problem)
         z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
-        run = ConeRun(problem, stack, log, z)
-        run.solve(chosen)
-    certificate: Any = ConeCertificate(problem, run.measures)
-    words = dict(WORDS)
-    if not prove_infeasibility:
-        words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
-    stages = tuple(record for stage in log.stages.values() for record in stage.records())
-    if run.status is Status.SOLVED and not log.iterations:
-        stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-    name = ", ".join(dict.fromkeys(stage.name for stage in stages))
-    result = ConeResult(
-        z=certificate.z,
-        w=certificate.w,
-        status=run.status,
-        certificate=certificate,
-        algorithm=chosen.name if isinstance(chosen, ConeAlgorithm) else f"auto: {name}",
-        iterations=log.iterations,
-        work=log.work,
-        seconds=log.clock.read(),
-        setup_seconds=0.0,
-        tolerance=tolerance,
-        absolute_tolerance=absolute_tolerance,
-        history=tuple(log.samples),
-        stages=stages,
-        infeasibility=run.proof,
-        _advice=words,
-        problem=problem,
-    )
+        run = ConeRun(problem, stack, progress, z, chosen)
+        result: ConeResult = run.solve(run.plan())
     if verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
@@ -218,94 +182,54 @@ def solve_cone_stack(
             done = least <= goal
             best[done] = polish_points(here.take(done), best[done])[0]
             found = Measures(here, here.snap(best), tolerance)
-            worst = found.worst()
-            is_better = found.is_solved | (worst < residual[left])
-            z[left[is_better]], residual[left[is_better]] = found.z[is_better], worst[is_better]
-            is_solved[left[found.is_solved]] = True
+            is_better = found.passes | (found.residual < residual[left])
+            z[left[is_better]] = found.z[is_better]
+            residual[left[is_better]] = found.residual[is_better]
+            is_solved[left[found.passes]] = True
     return z, residual, iterations, is_solved
 
 
-class Ended(Exception):
-    """Raised if a limit or the callback ends a run."""
-
-    def __init__(self, status: Status) -> None:
-        self.status = status
-
-
-class Log:
-    """Record of a run over all components: stages, samples, callback, printed lines, limits."""
-
-    def __init__(
-        self, problem: Blocks, settings: Settings, callback: Callback | None, clock: Clock
-    ) -> None:
-        self.settings, self.callback, self.clock = settings, callback, clock
-        self.iterations, self.work, self.nonzeros = 0, 0.0, max(problem.nonzeros, 1)
-        self.stages: dict[tuple[str, str], Stage] = {}  # by name and reason
-        self.samples: list[Sample] = []
-        self._next = 0
-        self._printed = RunLog(problem) if settings.verbose else None
-
-    def begin(self, algorithm: Any, because: str) -> Stage:
-        """Return a stage, a new one or an earlier one of this name and reason; raise Ended if a limit is reached."""
-        stage = self.stages.setdefault((algorithm.name, because), Stage(algorithm, because))
-        if self._printed is not None:
-            self._printed.begin(stage)
-        self._require_room()
-        return stage
-
-    def _require_room(self) -> None:
-        if self.iterations >= self.settings.max_iterations:
-            raise Ended(Status.MAX_ITERATIONS)
-        self.clock.read()
-        if self.clock.elapsed >= self.settings.max_seconds:
-            raise Ended(Status.MAX_SECONDS)
-
-    def step(self, stage: Stage, z: Any, residual: float, work: float) -> None:
-        """Count, record and print a step, and call back with z; raise Ended if the run ends with it."""
-        stage.count(Step(z, work=work))
-        self.iterations, self.work = self.iterations + 1, self.work + work
-        wants_to_stop = False
-        with self.clock.pause():
-            seconds, name = self.clock.read(), stage.algorithm.name
-            sample = Sample(self.iterations, self.work, seconds, residual, name)
-            if self.callback is not None:
-                wants_to_stop = bool(self.callback(sample, z))
-            if self.settings.record and (self.iterations >= self._next or wants_to_stop):
-                self._next = max(self.iterations + 1, int(self.iterations * 1.05))
-                self.samples.append(sample)
-            if self._printed is not None and self._printed.is_due(stage):
-                self._printed.step(stage, sample)
-        if wants_to_stop:
-            raise Ended(Status.INTERRUPTED)
-        self._require_room()
-
-
-class ConeRun:
-    """Run on a problem or component: methods yield points, the best is stored and measured.
+class ConeRun(Run):
+    """Run on a problem or component: the best point of the methods is measured at the ends of stages.
 
     Parameters
     ----------
     problem : Blocks
     stack : ConeStack
         Stack of this problem only.
-    log : Log
+    progress : Progress
+        Of the entire problem.
     z : array, shape (1, k, m), or None
         Start passed by the user.
+    chosen : str or ConeAlgorithm
+        "auto" or a method.
     embed : callable
         Function that embeds a point of the component, shape (n,), into a point of the entire problem.
+    whole : Blocks, optional
+        The entire problem, if `problem` is a component.
+
+    Attributes
+    ----------
+    best : Measures or None
+        Measures of `point`; None if these are not due yet.
+    point, residual : array, shape (1, k, m), float
+        The point of the smallest residual, and this residual, as its method computed it.
     """
 
     def __init__(
         self,
         problem: Blocks,
         stack: ConeStack,
-        log: Log,
+        progress: Progress,
         z: Array,
+        chosen: str | ConeAlgorithm = "auto",
         embed: Callable[[FloatVector], FloatVector] = lambda z: z,
+        whole: Blocks | None = None,
     ) -> None:
-        self.problem, self.stack, self.log, self.embed = problem, stack, log, embed
-        self.share = problem.nonzeros / log.nonzeros  # of the work of the entire problem
-        self.tolerance, self.absolute = log.settings.tolerance, log.settings.absolute_tolerance
+        super().__init__(progress)
+        self.share = problem.nonzeros / max((whole or problem).nonzeros, 1)  # of its work
+        self.problem, self.stack, self.chosen, self.embed = problem, stack, chosen, embed
+        self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance
         if self.absolute:
             reached = max(self.tolerance, 2.0**-200)
@@ -313,64 +237,106 @@ class ConeRun:
             stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
         self.goal = CLOSER * reached
         self.is_warm = z is not None and bool((z != stack.origin).any())
-        self.start = stack.origin if z is None else z
-        self.best, self.residual, self.last = self.start, np.inf, self.start
-        self.status = Status.STALLED
-        self.proof: ContactInfeasibility | None = None
-        self.measures: Any = None
+        self.point = self.last = self.start = stack.origin if z is None else z
 
-    def solve(self, chosen: str | ConeAlgorithm) -> None:
-        """Take the steps of all stages until a point passes, or rounding error explains why none passes."""
-        try:
-            for algorithm, because, points in self._stages(chosen):
-                stage = self.log.begin(algorithm, because)
-                for z, residual, work in points:
-                    self.last = z
-                    # below EXACT, differences are rounding errors
-                    if residual < self.residual and self.residual > EXACT:
-                        self.best, self.residual, self.measures = z, residual, None
-                    shown = None if self.log.callback is None else self._shown(z)
-                    self.log.step(stage, shown, residual, work * self.share)
-                if algorithm is not ConeNSGS or not self.goal < self.residual < np.inf:
-                    self._measure_best()
-                    if self.measures.is_solved[0] or self.measures.are_limited()[0]:
-                        break
-        except Ended as end:
-            self.status = end.status
-        except KeyboardInterrupt:
-            self.status = Status.INTERRUPTED
-        self._measure_best()
-        if self.measures.is_solved[0]:
-            self.status = Status.SOLVED
-        if self.status is Status.STALLED and self.measures.are_limited()[0]:
-            self.status = Status.PRECISION_LIMIT
+    def measure(self, stage: Stage, step: Step) -> None:
+        """Keep the point of a step if its residual is smaller; below EXACT differences are rounding errors."""
+        self.last = step.z
+        if step.residual is not None and step.residual < self.residual and self.residual > EXACT:
+            self.point, self.residual, self.best = step.z, step.residual, None
 
-    def _shown(self, z: Array) -> FloatVector:
-        found = self.embed(self.stack.pattern.flat(self.stack.snap(z))[0].copy())
-        found.flags.writeable = False
-        return found
+    def shown(self, step: Step) -> FloatVector:
+        """Return the point of the entire problem."""
+        flat = self.stack.pattern.flat(self.stack.snap(step.z))[0]
+        return read_only(self.embed(flat.copy()))
 
-    def _measure_best(self) -> None:
+    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+        """Measure the best point, except after sweeps that leave a residual."""
+        is_swept = isinstance(stage.algorithm, ConeNSGS) and end in FAILED
+        if is_swept and self.goal < self.residual < np.inf:
+            return end
+        self.measure_best()
+        return super().end_of_stage(stage, end)
+
+    def measure_best(self) -> None:
         """Measure the best point, after the linear system of its active set if it may pass."""
-        if self.measures is not None:
+        if self.best is not None:
             return
         if EXACT < self.residual <= self.goal:
-            self.best, residual = polish_points(self.stack, self.best)
+            self.point, residual = polish_points(self.stack, self.point)
             self.residual = float(residual[0])
-        z = self.stack.snap(self.best)
-        self.measures = Measures(self.stack, z, self.tolerance, self.absolute)
+        self.best = Measures(self.stack, self.stack.snap(self.point), self.tolerance, self.absolute)
 
-    def _stages(self, chosen: str | ConeAlgorithm) -> Iterator[StagePlan]:
+    def status(self, end: TerminationReason) -> Status:
+        """Return the status; a proof of a component, or of the entire problem, excludes a solution."""
+        is_excluded = end in FAILED and self._is_excluded()
+        return super().status(TerminationReason.NO_SOLUTION if is_excluded else end)
+
+    def _is_excluded(self) -> bool:
+        return self.proof is not None and self.proof.excludes(self.tolerance, self.absolute)
+
+    def result(self, end: TerminationReason) -> ConeResult:
+        """Return the result."""
+        self.measure_best()
+        progress, certificate = self.progress, ConeCertificate(self.problem, self.best)
+        status, stages, words = self.status(end), progress.records(), dict(WORDS)
+        if not self.settings.prove_infeasibility:
+            words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
+        if status is Status.SOLVED and not progress.iteration:
+            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+        name = ", ".join(dict.fromkeys(stage.name for stage in stages))
+        return ConeResult(
+            z=certificate.z,
+            w=certificate.w,
+            status=status,
+            certificate=certificate,  # type: ignore[arg-type]
+            algorithm=f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name,
+            iterations=progress.iteration,
+            work=progress.work,
+            seconds=progress.clock.read(),
+            setup_seconds=0.0,
+            tolerance=self.tolerance,
+            absolute_tolerance=self.absolute,
+            history=tuple(progress.samples),
+            stages=stages,
+            infeasibility=self.proof,
+            _advice=words,
+            problem=self.problem,
+        )
+
+    # --- the plan -----------------------------------------------------------------------------------------
+
+    def stage(self, algorithm: Any, because: str, points: Points) -> Stage:
+        """Return the stage of this method and reason, a new one or the earlier one, with further points."""
+        for stage in self.progress.stages:
+            if (stage.algorithm.name, stage.because) == (algorithm.name, because):
+                stage.steps = points
+                return stage
+        return Stage(algorithm, because, steps=points)
+
+    def steps_of(self, stage: Stage) -> Iterator[Step]:
+        """Yield the start of the run, then the points of the stage."""
+        if self.progress.iteration < 0:
+            yield Step(self.start, work=0.0, iterations=0)
+        for step in stage.steps:
+            if step.z.ndim == 1:  # of an LCP
+                step.z = self.stack.pattern.wide(step.z[None])
+                step.residual = self.stack.relative_residual(step.z)
+            step.work *= self.share
+            yield step
+
+    def plan(self) -> Iterator[Stage]:
         """Yield the stages: the chosen method, or auto on the entire problem, then on each component."""
         stack, problem, goal = self.stack, self.problem, self.goal
         has_friction = problem.has_friction
-        if isinstance(chosen, ConeAlgorithm):
-            yield chosen, "", chosen.points(problem, stack, self.start, goal)
+        if isinstance(self.chosen, ConeAlgorithm):
+            points = self.chosen.points(problem, stack, self.start, goal)
+            yield self.stage(self.chosen, "", points)
             return
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.tolerance:
-                yield ConeNSGS, SWEPT, iter(())
+                yield self.stage(ConeNSGS(), SWEPT, iter(()))
             self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
@@ -382,48 +348,55 @@ class ConeRun:
         yield from self._sweeps_and_newton(z, SCHEDULE[1:])
         if not has_friction:
             because = "for a symmetric M a convex program has the same solution"
-            yield FixedPoint, because, FixedPoint().points(problem, stack, stack.origin, goal)
+            points = FixedPoint().points(problem, stack, stack.origin, goal)
+            yield self.stage(FixedPoint(), because, points)
         elif not self.is_warm:
             yield self._path(None)
-        if self.log.settings.prove_infeasibility:
+        if self.settings.prove_infeasibility:
             self.proof = infeasibility_proof(problem)
-            if self.proof is not None and self.proof.excludes(self.tolerance, self.absolute):
-                self.status = Status.INFEASIBLE
+            if self._is_excluded():
                 return
+        if stack.m == 1 and is_searchable(problem.rows):
+            search = ExhaustiveSearch(prove_infeasibility=self.settings.prove_infeasibility)
+            points = search.iterates(problem.rows, problem.nearest_to_zero)
+            yield self.stage(search, "without cones it is an LCP: every choice of bounds", points)
+            return
         for share in SHARES if has_friction else ():
             yield self._path(share)
         yield from self._late_stages()
 
     def _sweeps_and_newton(
         self, z: Array, schedule: Any, because: str = SWEPT, **options: Any
-    ) -> Generator[StagePlan, None, Array]:
+    ) -> Generator[Stage, None, Array]:
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
             self.last = z
-            yield ConeNSGS, because, sweep_points(self.stack, z, count, self.goal)
+            yield self.stage(ConeNSGS(), because, sweep_points(self.stack, z, count, self.goal))
             z = self.last
-            yield ConeNewton, FOLLOWS, newton_points(self.stack, z, steps, self.goal, **options)
+            points = newton_points(self.stack, z, steps, self.goal, **options)
+            yield self.stage(ConeNewton(), FOLLOWS, points)
         return z
 
-    def _path(self, share: float | None) -> StagePlan:
+    def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
-        z = self.stack.origin if share is None else self.stack.snap(self.best)
-        return ConeInteriorPoint, MIDDLE, path_points(self.stack, z, share or 1.0, self.goal)
+        z = self.stack.origin if share is None else self.stack.snap(self.point)
+        points = path_points(self.stack, z, share or 1.0, self.goal)
+        return self.stage(ConeInteriorPoint(), MIDDLE, points)
 
-    def _late_stages(self) -> Iterator[StagePlan]:
+    def _late_stages(self) -> Iterator[Stage]:
         """Yield sweeps until nothing changes, then Newton's method from points nearby."""
 
-        def newton(z: Array, because: str) -> StagePlan:
+        def newton(z: Array, because: str) -> Stage:
             points = newton_points(self.stack, z, NEWTON_STEPS, self.goal, patience=PATIENCE)
-            return ConeNewton, because, points
+            return self.stage(ConeNewton(), because, points)
 
         stack = self.stack
-        yield newton(stack.snap(self.best), "from the best point so far")
+        yield newton(stack.snap(self.point), "from the best point so far")
         z = yield from self._sweeps_and_newton(
             stack.origin, LONG_SCHEDULE, "until nothing changes", patience=PATIENCE
         )
         is_near = stack.relative_residual(z) < 1.0
-        z = z if is_near else stack.snap(self.best)
+        z = z if is_near else stack.snap(self.point)
         for seed in range(17):
             yield newton(move_at_random(stack, z, seed), NEARBY)
 
@@ -432,10 +405,10 @@ class ConeRun:
         pattern: Any = self.stack.pattern
         if pattern.labels is None:
             return False
-        flat = pattern.flat(self.stack.snap(self.best))[0].copy()
+        self.measure_best()
+        flat = pattern.flat(self.best.z)[0].copy()
         labels = pattern.labels[0]
-        statuses = [Status.SOLVED]
-        for label in np.unique(labels[~self.measures.do_pass[0]]).tolist():
+        for label in np.unique(labels[~self.best.do_pass[0]]).tolist():
             blocks = labels == label
             rows = blocks[pattern.of_row]
 
@@ -447,19 +420,21 @@ class ConeRun:
             part = self.problem.part(blocks)
             stack = ConeStack.of(part)
             start = stack.pattern.wide(pattern.flat(self.start)[:, rows]) if self.is_warm else None
-            run = ConeRun(part, stack, self.log, start, embed)
-            run.solve("auto")
-            flat[rows] = stack.pattern.flat(run.measures.z)[0]
-            statuses.append(run.status)
-            if run.proof is not None and (self.proof is None or run.status is Status.INFEASIBLE):
+            run = ConeRun(part, stack, self.progress, start, embed=embed, whole=self.problem)
+            try:
+                run.follow_all(run.plan())
+            except KeyboardInterrupt:
+                self.progress.end = TerminationReason.INTERRUPTED
+            run.measure_best()
+            flat[rows] = stack.pattern.flat(run.best.z)[0]
+            if run.proof is not None and not self._is_excluded():
                 y = np.zeros(pattern.n)
                 y[rows] = run.proof.y
                 self.proof = ContactInfeasibility(self.problem, y)
-            if run.status in (Status.INTERRUPTED, Status.MAX_SECONDS, Status.MAX_ITERATIONS):
+            if self.progress.end is not None:
                 break
-        self.status = max(statuses, key=WORST.index)
         z = pattern.wide(flat[None])
-        self.measures = Measures(self.stack, z, self.tolerance, self.absolute)
+        self.best = Measures(self.stack, z, self.tolerance, self.absolute)
         return True
 
 
@@ -482,6 +457,10 @@ class ConeResult(Result):
     """
 
     problem: Any = None
+
+    @property
+    def guarantee(self) -> None:  # type: ignore[override]
+        """None: no convergence theorem of this package covers cones."""
 
     @cached_property
     def motion(self) -> ContactMotion:

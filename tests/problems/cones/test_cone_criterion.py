@@ -85,7 +85,7 @@ def test_a_constructed_wrong_point_is_never_solved(name: str) -> None:
     stack = ConeStack.of(problem)
     measured = Measures(stack, stack.pattern.wide(wrong[None]), 1e-8)
     is_moved = right is not None and np.allclose(measured.z.ravel(), right)
-    assert is_moved or not measured.is_solved[0]
+    assert is_moved or not measured.passes[0]
 
 
 def test_no_small_problem_is_solved_falsely(draws: Any) -> None:
@@ -109,6 +109,6 @@ def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
                 with np.errstate(all="ignore"):
                     at = stack.snap(stack.pattern.wide(moved[None]))
                 measured = Measures(stack, at, 1e-8)
-                assert measured.is_solved[0] or measured.are_limited()[0], (seed, moved)
+                assert measured.passes[0] or measured.is_limited[0], (seed, moved)
                 count += 1
     assert count > 10

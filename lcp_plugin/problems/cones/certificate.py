@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -45,21 +45,24 @@ class ConeRows(RowData):
     def __init__(self, stack: ConeStack) -> None:
         self.stack, pattern = stack, stack.pattern
         of_row, first = pattern.of_row, pattern.starts[:-1]
-        lower, upper = stack.low[:, of_row], stack.high[:, of_row]
         self.is_cone = pattern.sizes[of_row] > 1
         if stack.has_friction:
             self.is_cone[first] = False
-            first = np.sort(np.concatenate([first, first + 1]))
-            lower, upper = np.where(self.is_cone, -np.inf, 0.0), np.inf
-        self._first, self._widths = first, np.diff(np.append(first, pattern.n))  # of each law
-        q, labels = pattern.flat(stack.q), pattern.labels
-        scale = stack.d[:, of_row]
-        q, lower, upper, scale = np.broadcast_arrays(q, lower, upper, scale)
-        labels = None if labels is None else labels[:, of_row]
-        if pattern.is_sparse:
-            q, lower, upper, scale = q[0], lower[0], upper[0], scale[0]
-            labels = None if labels is None else labels[0]
-        super().__init__(pattern.M, abs(pattern.M), q, lower, upper, scale, labels)
+            lower, upper = np.where(self.is_cone, -np.inf, 0.0), np.full(pattern.n, np.inf)
+        else:
+            lower, upper = self._by_rows(stack.low), self._by_rows(stack.high)
+        self._first = int(stack.has_friction)  # row of a block that belongs to the law of its cone
+        self.has_cones = bool(self.is_cone.any())
+        scale, labels = self._by_rows(stack.d), pattern.labels
+        labels = None if labels is None else self._by_rows(labels)
+        M = pattern.M
+        super().__init__(M, abs(M), self.flat(stack.q), lower, upper, scale, labels)
+        self.start = np.broadcast_to(self.start, self.q.shape)
+
+    def _by_rows(self, x: Array) -> Array:
+        """Return values of blocks in each of their rows, (B, n), or (n,) if M is sparse."""
+        pattern = self.stack.pattern
+        return x[0, pattern.of_row] if pattern.is_sparse else x[:, pattern.of_row]
 
     def flat(self, x: Array) -> Array:
         """Return an array of shape (B, k, m) by rows."""
@@ -70,20 +73,25 @@ class ConeRows(RowData):
         """Return an array by rows in the shape (B, k, m)."""
         return self.stack.pattern.wide(x[None] if x.ndim == 1 else x)
 
-    def of_blocks(self, x: Array) -> Array:
-        """Return the largest value in the rows of each block, shape (B, k)."""
-        starts = self.stack.pattern.starts[:-1]
-        return np.maximum.reduceat(x[None] if x.ndim == 1 else x, starts, -1)
+    def _with_laws(self, x: Array, values: Array) -> Array:
+        """Return x with the values of cones and disks, (B, k), in their rows."""
+        return np.where(self.is_cone, self._by_rows(values), x)
 
     def _norm(self, x: Array) -> Array:
-        """Return the norm of x over the rows of each law, in each of these rows."""
-        return np.repeat(np.hypot.reduceat(np.abs(x), self._first, -1), self._widths, -1)
+        """Return x ≥ 0 with the norm over the rows of each cone or disk, in each of these rows."""
+        return self._with_laws(x, length(self.wide(x)[..., self._first :]))
 
     @cached_property
     def reference(self) -> Array:
         """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        at = self.rows(self.start)
-        return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
+        stack = self.stack
+        if self.start.any():
+            at = self.rows(self.start)
+            return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
+        if stack.has_friction:
+            closing = np.where(self.is_cone, 0.0, np.maximum(-self.q, 0.0) / self.scale)
+            return self.largest(closing) * (1.0 - 4.0 * EPSILON)
+        return self._by_rows(stack.reference) * (1.0 - 16.0 * EPSILON)
 
     @cached_property
     def demand(self) -> FloatVector:
@@ -95,27 +103,30 @@ class ConeRows(RowData):
     def rows(self, z: FloatVector) -> RowsAtPoint:
         """Return the values of all laws at z."""
         at = super().rows(z)
-        if not self.is_cone.any():
+        if not self.has_cones:
             return at
         stack, x, g = self.stack, self.wide(z), self.wide(at.w)
-        radius, tangent = stack.mu * x[..., 0], length(x[..., 1:])
-        is_on = tangent >= (1.0 - AT_ROUNDING) * radius
-        outward = x / np.maximum(tangent, NORMAL)[..., None]
+        tangents, radius = x[..., 1:], stack.mu * x[..., 0]
+        tangent = length(tangents)
+        is_on, is_apex = tangent >= (1.0 - AT_ROUNDING) * radius, radius == 0.0
+        away = (
+            tangents / np.maximum(tangent, NORMAL)[..., None]
+        )  # its ray is the disk's normal cone
+        push = (g[..., 1:] * away).sum(-1)
         if stack.has_friction:
-            outward[..., 0], g = 0.0, np.where(np.arange(stack.m) > 0, g, 0.0)
-            is_apex, is_free = radius == 0.0, ~is_on
-        else:
-            outward[..., 0] = -stack.mu
-            outward /= np.sqrt(1.0 + stack.mu**2)[..., None]
-            is_apex = is_on & (radius == 0.0)
+            push = np.where(is_on, np.minimum(push, 0.0), 0.0)
+            size = np.where(is_apex, 0.0, length(g[..., 1:] - push[..., None] * away))
+            is_free = ~(is_on | is_apex)
+        else:  # the ray of the cone is (−μ, away)
+            push = np.where(is_on, np.minimum(push - stack.mu * g[..., 0], 0.0), 0.0)
+            push /= 1.0 + stack.mu**2
+            far = g[..., 1:] - push[..., None] * away
+            size = np.hypot(g[..., 0] + stack.mu * push, length(far))
+            is_apex &= is_on
+            size = np.where(is_apex, length(stack.project(-g)), size)
             is_free = ~is_apex
-        push = np.where(is_on, np.maximum(-(g * outward).sum(-1), 0.0), 0.0)
-        far = g + push[..., None] * outward  # −w minus its projection onto the normal cone
-        at_apex = 0.0 if stack.has_friction else stack.project(-g)
-        far = np.where(is_apex[..., None], at_apex, far)
-        violation = np.where(self.is_cone, self._norm(self.flat(far)), at.violation)
-        is_free = self.flat(np.broadcast_to(is_free[..., None], x.shape))
-        is_active = np.where(self.is_cone, is_free | (violation > 0.0), at.is_active)
+        violation = self._with_laws(at.violation, size)
+        is_active = self._with_laws(at.is_active, is_free | (size > 0.0))
         return at._replace(terms=self._norm(at.terms), violation=violation, is_active=is_active)
 
     def residual_ends(
@@ -123,24 +134,18 @@ class ConeRows(RowData):
     ) -> VectorEnds:
         """Return bounds of the residual of each law for slacks within w ± rounding."""
         low, high = super().residual_ends(z, w, rounding, scale)
-        if not self.is_cone.any():
+        if not self.has_cones:
             return low, high
-        stack, x, g, error = self.stack, *map(self.wide, (z, w, rounding))
-        d = stack.d if scale is None else np.ones_like(stack.d)
+        stack, (x, g, error) = self.stack, map(self.wide, (z, w, rounding))
         if stack.has_friction:
-            R, error = _of_coulomb(
-                stack.mu * x[..., 0], x, g / d[..., None], length(error[..., 1:]) / d
-            )
+            d = stack.d[..., None]
+            steps = x[..., 1:], g[..., 1:] / d, length(error[..., 1:] / d)
+            size, error = _of_coulomb(stack.mu * x[..., 0], *steps)
         else:
-            R, error = _of_cones(stack, d, x, g, error)
-        sizes, errors = (
-            self._norm(self.flat(R)),
-            self.flat(np.broadcast_to(error[..., None], x.shape)),
-        )
-        is_known = np.isfinite(self._norm(w + rounding + z))
-        least, most = np.maximum(sizes - errors, 0.0), sizes + errors
-        low = np.where(self.is_cone, np.where(is_known, least, 0.0), low)
-        return low, np.where(self.is_cone, np.where(is_known, most, np.inf), high)
+            size, error = _of_cones(stack, x, g, error)
+        is_known = np.isfinite(size + error)
+        low = self._with_laws(low, np.where(is_known, np.maximum(size - error, 0.0), 0.0))
+        return low, self._with_laws(high, np.where(is_known, size + error, np.inf))
 
     def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
         """Return z, rows projected onto bounds as in an LCP, and cones onto the apex or boundary that they reach."""
@@ -164,36 +169,33 @@ class ConeRows(RowData):
 
 
 def _of_coulomb(radius: Array, z: Array, step: Array, error: Array) -> tuple[Array, Array]:
-    """Return the residuals z_T − P(z_T − step) of Coulomb's law, (B, k, m), and bounds of their errors, (B, k).
+    """Return the residuals ‖z_T − P(z_T − step)‖ of Coulomb's law, shape (B, k), and bounds of their errors.
 
     The step is within `error`. Beyond the disk P divides errors by the distance from the axis.
     """
     beyond = z - step
-    tangent = length(beyond[..., 1:])
-    least = tangent - error
+    tangent = length(beyond)
+    is_beyond, least = tangent > radius, tangent - error
     edge = beyond * (radius / np.maximum(tangent, NORMAL))[..., None]
-    is_beyond = tangent > radius
-    R = np.where(is_beyond[..., None], z - edge, step)
-    R[..., 0] = 0.0
+    size = length(np.where(is_beyond[..., None], z - edge, step))
     error = np.where(least > radius, error * (radius / np.maximum(least, NORMAL)), error)
-    size: Array = np.where(is_beyond, radius, length(R))
-    error += 8.0 * EPSILON * size
-    return R, np.where(radius > 0.0, error, 0.0)
+    largest: Array = np.where(is_beyond, radius, size)
+    error = error + 8.0 * EPSILON * largest
+    return size, np.where(radius > 0.0, error, 0.0)
 
 
-def _of_cones(stack: ConeStack, d: Array, z: Array, w: Array, error: Array) -> tuple[Array, Array]:
-    """Return the residuals of second-order cones, shape (B, k, m), and bounds of their rounding errors, (B, k)."""
-    plain = stack if d is stack.d else copy(stack)
-    plain.d = d
-    R, case, *_ = plain.residual(z, w)
-    mu, within, slip = stack.mu, length(error), length(w[..., 1:])
+def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array, Array]:
+    """Return the residuals of second-order cones, shape (B, k), and bounds of their rounding errors."""
+    R, case, *_ = stack.residual(z, w)
+    mu, d, size, within = stack.mu, stack.d, length(R), length(error)
     inside = 0.5 * (mu * z[..., 0] - length(z[..., 1:])) / (1.0 + mu)
-    size = np.where((case == WITHIN) & (length(R) < inside), 0.0, length(z))
-    size += (1.0 + mu) * (length(w) + within) / d
-    of_projection = 2.0 * (stack.pattern.sizes + 8.0) * EPSILON * (1.0 + mu) * size
-    is_open = (case == OUT) & ~z.any(-1) & (w[..., 0] - error[..., 0] >= mu * (slip + within))
+    terms = np.where((case == WITHIN) & (size < inside), 0.0, length(z))
+    terms += (1.0 + mu) * (length(w) + within) / d
+    of_projection = 2.0 * (stack.pattern.sizes + 8.0) * EPSILON * (1.0 + mu) * terms
+    is_open = (case == OUT) & ~z.any(-1)
+    is_open &= w[..., 0] - error[..., 0] >= mu * (length(w[..., 1:]) + within)
     total = within / d + np.where(case == OUT, 0.0, of_projection)
-    return R, np.where(is_open, 0.0, total)
+    return size, np.where(is_open, 0.0, total)
 
 
 class Measures:
@@ -210,14 +212,8 @@ class Measures:
     ----------
     z, w : array, shape (B, k, m)
         The snapped points, which are measured, and their slack.
-    sizes, relative, terms : array, shape (B, k)
-        Upper bounds of the residuals, in the unit of z; relative to the reference; and the least tolerance of each
-        block in the componentwise test.
-    do_pass : array, shape (B, k)
-        Blocks that meet the criterion.
-    residual, passes, is_limited : array, shape (B,)
-        The largest relative residual of each problem, whether its point is SOLVED, and whether rounding explains the
-        residuals of all blocks that do not pass.
+    residual, passes : array, shape (B,)
+        The largest relative residual of each problem, and whether its point is SOLVED.
 
     Notes
     -----
@@ -239,19 +235,27 @@ class Measures:
             M, q = (rows.M, rows.q) if x.ndim == 1 else (sp.csr_array(rows.M[0]), rows.q[0])
             sharp = compensated_product(M, np.ascontiguousarray(x.ravel()), np.ascontiguousarray(q))
             ends = rows.residual_ends(x, *(one.reshape(x.shape) for one in sharp))
-        relative = divide_nonnegative(ends[1], reference)
+        relative: Array = divide_nonnegative(ends[1], reference)
         relative = np.where(np.isfinite(reference), relative, np.inf)
         terms = rows.term_residuals(x, at)
         do_pass = ((relative <= tolerance) & (terms <= tolerance)) | (ends[1] <= absolute)
         self.stack, self.z, self.w = stack, rows.wide(x), rows.wide(at.w)
-        of_blocks = map(rows.of_blocks, (ends[1], relative, terms, ~do_pass))
-        self.sizes, self.relative, self.terms, fails = of_blocks
-        self.do_pass = ~fails
-        self.passes = self.do_pass.all(1) & np.isfinite(self.w).all((1, 2))
-        self.residual = self.relative.max(1, initial=0.0)
-        is_small = (relative <= SMALL) | (reference == 0.0)
-        is_open = ~(do_pass | ((ends[0] <= 0.0) & is_small))
-        self.is_limited = ~rows.of_blocks(is_open).any(1)
+        self._by_rows = {"sizes": ends[1], "relative": relative, "terms": terms, "fails": ~do_pass}
+        self._rows, self._least, self._reference = rows, ends[0], reference
+        self.residual = np.atleast_1d(relative.max(-1, initial=0.0))
+        self.passes = np.atleast_1d((do_pass & np.isfinite(at.w)).all(-1))
+
+    def of_blocks(self, name: str) -> Array:
+        """Return the largest "sizes", "relative", "terms" or "fails" in the rows of each block, shape (B, k)."""
+        x, starts = self._by_rows[name], self.stack.pattern.starts[:-1]
+        return np.maximum.reduceat(x[None] if x.ndim == 1 else x, starts, -1)
+
+    @cached_property
+    def is_limited(self) -> Array:
+        """Whether rounding explains the residuals of all laws that do not pass, shape (B,)."""
+        is_small = (self._by_rows["relative"] <= SMALL) | (self._reference == 0.0)
+        is_open = self._by_rows["fails"] & ~((self._least <= 0.0) & is_small)
+        return np.atleast_1d(~is_open.any(-1))
 
 
 class ConeCertificate:
@@ -271,8 +275,6 @@ class ConeCertificate:
         The block of the largest relative residual; −1 without blocks.
     """
 
-    is_linearised: ClassVar[bool] = True  # its rows are not the rows of an LCP
-
     def __init__(self, problem: Blocks, measures: Measures) -> None:
         self.problem, self.measures, pattern = problem, measures, measures.stack.pattern
         self.z = read_only(pattern.flat(measures.z)[0].copy())
@@ -286,18 +288,18 @@ class ConeCertificate:
     @property
     def term_residual(self) -> float:
         """The least tolerance at which every law passes the componentwise test."""
-        return float(self.measures.terms.max(initial=0.0))
+        return float(self.measures.of_blocks("terms").max(initial=0.0))
 
     @property
     def worst_index(self) -> int:
         """The block of the largest relative residual; −1 without blocks."""
-        relative = self.measures.relative[0]
+        relative = self.measures.of_blocks("relative")[0]
         return int(np.argmax(relative)) if relative.size else -1
 
     @property
     def scaled_residual(self) -> float:
         """The residual of that block, in the unit of z."""
-        return float(self.measures.sizes[0, self.worst_index]) if self.z.size else 0.0
+        return float(self.measures.of_blocks("sizes")[0, self.worst_index]) if self.z.size else 0.0
 
     @cached_property
     def natural_residual(self) -> float:

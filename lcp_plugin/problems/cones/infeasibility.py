@@ -88,7 +88,8 @@ class ContactInfeasibility:
             of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
             weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
             rows = ConeRows(stack)
-            references = rows.of_blocks(np.broadcast_to(rows.reference, rows.q.shape))[0]
+            of_rows = np.broadcast_to(rows.reference, rows.q.shape).reshape(-1)
+            references = np.maximum.reduceat(of_rows, problem.starts[:-1])
             shares = np.where(weights > 0.0, weights * references, 0.0)
             return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
 

@@ -21,7 +21,6 @@ Points = Iterator[Step]  # z of shape (1, k, m), its relative residual without r
 
 SWEEPS_PER_STEP = 10
 STOP = 1e-2  # of the goal: smaller changes end the sweeps
-PATIENCE = 60  # steps of Newton's method without a gain
 STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share of all
 GAIN = 0.9
 NEWTON_STEPS = 300
@@ -53,9 +52,9 @@ def sweep_points(
         yield Step(z, residual=residual, work=each + 1.0, iterations=1)
 
 
-def newton_points(stack: ConeStack, z: Any, steps: int, goal: float, **options: Any) -> Points:
+def newton_points(stack: ConeStack, z: Any, steps: int, goal: float) -> Points:
     """Yield a point of Newton's method per linear system of one problem."""
-    for _, at, residual, work in islice(newton_steps(stack, z, steps, goal, **options), 1, None):
+    for _, at, residual, work in islice(newton_steps(stack, z, steps, goal), 1, None):
         yield Step(at, residual=float(residual[0]), work=work, iterations=1)
 
 
@@ -142,7 +141,7 @@ class ConeNewton(ConeAlgorithm):
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per linear system, until no step reduces the residual."""
-        return newton_points(stack, z, NEWTON_STEPS, goal, patience=PATIENCE)
+        return newton_points(stack, z, NEWTON_STEPS, goal)
 
 
 @dataclass(frozen=True, kw_only=True)

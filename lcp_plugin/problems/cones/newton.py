@@ -26,12 +26,12 @@ MEMORY = 5  # a step may rise to the largest of so many residuals
 HALVINGS, DECREASE = 14, 1e-4
 LAST_STEPS = 2
 GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
-PATIENCE = 15  # steps without GAIN
+PATIENCE = 60  # points without GAIN; each halving is a point
 STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
 
 
 def newton_steps(
-    stack: ConeStack, z: Any, steps: int, goal: float, *, patience: int = PATIENCE
+    stack: ConeStack, z: Any, steps: int, goal: float
 ) -> Iterator[tuple[Any, Any, Any, float]]:
     """Yield the open problems, points, residuals and work, for the start and each step.
 
@@ -43,7 +43,7 @@ def newton_steps(
     norms, widest = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, PROXIMAL)
     best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
-        going = np.isfinite(found.norm) & (found.largest > goal) & (since < patience)
+        going = np.isfinite(found.norm) & (found.largest > goal) & (since < PATIENCE)
         if not going.any():
             return
         if not going.all():
@@ -78,7 +78,8 @@ def newton_steps(
         narrower = np.where(found.norm > GAIN * before, EASIER * epsilon, widest)
         widest = np.where(is_poor, PROXIMAL, narrower)
         norms[:, count % MEMORY] = found.norm
-        since = np.where(found.norm < GAIN * best, 0, since + 1)
+        tried = 1 - np.log2(t).astype(np.int64)  # each halving costs as much as a step
+        since = np.where(found.norm < GAIN * best, 0, since + tried)
         best = np.minimum(best, found.norm)
         yield open_ones, at, found.largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
 

@@ -34,7 +34,6 @@ from .infeasibility import ContactInfeasibility, infeasibility_proof
 from .methods import (
     METHODS,
     NEWTON_STEPS,
-    PATIENCE,
     STOP,
     SWEEPS_PER_STEP,
     ConeAlgorithm,
@@ -366,14 +365,14 @@ class ConeRun(Run):
         yield from self._late_stages()
 
     def _sweeps_and_newton(
-        self, z: Array, schedule: Any, because: str = SWEPT, **options: Any
+        self, z: Array, schedule: Any, because: str = SWEPT
     ) -> Generator[Stage, None, Array]:
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
             self.last = z
             yield self.stage(ConeNSGS(), because, sweep_points(self.stack, z, count, self.goal))
             z = self.last
-            points = newton_points(self.stack, z, steps, self.goal, **options)
+            points = newton_points(self.stack, z, steps, self.goal)
             yield self.stage(ConeNewton(), FOLLOWS, points)
         return z
 
@@ -387,14 +386,12 @@ class ConeRun(Run):
         """Yield sweeps until nothing changes, then Newton's method from points nearby."""
 
         def newton(z: Array, because: str) -> Stage:
-            points = newton_points(self.stack, z, NEWTON_STEPS, self.goal, patience=PATIENCE)
+            points = newton_points(self.stack, z, NEWTON_STEPS, self.goal)
             return self.stage(ConeNewton(), because, points)
 
         stack = self.stack
         yield newton(stack.snap(self.point), "from the best point so far")
-        z = yield from self._sweeps_and_newton(
-            stack.origin, LONG_SCHEDULE, "until nothing changes", patience=PATIENCE
-        )
+        z = yield from self._sweeps_and_newton(stack.origin, LONG_SCHEDULE, "until nothing changes")
         is_near = stack.relative_residual(z) < 1.0
         z = z if is_near else stack.snap(self.point)
         for seed in range(17):
@@ -408,7 +405,7 @@ class ConeRun(Run):
         self.measure_best()
         flat = pattern.flat(self.best.z)[0].copy()
         labels = pattern.labels[0]
-        for label in np.unique(labels[~self.best.do_pass[0]]).tolist():
+        for label in np.unique(labels[self.best.of_blocks("fails")[0]]).tolist():
             blocks = labels == label
             rows = blocks[pattern.of_row]
 

@@ -239,16 +239,6 @@ class ConeStack:
         self.reference = pattern.largest(size)
         self.is_answered = self.reference == 0.0  # the origin is a solution
         self.weight = np.where(self.is_answered, 0.0, 1.0 / self.reference)
-        demand = length(w)
-        if pattern.has_rows and self.origin.any():
-            terms = length(pattern.times(self.origin, absolute=True) + np.abs(self.q))
-            demand = np.where(demand > NOISE * terms, demand, 0.0)
-        # b may be rounding error at a contact of a pile and at its neighbors, so contacts use the component.
-        self.demand = (
-            pattern.largest(demand)
-            if has_friction
-            else np.maximum(demand, pattern.neighbors(demand / self.d))
-        )
 
     @classmethod
     def of(cls, problem: Any) -> ConeStack:

@@ -112,3 +112,23 @@ def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
                 assert measured.passes[0] or measured.is_limited[0], (seed, moved)
                 count += 1
     assert count > 10
+
+
+def test_without_cones_the_search_of_an_lcp_proves_that_no_solution_exists() -> None:
+    """A problem over boxes is an LCP; the proof verifies on its rows."""
+    M, upper = [[1, -1, 3], [0, -1, 0], [3, -2, 0]], [np.inf, 2, np.inf]
+    problem = ConeProblem(np.array(M, float), [0.0078125, 0, -256], [("box", 0, upper)])
+    result = solve(problem)
+    assert result.status is Status.NO_SOLUTION
+    assert result.proof.verify()
+    assert result.proof.problem is problem.rows
+
+
+def test_a_contact_without_a_solution_ends_after_few_sweeps() -> None:
+    """None of the four modes of the contact holds; Newton's method does not repeat halved steps."""
+    problem = FrictionalContact([[1.0, -2.0], [-2.0, 4.0]], [-6.0, -32.0], 0.75, dimension=2)
+    assert campaign.solutions(problem) == ([], False)
+    result = solve(problem)
+    assert result.status is Status.STALLED
+    assert sum(one.iterations for one in result.stages if one.name == "newton") <= 500
+    assert result.guarantee is None

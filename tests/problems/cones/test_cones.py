@@ -536,7 +536,7 @@ def test_what_rounding_limits_ends_after_one_look() -> None:
     beside = solve(ConeProblem(*both))
     for result in (alone, beside):
         assert result.status is Status.PRECISION_LIMIT
-        assert result.iterations <= 20
+        assert result.iterations <= 30
         np.testing.assert_allclose(result.z[:2], 4e-10, rtol=1e-5)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from ..core.errors import UnsupportedModel
 from . import functions
 from .functions import Function
-from .rows import Compiler, Rows, added, as_matrix
+from .rows import Compiler, Rows, added
 
 BY_UFUNC = {
     one.value: one for one in functions.FUNCTIONS.values() if isinstance(one.value, np.ufunc)
@@ -39,8 +39,6 @@ class Symbol:
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any) -> Symbol:
         """Return the elementary function that numpy's function is."""
-        if ufunc is np.sqrt:
-            return self**0.5
         if ufunc not in BY_UFUNC:
             raise UnsupportedModel(
                 f"the derivative of {ufunc.__name__} is not an elementary function here"
@@ -59,11 +57,12 @@ class Symbol:
             return self._of(self.rows.scaled(other))
         first, second = (self, other) if other.rows.blocks else (other, self)
         if not first.rows.blocks:
-            return self._of(second.rows.scaled(first.rows.offset))
+            factor = first.rows.offset
+            return self._of(second.rows.scaled(factor[0] if factor.size == 1 else factor))
         return self.emit(functions.PRODUCT, other)
 
     def __truediv__(self, other: Symbol) -> Symbol:
-        return self * other**-1.0 if not other.rows.blocks else self.emit(functions.QUOTIENT, other)
+        return self.emit(functions.QUOTIENT, other)
 
     def __rtruediv__(self, number: float) -> Symbol:
         return self**-1.0 * number
@@ -76,9 +75,6 @@ class Symbol:
     def __sub__(self, other: Symbol) -> Symbol:
         return self + -other
 
-    def __rsub__(self, number: float) -> Symbol:
-        return -self + number
-
     def __neg__(self) -> Symbol:
         return self * -1.0
 
@@ -89,17 +85,13 @@ class Symbol:
 FORMULAS: dict[Function, Callable[..., tuple[Any, ...]]] = {
     functions.RELATIVE_ENTROPY: lambda u, v: (1.0 + np.log(u) - np.log(v), -(u / v)),
     functions.LOG_ADD_EXP: lambda u, v: (1.0 / (1.0 + np.exp(v - u)), 1.0 / (1.0 + np.exp(u - v))),
-    functions.POWER: lambda u, v: (
-        v * np.exp((v - 1.0) * np.log(u)),
-        np.exp(v * np.log(u)) * np.log(u),
-    ),
 }
 
 
 def gradient(
-    compiler: Compiler, weighted: Iterable[tuple[Rows, Rows]], sources: Collection[int]
+    compiler: Compiler, weighted: Iterable[tuple[Rows, Rows]], sources: Mapping[int, int]
 ) -> dict[int, Rows]:
-    """Return the gradient of Σ weights · rows by each of the sources that it depends on, as rows.
+    """Return the gradient of Σ weights · rows by each of the sources, as rows.
 
     Parameters
     ----------
@@ -107,19 +99,23 @@ def gradient(
         Compiler that created the rows; functions of the gradient are added to it.
     weighted : iterable of (Rows, Rows)
         Rows, and as many weights, which do not depend on the sources.
-    sources : collection of int
-        Keys of unknowns.
+    sources : mapping
+        From the key of a source to its size.
     """
     active, groups = set(sources), list(compiler.groups)
     for _, _, arguments, key in groups:
         if any(not active.isdisjoint(rows.blocks) for rows in arguments):
             active.add(key)
     found: dict[int, list[Rows]] = defaultdict(list)
+    for key, size in sources.items():
+        found[key].append(Rows({}, np.zeros(size), (size,)))
 
     def distribute(rows: Rows, weights: Rows) -> None:
         for key in active.intersection(rows.blocks):
-            transposed = sp.csr_array(as_matrix(rows.blocks[key], rows.size).T)
-            found[key].append(weights.applied(transposed, (transposed.shape[0],)))
+            if isinstance(block := rows.blocks[key], float):
+                found[key].append(replace(weights, shape=(rows.size,)).scaled(block))
+            else:
+                found[key].append(weights.applied(sp.csr_array(block.T), (block.shape[1],)))
 
     for rows, weights in weighted:
         distribute(rows, weights)

@@ -284,6 +284,8 @@ class Statement:
                 "; if one fixes the scale of prices, as sum(p) == 1, drop a market that the others imply, or give "
                 "the equation a free multiplier, a variable in the rows of the pairs"
             )
+        elif names:
+            way_out = "; give these a pair or an equation, or list them in over=[…] of an agent"
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         return (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
             f"the model has {format_count(equations, 'equation')}{counted} and "

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
 from ..core.errors import ModelWarning, UnsupportedModel
-from ..expressions.rows import added
+from ..expressions.rows import Rows, added
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
-from ._compat import attribute_bounds, name_of
+from ._compat import name_of
 from .agent_conditions import StandardRows, with_data
 from .agents import Optimal
 from .model import Model, level_of_caller
 from .reading import rewritten
 from .stated_terms import INEQUALITIES, dense_value, sense_of
-
-Data = Callable[[Any], Any]  # the parameter of a variable
 
 
 def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]]:
@@ -33,72 +32,151 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
         convex.
     """
     agents = [one for one in constraints if isinstance(one, Optimal)]
-    owners: dict[tuple[int, int], Optimal] = {}
+    found = [one for one in constraints if not isinstance(one, Optimal)]
+    if not all(agent.is_checked for agent in agents):
+        _check(agents, found)
+    shared: set[int] = set()
     for agent in agents:
-        for variable, columns in agent.entries:
-            for key in ((variable.id, column) for column in columns.tolist()):
-                if key in owners:
-                    raise UnsupportedModel(
-                        f"two agents decide {variable.name()}: {owners[key]!r} and {agent!r}; list each variable, or "
-                        "entry of one, in over=[…] of one agent"
-                    )
-                owners[key] = agent
-    others = [one for one in constraints if not isinstance(one, Optimal)]
-    programs = [agent.program for agent in agents]
-    stated = [*others, *programs, *(row for one in programs for row in one.constraints)]
-    shared: dict[int, Any] = {}
-    for agent in agents:
-        _check_convexity(agent, stated)
-        for one in agent.program.constraints:
-            if one.id in agent.shared and one.id not in shared:
-                _check_shared(one, agents, stated)
-                shared[one.id] = agent.conditions.rows[one.id][0]
-    found = [*others, *shared.values()]
-    for agent in agents:
-        rows = agent.conditions.rows.items()
-        found += [agent.conditions.stationarity]
-        found += [pair for key, (pair, _) in rows if key not in agent.shared]
+        found.append(agent.conditions.stationarity)
+        for key, (pair, _) in agent.conditions.rows.items():
+            if key not in shared:
+                found.append(pair)
+            shared |= {key} & agent.shared
     return found, agents
 
 
-def refuse_undecided(agents: Sequence[Optimal], constraints: Sequence[Any]) -> None:
-    """Raise UnsupportedModel if a free variable of a program is decided by no agent and in no other constraint."""
-    decided = {variable.id for agent in agents for variable, _ in agent.entries}
-    own = {id(pair) for agent in agents for pair in agent.conditions.pairs}
-    for one in constraints:
-        decided.update(each.id for each in one.variables() if id(one) not in own)
+def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
+    """Raise UnsupportedModel, or issue a ModelWarning, for agents that do not fit together or are not convex."""
+    decided: set[tuple[int, int]] = set()
+    for variable, columns in (one for agent in agents for one in agent.entries):
+        keys = {(variable.id, column) for column in columns.tolist()}
+        if keys & decided:
+            raise UnsupportedModel(
+                f"two agents decide {variable.name()}; list each variable, or entry of one, in over=[…] of one agent"
+            )
+        decided |= keys
+    programs = [agent.program for agent in agents]
+    rules = Convexity([*others, *programs, *(row for one in programs for row in one.constraints)])
     for agent in agents:
-        for variable in agent.program.variables():
-            is_bounded = any(np.isfinite(end).any() for end in attribute_bounds(variable))
-            if variable.id not in decided and not is_bounded:
-                raise UnsupportedModel(
-                    f"{variable.name()} occurs in {agent!r}, but no agent decides it and no other constraint has it; "
-                    "list it in over=[…], or make it a parameter"
-                )
+        if not agent.is_checked:
+            _check_program(agent, rules)
+            agent.is_checked = True
+    for one in {row.id: row for program in programs for row in program.constraints}.values():
+        if any(one.id in agent.shared for agent in agents):
+            _check_shared(one, agents, rules)
 
 
-# --- convexity ---
+def _check_program(agent: Optimal, rules: Convexity) -> None:
+    """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
+    program, has_kinks = (
+        agent.program,
+        len(agent.conditions.standard) > len(agent.program.constraints),
+    )
+    goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)
+    for one in (goal, *map(StandardRows.of, program.constraints)):
+        if (agent.check == "local" and not has_kinks) or rules.hold(one, agent.entries):
+            continue
+        fault = (
+            f"{name_of(one.expression)} in {agent!r} is not known to be {'affine' if one.is_equation else 'convex'} in "
+            "the agent's decisions"
+        )
+        if has_kinks:
+            raise UnsupportedModel(
+                f"{fault}, and the program has terms that are not smooth; write it by cvxpy's rules of convexity"
+            )
+        message = (
+            f"{fault}, so that its optimality conditions are only necessary; check gap() after the solve, and write "
+            'check="local" to accept them'
+        )
+        warnings.warn(message, ModelWarning, stacklevel=level_of_caller())
+        return
 
 
-def _signs(stated: Sequence[Any]) -> dict[int, tuple[bool, bool]]:
-    """Return whether attributes and simple constraints make a variable ≥ 0, and ≤ 0, by its id."""
-    model = Model(stated, takes_integers=True)
-    lower, upper = model.declared
-    for one in stated:
-        if isinstance(one, INEQUALITIES):
-            row = StandardRows.of(one)
-            columns, weights, shift = model.statement.entries(
-                model.reader.rows(row.expression)
-            ) or (np.zeros(0, int), np.ones(0), np.zeros(0))
-            for is_upper, end in enumerate((lower, upper)):
-                own = (weights > 0.0) == is_upper
-                tighter = np.minimum if is_upper else np.maximum
-                end[columns[own]] = tighter(end[columns[own]], (-shift / weights)[own])
-    return {
-        one.id: (bool((lower[span] >= 0.0).all()), bool((upper[span] <= 0.0).all()))
-        for one in model.variables
-        for span in [model.spans[one.id]]
-    }
+def _check_shared(constraint: Any, agents: Sequence[Optimal], rules: Convexity) -> None:
+    """Raise UnsupportedModel unless all agents of a shared constraint share it, and it is jointly convex."""
+    inside = {one.id for one in constraint.variables()}
+    involved = [one for one in agents if not inside.isdisjoint(v.id for v, _ in one.entries)]
+    if others := [one for one in involved if constraint.id not in one.shared]:
+        raise UnsupportedModel(
+            f"the shared constraint {name_of(constraint)} holds decisions of {others[0]!r}, which does not share it; "
+            "list it in the program and in shared=[…] of each of its agents"
+        )
+    if not rules.hold(StandardRows.of(constraint), [e for one in involved for e in one.entries]):
+        raise UnsupportedModel(
+            f"the shared constraint {name_of(constraint)} is not known to be convex in the decisions of all its agents "
+            "together; without shared=[…] each agent has a multiplier of its own"
+        )
+
+
+class Convexity:
+    """Rules that show convexity in some entries of variables, for all values of the other variables.
+
+    Parameters
+    ----------
+    stated : list
+        Constraints and programs of the whole model.
+    """
+
+    def __init__(self, stated: list[Any]) -> None:
+        self.model, self.stated = Model(stated, takes_integers=True), stated
+
+    @cached_property
+    def data(self) -> dict[int, Any]:
+        """Parameters in place of variables, by their ids, with the signs that attributes and constraints state."""
+        lower, upper = self.model.declared
+        for one in self.stated:
+            if not isinstance(one, INEQUALITIES) or not one.args[0].is_affine():
+                continue
+            rows = self.model.reader.rows(StandardRows.of(one).expression)
+            columns, weights, shift = self.model.statement.entries(rows) or ([], np.ones(0), 1.0)
+            for end, sign in ((lower, -1.0), (upper, 1.0)):
+                tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
+                end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
+        found = {}
+        for one in self.model.variables:
+            span = self.model.spans[one.id]
+            is_nonneg, is_nonpos = (
+                bool((lower[span] >= 0.0).all()),
+                bool((upper[span] <= 0.0).all()),
+            )
+            nonpos = is_nonpos and not is_nonneg
+            found[one.id] = cp.Parameter(one.shape, nonneg=is_nonneg, nonpos=nonpos)
+        return found
+
+    def hold(self, row: StandardRows, entries: Sequence[Any]) -> bool:
+        """Return whether an expression is convex, of an equation affine, in entries of variables.
+
+        By cvxpy's rules, term by term, with the others as parameters; or quadratic terms have a semidefinite Hessian.
+        """
+        change = with_data(entries, self.data)
+        held = rewritten(row.expression, change)
+        if held.is_affine() or (held.is_convex() and not row.is_equation):
+            return True
+        quadratic = []
+        for factor, term in _terms(row.expression, 1.0):
+            try:
+                rows = self.model.reader.rows(term).scaled(factor)
+                quadratic.append(rows if None not in self._hessians(rows) else None)
+            except UnsupportedModel:
+                quadratic.append(None)
+            if quadratic[-1] is None and not (factor * rewritten(term, change)).is_convex():
+                return False
+        columns = [
+            self.model.spans[v.id].start + own for v, own in entries if v.id in self.model.spans
+        ]
+        parts = [one for one in quadratic if one is not None]
+        return not row.is_equation and all(
+            QuadraticProgram(P, np.zeros(P.shape[0])).matrices.is_nearly_semidefinite
+            for P in self._hessians(added(parts, row.expression.shape), np.concatenate(columns))
+        )
+
+    def _hessians(self, rows: Rows, columns: Any = slice(None)) -> list[Any]:
+        """Return the Hessian of each row in some unknowns, None of a row that is not quadratic."""
+        found = [
+            self.model.statement.quadratic(rows.taken(one))
+            for one in np.arange(rows.size)[:, np.newaxis]
+        ]
+        return [one and one[0][columns][:, columns] for one in found]
 
 
 def _terms(node: Any, factor: float) -> Iterator[tuple[float, Any]]:
@@ -114,113 +192,3 @@ def _terms(node: Any, factor: float) -> Iterator[tuple[float, Any]]:
         yield from _terms(node.args[1], factor * float(dense_value(node.args[0].value)))
     else:
         yield factor, node
-
-
-def _is_convex(expression: Any, factor: float, entries: Sequence[Any], data: Data) -> bool:
-    """Return whether cvxpy's rules, or a semidefinite Hessian of quadratic terms, show that an expression is convex."""
-    change = with_data(entries, data)
-    if (factor * rewritten(expression, change)).is_convex():
-        return True
-    model, rows = Model([expression], takes_integers=True), []
-    for own, term in _terms(expression, factor):
-        try:
-            found = model.reader.rows(term).scaled(own).spread(expression.shape)
-            if any(
-                model.statement.quadratic(found.taken(np.array([k]))) is None
-                for k in range(found.size)
-            ):
-                raise UnsupportedModel("not quadratic")
-            rows.append(found)
-        except UnsupportedModel:
-            if not (own * rewritten(term, change)).is_convex():
-                return False
-    if not rows:
-        return True
-    columns = np.concatenate(
-        [model.spans[one.id].start + own for one, own in entries if one.id in model.spans]
-    )
-    total = added(rows, expression.shape)
-    for k in range(total.size):
-        P, *_ = model.statement.quadratic(total.taken(np.array([k]))) or [np.zeros((0, 0))]
-        P = P[columns][:, columns]
-        if not QuadraticProgram(P, np.zeros(columns.size)).matrices.is_nearly_semidefinite:
-            return False
-    return True
-
-
-class StandIns(dict[int, Any]):
-    """Parameters in place of variables, with the signs that are known of them."""
-
-    def __init__(self, signs: dict[int, tuple[bool, bool]]) -> None:
-        super().__init__()
-        self.signs = signs
-
-    def __call__(self, variable: Any) -> Any:
-        """Return the parameter of a variable."""
-        if variable.id not in self:
-            is_nonneg, is_nonpos = self.signs.get(variable.id, (False, False))
-            sign = {"nonneg": is_nonneg, "nonpos": is_nonpos and not is_nonneg}
-            self[variable.id] = cp.Parameter(variable.shape, **sign)
-        return self[variable.id]
-
-
-def _doubtful(stated: list[Any], entries: Sequence[Any], constraints: Sequence[Any]) -> list[Any]:
-    """Return the (expression, factor, whether an equation) that may not be convex, or affine, in the entries."""
-    for with_signs in (False, True):
-        if stated:
-            data = StandIns(_signs(constraints) if with_signs else {})
-            stated = [
-                (expression, factor, is_equation)
-                for expression, factor, is_equation in stated
-                if not (
-                    rewritten(expression, with_data(entries, data)).is_affine()
-                    if is_equation
-                    else _is_convex(expression, factor, entries, data)
-                )
-            ]
-    return stated
-
-
-def _check_convexity(agent: Optimal, constraints: Sequence[Any]) -> None:
-    """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
-    program, has_kinks = agent.program, len(agent.smooth.rows) > len(agent.program.constraints)
-    if agent.is_checked or (agent.check == "local" and not has_kinks):
-        return
-    stated = [(program.objective.args[0], sense_of(program), False)]
-    rows = map(StandardRows.of, program.constraints)
-    stated += [(one.expression, 1.0, one.is_equation) for one in rows]
-    for expression, _, is_equation in _doubtful(stated, agent.entries, constraints)[:1]:
-        what = "affine" if is_equation else "convex (of a maximum: concave)"
-        fault = (
-            f"{name_of(expression)} in {agent!r} is not known to be {what} in the agent's decisions"
-        )
-        if has_kinks:
-            raise UnsupportedModel(
-                f"{fault}, and the program has terms that are not smooth; write it by cvxpy's rules of convexity"
-            )
-        if agent.check == "convex":
-            warnings.warn(
-                f"{fault}, so that its optimality conditions are only necessary; check best.gap() after the solve, and "
-                'write check="local" to accept them',
-                ModelWarning,
-                stacklevel=level_of_caller(),
-            )
-    agent.is_checked = True
-
-
-def _check_shared(constraint: Any, agents: Sequence[Optimal], stated: Sequence[Any]) -> None:
-    """Raise UnsupportedModel unless all agents of a shared constraint share it, and it is jointly convex."""
-    inside = {one.id for one in constraint.variables()}
-    involved = [one for one in agents if not inside.isdisjoint(v.id for v, _ in one.entries)]
-    for agent in involved:
-        if constraint.id not in agent.shared:
-            raise UnsupportedModel(
-                f"the shared constraint {name_of(constraint)} holds decisions of {agent!r}, which does not share it; "
-                "list it in the program and in shared=[…] of each of its agents"
-            )
-    entries, row = [each for one in involved for each in one.entries], StandardRows.of(constraint)
-    if _doubtful([(row.expression, 1.0, row.is_equation)], entries, stated):
-        raise UnsupportedModel(
-            f"the shared constraint {name_of(constraint)} is not known to be convex in the decisions of all its agents "
-            "together; without shared=[…] each agent has a multiplier of its own"
-        )

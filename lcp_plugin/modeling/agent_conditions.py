@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -11,7 +11,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
-from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.differentiation import gradient
 from ..expressions.rows import Indices, Rows, assembled, is_definition, stacked
@@ -20,16 +19,14 @@ from ._compat import (
     attribute_bounds,
     attribute_expressions,
     by_columns,
-    name_of,
     postorder,
 )
 from .constraint import Complements, Side, box
-from .reading import Reader, hidden_parameters, rewritten
+from .reading import Reader, rewritten
 from .stated_terms import EQUATIONS, expression_of, sense_of
 
-FIRST_KEY = (
-    2**61
-)  # of a subexpression that the agent does not influence: larger than any id of a variable
+#: Key of the first subexpression that the agent does not influence: larger than any id of a variable.
+FIRST_KEY = 2**61
 NO_BOUND = 1e30  # stands for ∞ in bounds with parameters, where constants must be finite
 ATOMS: dict[str, Any] = {
     functions.SAME.name: lambda u: u,
@@ -76,47 +73,6 @@ class StandardRows(NamedTuple):
         return cls(constraint, sign * expression, isinstance(constraint, EQUATIONS))
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """Optimality conditions of an agent.
-
-    Attributes
-    ----------
-    stationarity : Complements
-        The vector of all decisions between their bounds, with the gradient of the Lagrangian.
-    rows : dict
-        The pair of each constraint with a multiplier, and the multiplier, by the id of the constraint.
-    bounds : list of SimpleBound
-        The other constraints.
-    """
-
-    stationarity: Complements
-    rows: dict[int, tuple[Complements, Any]]
-    bounds: list[SimpleBound]
-
-    @property
-    def pairs(self) -> list[Complements]:
-        """All pairs."""
-        return [self.stationarity, *(pair for pair, _ in self.rows.values())]
-
-    def duals_of_bounds(self) -> dict[int, Any]:
-        """Return the dual values of simple bounds by the id of the constraint; None without values."""
-        w = self.stationarity.dual_value
-        if w is None:
-            return dict.fromkeys([one.origin.id for one in self.bounds])
-        left, found = (np.maximum(w, 0.0), np.maximum(-w, 0.0)), {}
-        for one in self.bounds:
-            value = np.broadcast_to(getattr(one.bound, "value", one.bound), one.weights.shape)
-            dual = np.zeros(value.size)
-            for is_upper, end in enumerate(self.stationarity.first.bounds()):
-                is_tight = ((one.weights > 0.0) == is_upper) & (value == end[one.places])
-                places = one.places[is_tight]
-                dual[is_tight] = left[is_upper][places] / np.abs(one.weights[is_tight])
-                left[is_upper][places] = 0.0
-            found[one.origin.id] = dual.reshape(expression_of(one.origin).shape, order="F")
-        return found
-
-
 class AgentProgram:
     """An agent's program without kinks, read as rows over its decisions and over all that it does not influence.
 
@@ -127,10 +83,16 @@ class AgentProgram:
     Attributes
     ----------
     goal : cvxpy expression
-    rows : list of StandardRows
+    standard : list of StandardRows
         Constraints of the program, then of epigraphs.
     entries : list of tuple
         Variables and their entries that are decisions, epigraphs included.
+    stationarity : Complements
+        The vector of all decisions between their bounds, with the gradient of the Lagrangian.
+    rows : dict
+        The pair of each constraint with a multiplier, and the multiplier, by the id of the constraint.
+    bounds : list of SimpleBound
+        The other constraints.
     """
 
     def __init__(self, agent: Any) -> None:
@@ -150,109 +112,122 @@ class AgentProgram:
             return value
 
         self.goal = rewritten(program.objective.args[0], change)
-        self.rows = [StandardRows.of(one, change) for one in program.constraints]
-        self.rows += map(StandardRows.of, epigraphs)
+        self.standard = [StandardRows.of(one, change) for one in program.constraints]
+        self.standard += map(StandardRows.of, epigraphs)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
         self.decisions = cp.hstack([vector_of(one)[columns] for one, columns in self.entries])
-        first = np.cumsum([0, *(one.size for one, _ in self.entries)])
+        self.size_of = {one.id: one.size for one, _ in self.entries}
+        ends = np.cumsum([0, *self.size_of.values()]).tolist()
         #: The first number of each variable's entries, and the decision with a number; −1 if it is none.
-        self.first = {one.id: k for (one, _), k in zip(self.entries, first.tolist(), strict=False)}
-        self.place = np.full(first[-1], -1)
+        self.first, self.place = dict(zip(self.size_of, ends, strict=False)), np.full(ends[-1], -1)
         numbers = np.concatenate([self.first[one.id] + columns for one, columns in self.entries])
         self.place[numbers] = np.arange(numbers.size)
-        self.lower, self.upper = np.full((2, numbers.size), NO_BOUND) * [[-1.0], [1.0]]
         self.reader = Reader(takes_integers=True)
-        #: Vectors behind the sources, by their keys.
-        self.vectors = {one.id: vector_of(one) for one, _ in self.entries}
-        stated = [self.goal, *(one.expression for one in self.rows)]
-        for number, node in enumerate(uninfluenced(stated, self.own)):
-            key = node.id if isinstance(node, cp.Variable) else FIRST_KEY + number
-            self.reader.hold(node, key)
-            self.vectors[key] = vector_of(node)
+        stated = [self.goal, *(one.expression for one in self.standard)]
+        sources = {
+            node.id if isinstance(node, cp.Variable) else FIRST_KEY + k: node
+            for k, node in enumerate(uninfluenced(stated, self.own))
+        }
+        self.reader.hold(sources)
+        sources |= {one.id: one for one, _ in self.entries}
+        #: Expressions behind the sources, by their keys.
+        self.sources = sources
+        self.rows: dict[int, tuple[Complements, Any]] = {}
+        self.bounds: list[SimpleBound] = []
+        self._state()
 
-    def conditions(self) -> Conditions:
-        """Return the optimality conditions."""
+    def _state(self) -> None:
+        """Read the constraints; write the pairs of multipliers, and of decisions with the gradient."""
         goal, sense = self.reader.rows(self.goal), np.array([sense_of(self.agent.program)])
-        weighted, rows, bounds = [(goal, Rows({}, sense, (1,)))], {}, []
-        self._add_attributes()
-        for one in self.rows:
+        weighted = [(goal, Rows({}, sense, (1,)))]
+        for one in self.standard:
             own = self.reader.rows(one.expression)
             if (bound := self._simple(one, own)) is not None:
-                self._tighten(bound)
-                bounds.append(bound)
+                self.bounds.append(bound)
                 continue
             multiplier = cp.Variable(one.expression.shape)
             if one.origin.id in self.agent.shared:
                 multiplier = one.origin.dual_variables[0]
             if multiplier.value is None and self.decisions.value is not None:
                 multiplier.value = np.zeros(multiplier.shape)  # a start for the run
-            self.vectors[multiplier.id] = vector_of(multiplier)
+            self.sources[multiplier.id] = multiplier
             weighted.append((own, Rows({multiplier.id: 1.0}, np.zeros(own.size), (own.size,))))
             first = box(multiplier, -np.inf if one.is_equation else 0.0, np.inf)
             kind = "value" if one.is_equation else "nonnegative"
             second = Side(-one.expression, kind, one.origin)
-            rows[one.origin.id] = Complements(first, second), multiplier
-        slopes = gradient(self.reader.compiler, weighted, self.own)
-        nothing = {one.id: Rows({}, np.zeros(one.size), (one.size,)) for one, _ in self.entries}
-        parts = [
-            slopes.get(one.id, nothing[one.id]).taken(columns) for one, columns in self.entries
-        ]
-        first = box(self.decisions, self.lower, self.upper)
-        F = Side(self._expression(stacked(parts)), "value")
-        return Conditions(Complements(first, F), rows, bounds)
+            self.rows[one.origin.id] = Complements(first, second), multiplier
+        slopes = gradient(self.reader.compiler, weighted, self.size_of)
+        F = stacked([slopes[one.id].taken(columns) for one, columns in self.entries])
+        first = box(self.decisions, *self._ends())
+        self.stationarity = Complements(first, Side(self._expression(F), "value"))
+
+    @property
+    def pairs(self) -> list[Complements]:
+        """All conditions."""
+        return [self.stationarity, *(pair for pair, _ in self.rows.values())]
+
+    def duals(self) -> dict[int, Any]:
+        """Return the dual values by the id of the constraint; the tightest bound takes w⁺ or w⁻ of its decision."""
+        found, w = (
+            {key: one.value for key, (_, one) in self.rows.items()},
+            self.stationarity.dual_value,
+        )
+        if w is None:
+            return found
+        left = np.maximum(w, 0.0), np.maximum(-w, 0.0)
+        for one in self.bounds:
+            value = np.broadcast_to(getattr(one.bound, "value", one.bound), one.weights.shape)
+            dual = np.zeros(value.size)
+            for is_upper, end in enumerate(self.stationarity.first.bounds()):
+                is_tight = ((one.weights > 0.0) == is_upper) & (value == end[one.places])
+                places = one.places[is_tight]
+                dual[is_tight] = left[is_upper][places] / np.abs(one.weights[is_tight])
+                left[is_upper][places] = 0.0
+            found[one.origin.id] = dual.reshape(expression_of(one.origin).shape, order="F")
+        return found
 
     # --- bounds ---
 
-    def _add_attributes(self) -> None:
-        """Add the bounds that attributes of the variables state."""
+    def _ends(self) -> list[Any]:
+        """Return the lower and the upper bounds of all decisions, by attributes and constraints."""
+        stated = list(self.bounds)
         for variable, columns in self.entries:
-            stated = variable.attributes.get("bounds") or ()
-            is_symbolic = any(isinstance(one, cp.Expression) for one in stated)
-            ends = attribute_expressions(variable) if is_symbolic else attribute_bounds(variable)
+            given = variable.attributes.get("bounds") or ()
+            is_symbolic = any(isinstance(one, cp.Expression) for one in given)
+            ends = (attribute_expressions if is_symbolic else attribute_bounds)(variable)
             places = self.place[self.first[variable.id] + columns]
             for sign, end in zip((-1.0, 1.0), ends, strict=True):
-                if is_symbolic:
-                    bound = vector_of(end + np.zeros(variable.shape))[columns]
-                else:
-                    bound = by_columns(np.broadcast_to(end, variable.shape))[columns]
-                self._tighten(SimpleBound(None, places, np.full(columns.size, sign), bound))
+                whole = end + np.zeros(variable.shape)
+                bound = (vector_of if is_symbolic else by_columns)(whole)[columns]
+                stated.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
+        stated.sort(key=lambda one: isinstance(one.bound, cp.Expression))
+        found: list[Any] = []
+        for sign, extreme in ((-1.0, "maximum"), (1.0, "minimum")):
+            found.append(np.full(self.decisions.size, sign * NO_BOUND))
+            for one in stated:
+                rows = np.flatnonzero(sign * one.weights > 0.0)
+                places, shape = one.places[rows], (self.decisions.size, one.weights.size)
+                others = np.full(self.decisions.size, sign * NO_BOUND)
+                others[places] = 0.0
+                own = sp.csc_array((np.ones(rows.size), (places, rows)), shape) @ one.bound + others
+                atoms: Any = cp if isinstance(own, cp.Expression) else np
+                found[-1] = getattr(atoms, extreme)(found[-1], own)
+        return found
 
     def _simple(self, one: StandardRows, rows: Rows) -> SimpleBound | None:
         """Return the bounds that rows state if each holds one decision and numbers or parameters; otherwise None."""
         own = {key: block for key, block in rows.blocks.items() if key in self.own}
         others = {key: block for key, block in rows.blocks.items() if key not in self.own}
         is_excluded = rows.level or one.is_equation or one.origin.id in self.agent.shared
-        if is_excluded or not own or any(self.vectors[key].variables() for key in others):
+        if is_excluded or not own or any(self.sources[key].variables() for key in others):
             return None
         matrix, _ = assembled([replace(rows, blocks=own)], self.first, self.place.size)
         places, weights = self.place[matrix.indices], matrix.data
         if not (is_definition(matrix) and weights.all() and (places >= 0).all()):
             return None
         rest = self._expression(replace(rows, blocks=others)) if others else rows.offset
-        return SimpleBound(
-            one.origin,
-            places,
-            weights,
-            (cp.multiply if others else np.multiply)(-1.0 / weights, rest),
-        )
-
-    def _tighten(self, bound: SimpleBound) -> None:
-        """Intersect the bounds of decisions with others."""
-        for is_upper, (name, extreme) in enumerate((("lower", "maximum"), ("upper", "minimum"))):
-            rows = np.flatnonzero((bound.weights > 0.0) == is_upper)
-            places, end = bound.places[rows], getattr(self, name)
-            stated = np.full(self.decisions.size, NO_BOUND * (1.0 if is_upper else -1.0))
-            if isinstance(bound.bound, cp.Expression):
-                stated[places] = 0.0
-                spread = np.ones(rows.size), (places, rows)
-                stated = (
-                    sp.csc_array(spread, shape=(stated.size, bound.weights.size)) @ bound.bound
-                    + stated
-                )
-            else:
-                stated[places] = bound.bound[rows]
-            is_number = isinstance(end, np.ndarray) and isinstance(stated, np.ndarray)
-            setattr(self, name, getattr(np if is_number else cp, extreme)(end, stated))
+        times = cp.multiply if others else np.multiply
+        return SimpleBound(one.origin, places, weights, times(-1.0 / weights, rest))
 
     # --- expressions of cvxpy ---
 
@@ -260,23 +235,24 @@ class AgentProgram:
         """Return rows as a vector of cvxpy: one product of a sparse matrix with the sources, and a constant."""
         if not rows.blocks:
             return cp.Constant(rows.offset)
-        parts = [self._vector(key) for key in rows.blocks]
+        parts = [self._source(key) for key in rows.blocks]
         if rows.is_source:
-            return parts[0]
+            return vector_of(parts[0])
         ends = np.cumsum([0, *(part.size for part in parts)])
         first = dict(zip(rows.blocks, ends.tolist(), strict=False))
         matrix, offset = assembled([rows], first, int(ends[-1]))
-        return cp.Constant(sp.csc_array(matrix)) @ cp.hstack(parts) + offset
+        vector = cp.hstack([vector_of(part) if part.ndim > 1 else part for part in parts])
+        return cp.Constant(sp.csc_array(matrix)) @ vector + offset
 
-    def _vector(self, key: int) -> Any:
-        """Return the vector of a source; a function becomes the atom of cvxpy, once."""
-        if key not in self.vectors:
+    def _source(self, key: int) -> Any:
+        """Return the expression of a source; a function becomes the atom of cvxpy, once."""
+        if key not in self.sources:
             _, function, arguments, _ = self.reader.compiler.groups[-1 - key]
             values = [self._expression(rows) for rows in arguments]
             exponent = function.name.removeprefix("power ")
             atom = ATOMS.get(function.name, lambda u: cp.power(u, float(exponent)))
-            self.vectors[key] = atom(*values)
-        return self.vectors[key]
+            self.sources[key] = atom(*values)
+        return self.sources[key]
 
 
 def vector_of(expression: Any) -> Any:
@@ -294,37 +270,27 @@ def uninfluenced(roots: Iterable[Any], own: Collection[int]) -> list[Any]:
             below = [id(one) for one in node.args]
             if isinstance(node, (cp.Variable, cp.Parameter)) or not moving.isdisjoint(below):
                 moving.add(id(node))
-            if (isinstance(node, cp.Variable) and node.id in own) or not influenced.isdisjoint(
-                below
-            ):
+            is_own = isinstance(node, cp.Variable) and node.id in own
+            if is_own or not influenced.isdisjoint(below):
                 influenced.add(id(node))
-                if hidden := hidden_parameters(node):
-                    raise UnsupportedModel(
-                        f"{name_of(node)} has the parameter {hidden[0].name()} as its exponent or weight, and its "
-                        "derivative cannot follow it; use a number"
-                    )
-                found |= {id(one): one for one in node.args if id(one) in moving - influenced}
-        if id(root) in moving - influenced:
+                found |= {id(one): one for one in node.args if id(one) not in influenced}
+        if id(root) not in influenced:
             found[id(root)] = root
-    return list(found.values())
+    return [one for key, one in found.items() if key in moving]
 
 
-def with_data(entries: Sequence[Any], data: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return the change of a node that replaces the variables that are not decisions."""
+def with_data(entries: Sequence[Any], data: Mapping[int, Any]) -> Callable[[Any], Any]:
+    """Return the change of a node that puts data, by id, in place of variables that are not among the entries."""
     masks: dict[int, Any] = {}
     for variable, columns in entries:
         masks.setdefault(variable.id, np.zeros(variable.size))[columns] = 1.0
 
     def change(node: Any) -> Any:
-        if not isinstance(node, cp.Variable):
+        if not isinstance(node, cp.Variable) or (mask := masks.get(node.id, np.zeros(1))).all():
             return node
-        mask = masks.get(node.id, np.zeros(node.size)).reshape(node.shape, order="F")
-        if mask.all():
-            return node
-        return (
-            cp.multiply(mask, node) + cp.multiply(1.0 - mask, data(node))
-            if mask.any()
-            else data(node)
-        )
+        if not mask.any():
+            return data[node.id]
+        mask = mask.reshape(node.shape, order="F")
+        return cp.multiply(mask, node) + cp.multiply(1.0 - mask, data[node.id])
 
     return change

@@ -13,7 +13,6 @@ from ..core.errors import ModelWarning
 from ..core.settings import Status
 from ..problems.equilibria.branch_and_bound import minimize_over_solutions
 from ..problems.programs.solving import solve_program
-from ._compat import attribute_bounds
 from .agent_conditions import with_data
 from .best_equilibrium import stated_program
 from .model import level_of_caller
@@ -26,18 +25,18 @@ def possible_gain(agent: Any) -> float | None:
 
     A constraint that the present point violates may be violated by the same amount.
     """
-    smooth, sense = agent.smooth, sense_of(agent.program)
-    change = with_data(smooth.entries, lambda variable: cp.Constant(variable.value))
+    smooth, sense = agent.conditions, sense_of(agent.program)
+    values = {one.id: cp.Constant(one.value) for one in agent.variables()}
+    change = with_data(smooth.entries, values)
     held, violation = [], 0.0
-    for one in smooth.rows:
+    for one in smooth.standard:
         row, value = rewritten(one.expression, change), dense_value(one.expression.value)
         excess = value if one.is_equation else np.maximum(value, 0.0)
         held.append(row == excess if one.is_equation else row <= excess)
         violation = max(violation, float(np.abs(excess).max(initial=0.0)))
-    for variable, _ in agent.entries:
-        lower, upper = attribute_bounds(variable)
-        excess = np.maximum(lower - variable.value, variable.value - upper)
-        violation = max(violation, float(excess.max(initial=0.0)))
+    lower, upper = smooth.stationarity.first.bounds()
+    at = smooth.decisions.value
+    violation = max(violation, float(np.maximum(lower - at, at - upper).max()))
     goal = cp.Minimize(sense * rewritten(smooth.goal, change))
     best, reason = _best_value(cp.Problem(goal, held))
     if np.isnan(best):

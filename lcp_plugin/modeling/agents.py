@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,7 @@ from ..expressions.rows import Indices, as_matrix, is_definition
 from ._compat import (
     name_of,
 )
-from .agent_conditions import AgentProgram, Conditions
+from .agent_conditions import AgentProgram
 from .constraint import Condition
 from .reading import INTEGERS, Reader
 from .stated_terms import EQUATIONS, INEQUALITIES, expression_of
@@ -119,14 +119,14 @@ class Optimal(Condition):
     ----------
     program : cvxpy.Problem
     decisions : sequence of cvxpy.Variable, or of entries of variables
-    shared : collection of int
+    shared : frozenset of int
         Ids of the constraints whose multiplier is common to all agents that share them.
     check : str
         "convex" or "local".
     """
 
     def __init__(
-        self, program: Any, decisions: Sequence[Any], shared: Collection[int], check: str
+        self, program: Any, decisions: Sequence[Any], shared: frozenset[int], check: str
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.entries, self.is_checked = [entries_of(one) for one in decisions], False
@@ -150,14 +150,9 @@ class Optimal(Condition):
         return list({one.id: one for one in (*super().variables(), *conditions)}.values())
 
     @cached_property
-    def smooth(self) -> AgentProgram:
-        """The program with epigraphs instead of kinks."""
+    def conditions(self) -> AgentProgram:
+        """The program with epigraphs instead of kinks, and its optimality conditions."""
         return AgentProgram(self)
-
-    @cached_property
-    def conditions(self) -> Conditions:
-        """The optimality conditions, as complementarities between expressions."""
-        return self.smooth.conditions()
 
     @property
     def dual_value(self) -> list[Any]:
@@ -186,9 +181,8 @@ class Optimal(Condition):
         return possible_gain(self)
 
     def save_duals(self) -> None:
-        """Give the program's constraints their dual values; the tightest bound takes w⁺ or w⁻ of a decision."""
-        found = {key: multiplier.value for key, (_, multiplier) in self.conditions.rows.items()}
-        found |= self.conditions.duals_of_bounds()
+        """Give the program's constraints their dual values."""
+        found = self.conditions.duals()
         for own, constraint in zip(self.dual_variables, self.program.constraints, strict=True):
-            own.save_value(found[constraint.id])
-            constraint.save_dual_value(found[constraint.id])
+            own.save_value(found.get(constraint.id))
+            constraint.save_dual_value(own.value)

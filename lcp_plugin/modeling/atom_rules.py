@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -140,6 +141,8 @@ def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     """Let the atom move entry numbers instead of entries: the result shows which rows it takes."""
     parts = [Rows.of(argument) for argument in arguments]
+    if isinstance(node, cp.reshape) and node.order == "F":
+        return replace(parts[0], shape=node.shape)
     ends = np.cumsum([part.size for part in parts])
     # 0 stands for an entry of nothing: padding.
     numbers = [

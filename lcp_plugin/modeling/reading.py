@@ -113,17 +113,19 @@ class Reader:
     ) -> None:
         self.compiler, self._takes_integers = Compiler(), takes_integers
         self._memo = {} if memo is None else memo
-        self._held = held
+        self._held, self._has_sources = held, held is not None
         self._known: Values = {key: found for key, (_, found) in self._memo.items()}
         self._found: list[tuple[Any, Any]] = []  # results to be known also
         self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
         self._taken: set[int] = set()  # constants that were checked
 
-    def hold(self, node: Any, key: int) -> None:
-        """Let a node be a source of its own, below which nothing is read."""
-        self._kept.append(node)
-        self._known[id(node)] = Rows({key: 1.0}, np.zeros(node.size), node.shape)
+    def hold(self, sources: Mapping[int, Any]) -> None:
+        """Let nodes be sources, by key, below which nothing is read; a parameter that an atom holds raises an error."""
+        self._has_sources = True
+        self._kept.extend(sources.values())
+        for key, node in sources.items():
+            self._known[id(node)] = Rows({key: 1.0}, np.zeros(node.size), node.shape)
 
     def rows(self, expression: Any) -> Rows:
         """Return the rows of an expression: Σ blocks[variable.id] · variable + offset, and results of functions.
@@ -161,7 +163,7 @@ class Reader:
         key, rule = id(node), affine_rule(type(node))  # type: ignore[arg-type]
         below = list(map(id, node.args))
         hidden = hidden_parameters(node) if node.args and rule is None else []
-        if hidden and self._held is not None:
+        if hidden and self._has_sources:
             raise UnsupportedModel(
                 f"{name_of(node)} holds the parameter {hidden[0].name()} where no derivative reaches it; write it with "
                 "products, sums, exp and log"

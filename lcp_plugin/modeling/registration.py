@@ -21,7 +21,7 @@ from ._compat import (
     name_of,
     solver_errors,
 )
-from .agent_checks import refuse_undecided, without_agents
+from .agent_checks import without_agents
 from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints
@@ -66,7 +66,6 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
         The message names the unsuitable constraint or variable, and the remedy.
     """
     constraints, agents = without_agents(constraints)
-    refuse_undecided(agents, constraints)
     equations = [one for one in constraints if isinstance(one, (Equality, Zero))]
     pairs = [one for one in constraints if isinstance(one, Complements)]
     for one in constraints:

@@ -475,7 +475,7 @@ def _undecided(x: Any, y: Any) -> Any:
 
 
 REFUSED: dict[str, Any] = {
-    "a variable of no agent": (_undecided, "no agent decides it"),
+    "a variable of no agent": (_undecided, "list them in over="),
     "a variable of another problem": (
         lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[y]),
         "does not occur",
@@ -506,7 +506,7 @@ REFUSED: dict[str, Any] = {
             cp.Minimize(0),
             [optimal(cp.Problem(cp.Minimize(cp.power(x, cp.Parameter(value=2)))), over=[x])],
         ),
-        "exponent",
+        "no derivative reaches",
     ),
     "kinks without convexity": (
         lambda x, y: cp.Problem(

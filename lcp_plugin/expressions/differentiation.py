@@ -68,8 +68,10 @@ class Symbol:
         return self**-1.0 * number
 
     def __pow__(self, exponent: float) -> Symbol:
-        if exponent in (0.0, 1.0):
-            return self if exponent else self * 0.0 + 1.0
+        if exponent == 0.0:
+            return self._of(Rows.of(np.ones(self.rows.size)))
+        if exponent == 1.0:
+            return self
         return self.emit(functions.power(exponent))
 
     def __sub__(self, other: Symbol) -> Symbol:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lcp_plugin import (
+    LCP,
     InvalidOption,
     ModelWarning,
     UnsupportedModel,
@@ -300,6 +301,23 @@ def test_dependent_constraints_have_some_multipliers() -> None:
     best = optimal(cp.Problem(cp.Minimize(cp.sum_squares(x - 1)), rows), over=[x])
     solved([best], [y == 1])
     assert np.dot([float(one) for one in best.dual_value], [1, 2, 1]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("form", ["sum_squares", "quad_form", "products", "expanded"])
+def test_the_conditions_of_quadratic_programs_are_an_lcp(form: str) -> None:
+    """However the quadratic objective is written, and with bilinear terms of other agents."""
+    P, A = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([[1.0, -1.0], [2.0, 0.5], [0.0, 1.0]])
+    x, y = cp.Variable(2), cp.Variable(3)
+    goal = {
+        "sum_squares": cp.sum_squares(A @ x - y),
+        "quad_form": cp.quad_form(x, P) / 2 + (A.T @ y - 1) @ x,
+        "products": x @ (P @ x + A.T @ y + 1),
+        "expanded": P[0, 0] * x[0] ** 2 + x[0] * x[1] + (x[1] + 1) * (x[1] - y[0]),
+    }[form]
+    first = optimal(cp.Problem(cp.Minimize(goal), [cp.sum(x) <= 3]), over=[x])
+    second = optimal(cp.Problem(cp.Minimize(cp.sum_squares(y - 1) + y @ (A @ x))), over=[y])
+    problem = solved([first, second])
+    assert isinstance(problem.solver_stats.extra_stats.certificate.problem, LCP)
 
 
 # --- economies and games ---

@@ -2,9 +2,9 @@
 
 Firm i makes q_i at the cost c_i q + β_i/(1 + β_i) L_i^(−1/β_i) q^((1 + β_i)/β_i), and the price p(Q) = (5000/Q)^(1/1.1)
 falls with the total output. Each chooses the q_i ≥ 0 that is best for itself as the others produce now. Nobody
-wants to change, a Cournot–Nash equilibrium, where
+wants to change, a Cournot–Nash equilibrium:
 
-    q_i ≥ 0  with  F_i(q) = c_i + (q_i/L_i)^(1/β_i) − p(Q) − q_i p′(Q) ≥ 0.
+    q_i maximizes q_i p(Q) − cost_i(q_i) for the outputs of the others.
 
 Then the first cost of one firm rises until it closes: a complementarity changes sides. Each answer is checked as the
 definition says: no firm, moved alone by a search of one dimension, earns more.
@@ -21,7 +21,7 @@ import numpy as np
 import typer
 from scipy.optimize import minimize_scalar
 
-from lcp_plugin import complements
+from lcp_plugin import optimal
 from lcp_plugin.evidence.drawing import STYLE
 
 COST, SCALE = np.array([10.0, 8.0, 6.0, 4.0, 2.0]), 5.0
@@ -32,12 +32,19 @@ RISES = np.linspace(0.0, 40.0, 41)
 
 def main(out: Path = Path()) -> None:
     """Find the published equilibrium, follow it while a cost rises, and save a figure into the folder OUT."""
-    made, cost = cp.Variable(5), cp.Parameter(5, value=COST)
-    total = cp.sum(made)
-    price = 5000 ** (1 / ELASTICITY) * total ** (-1 / ELASTICITY)
-    marginal = cost + cp.hstack([(made[i] / SCALE) ** (1 / beta) for i, beta in enumerate(BETA)])
-    gain = price * (1 - made / (ELASTICITY * total))
-    market = cp.Problem(cp.Minimize(0), [complements(made >= 0, marginal - gain >= 0)])
+    made, cost = cp.Variable(5, nonneg=True), cp.Parameter(5, value=COST)
+    price = 5000 ** (1 / ELASTICITY) * cp.sum(made) ** (-1 / ELASTICITY)
+    power = 1 + 1 / BETA
+    scale = SCALE ** (-1 / BETA) / power
+    firms = [
+        cp.Maximize(cp.multiply(price - cost[i], q) - scale[i] * q ** power[i])
+        for i, q in enumerate(made)
+    ]
+    # The income is not concave by cvxpy's rules; each answer is checked below.
+    best = [
+        optimal(cp.Problem(one), [q], check="local") for one, q in zip(firms, made, strict=True)
+    ]
+    market = cp.Problem(cp.Minimize(0), best)
 
     made.value = np.full(5, 10.0)
     outputs = []
@@ -45,7 +52,7 @@ def main(out: Path = Path()) -> None:
         cost.value = COST + rise * np.eye(5)[4]
         market.solve(method="LCP", tolerance=1e-12)
         outputs.append(made.value)
-    print(market.solver_stats.extra_stats)
+    print(repr(market.solver_stats.extra_stats))
     closed = next(rise for rise, output in zip(RISES, outputs, strict=True) if output[4] == 0.0)
     print(f"the fifth firm closes when its cost has risen by {closed:g}")
     regret = max(

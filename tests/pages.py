@@ -38,6 +38,7 @@ GUIDES = (
     "first_model",
     *TRADES,
     *(
+        "agents",
         "nonlinear",
         "what_is_proved",
         "layers",

@@ -90,6 +90,19 @@ searched completely.
 - State bounds for free decisions, for example prices and tolls: without bounds SCIP may find no lower bound.
 - For arrays: ``solve(EquilibriumProgram(…))``.
 
+**Agents.** ``optimal(program, over=[x])`` states that x solves an agent's program for the values of all other
+variables; list one for each agent, with pairs and equations as needed. ``best.gap()`` is the gain that the agent could
+make by itself, ``best.dual_value`` has the dual values of the program's constraints.
+
+>>> from lcp_plugin import optimal
+>>> x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+>>> firms = [
+...     optimal(cp.Problem(cp.Maximize(cp.multiply(10 - x - y, own) - own)), over=[own]) for own in (x, y)
+... ]
+>>> _ = cp.Problem(cp.Minimize(0), firms).solve(method="LCP")
+>>> x.value.round(6), y.value.round(6), max(one.gap() for one in firms) <= 1e-6
+(array(3.), array(3.), True)
+
 **Convex quadratic and linear programs**: ``solver=lcp_plugin.QPSolver``, or ``method="LCP"``; dual values included.
 
 >>> import lcp_plugin

@@ -19,6 +19,8 @@ from .model import level_of_caller
 from .reading import rewritten
 from .stated_terms import dense_value, sense_of
 
+MAX_SECONDS = 60.0  # of a search for an agent's best value
+
 
 def possible_gain(agent: Any) -> float | None:
     """Return the gain that an agent could make, or its largest violation; see :meth:`Optimal.gap`.
@@ -46,7 +48,8 @@ def possible_gain(agent: Any) -> float | None:
             stacklevel=level_of_caller(),
         )
         return None
-    return max(sense * float(dense_value(agent.program.objective.value)) - best, violation)
+    gain = sense * float(dense_value(agent.program.objective.value)) - best
+    return max(0.0, violation, gain)
 
 
 def _best_value(problem: Any) -> tuple[float, str]:
@@ -69,7 +72,7 @@ def _best_value(problem: Any) -> tuple[float, str]:
             for variable, value in before:
                 variable.save_value(value)
     run: Any = solve_program if is_quadratic else minimize_over_solutions
-    result = run(program.program if is_quadratic else program)
+    result = run(program.program if is_quadratic else program, max_seconds=MAX_SECONDS)
     if not result.is_solved:
         return (-np.inf if result.status is Status.UNBOUNDED else np.nan), result.advice
     return (result.objective + program.offset if is_quadratic else result.value), ""

@@ -180,6 +180,14 @@ class Optimal(Condition):
 
         return possible_gain(self)
 
+    def describe_gap(self) -> str:
+        """Return a line for ``explain()`` of a result."""
+        if self.check == "local":
+            return f"{self!r} is a local condition: gap() searches for a better point"
+        gap = self.gap()
+        amount = "an unknown amount" if gap is None else f"{gap:.1e}"
+        return f"{self!r} could gain {amount} by itself"
+
     def save_duals(self) -> None:
         """Give the program's constraints their dual values."""
         found = self.conditions.duals()

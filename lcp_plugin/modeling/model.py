@@ -417,6 +417,8 @@ class Model:
                 report.constraint.save_dual_value(dual.reshape(report.shape, order="F"))
         for agent in self.agents:
             agent.save_duals()
+        if found is not None:
+            vars(result)["agents"] = tuple(self.agents)
         problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
     def consistency_error(self, z: FloatVector, w: FloatVector) -> str | None:

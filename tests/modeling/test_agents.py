@@ -9,6 +9,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+from campaigns import agents as campaign
 
 from lcp_plugin import (
     LCP,
@@ -472,6 +473,27 @@ def test_a_smooth_terms_convexity_uses_the_signs_of_others() -> None:
             warnings.simplefilter("error", ModelWarning)
             solved(agents, [y >= 0] if place == "outside" else [])
         assert float(x.value) == pytest.approx(-np.log(2.0), abs=1e-6)
+
+
+# --- random markets and bilevel programs ---
+
+
+@pytest.mark.parametrize("seed", [0, 3, 10])
+def test_no_agent_of_a_random_market_could_gain(seed: int) -> None:
+    """Quadratic and smooth ones; Clarabel solves the agents' programs of the first and of the last."""
+    assert campaign.market(seed) == ""
+
+
+@pytest.mark.full
+def test_no_agent_of_many_random_markets_could_gain() -> None:
+    """A tenth of the campaign."""
+    assert list(campaign.faults(range(20), range(0))) == []
+
+
+@pytest.mark.full
+def test_random_bilevel_programs_have_the_least_value_over_active_sets() -> None:
+    """A tenth of the campaign, with proofs."""
+    assert list(campaign.faults(range(0), range(6))) == []
 
 
 # --- messages ---

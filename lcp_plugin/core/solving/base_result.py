@@ -34,9 +34,12 @@ class BaseResult:
         Number of iterations.
     begun : str
         Description of the starting point, if the caller did not choose it; otherwise empty.
+    agents : tuple of Optimal
+        Agents of a cvxpy model; ``explain()`` prints the possible gain of each.
     """
 
     begun: str = ""
+    agents: tuple[Any, ...] = ()
 
     if TYPE_CHECKING:  # fields of the dataclasses that answers are
 
@@ -118,7 +121,8 @@ class BaseResult:
 
     def _course(self) -> list[str]:
         """Return lines with the methods, their effort, and the starting point if the caller did not choose it."""
-        return [self._effort(), *([self.begun] if self.begun else [])]
+        gains = [agent.describe_gap() for agent in self.agents]
+        return [self._effort(), *([self.begun] if self.begun else []), *gains]
 
     def _effort(self) -> str:
         """Return the name of the algorithm, its iterations and seconds."""

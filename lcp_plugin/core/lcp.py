@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -58,17 +58,36 @@ class LCP:
     array([0. , 3.5])
     """
 
+    if TYPE_CHECKING:
+        matrix: Matrix
+        n: int
+        q: FloatVector
+        lower: FloatVector
+        upper: FloatVector
+        origin: Any
+
     @np.errstate(under="ignore")
     def __init__(
         self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
     ) -> None:
-        self.matrix = M if isinstance(M, Matrix) else Matrix(M)
-        self.n = self.matrix.n
-        need = f"q must be a finite vector of length {self.n} (M is {self.n}×{self.n})"
-        self.q: FloatVector = checked_vector(q, "q", self.n, need=need)
-        self.lower, self.upper = checked_bounds(lower, upper, self.n)
-        # The problem before a conversion; it recovers the original solution.
-        self.origin: Any = None
+        given = vars(self)
+        given["matrix"] = matrix = M if isinstance(M, Matrix) else Matrix(M)
+        given["n"] = n = matrix.n
+        need = f"q must be a finite vector of length {n} (M is {n}×{n})"
+        given["q"] = checked_vector(q, "q", n, need=need)
+        given["lower"], given["upper"] = checked_bounds(lower, upper, n)
+        given["origin"] = None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refuse a change: facts about the problem are cached."""
+        raise AttributeError(
+            f"an LCP is immutable, so {name} cannot be set; write problem.with_q(q, lower=…, upper=…), or LCP(M, q)"
+        )
+
+    def with_origin(self, origin: Any) -> Self:
+        """Return this new problem with its origin: the problem before a conversion, to recover its solution."""
+        vars(self)["origin"] = origin
+        return self
 
     @property
     def M(self) -> Any:
@@ -161,14 +180,16 @@ class LCP:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
         other = object.__new__(LCP)
-        other.origin, other.matrix, other.n = None, self.matrix, self.n
-        other.lower, other.upper, other.nearest_to_zero = (
-            self.lower,
-            self.upper,
-            self.nearest_to_zero,
-        )  # checked, kept
         need = f"q must be a finite vector of length {self.n} (M is {self.n}×{self.n})"
-        other.q = checked_vector(q, "q", self.n, need=need)
+        vars(other).update(
+            matrix=self.matrix,
+            n=self.n,
+            q=checked_vector(q, "q", self.n, need=need),
+            lower=self.lower,
+            upper=self.upper,
+            nearest_to_zero=self.nearest_to_zero,
+            origin=None,
+        )
         return other
 
     @classmethod
@@ -301,9 +322,7 @@ class LCP:
         given = contact_data(
             contacts, friction, velocities, directions, gaps=gaps, time_step=time_step
         )
-        problem = cls(*given.arrays)
-        problem.origin = given
-        return problem
+        return cls(*given.arrays).with_origin(given)
 
     def to_qp(self) -> Any:
         """Return a quadratic program with the same solutions; see ``problems.programs.conversion.qp_from_lcp``."""

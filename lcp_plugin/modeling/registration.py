@@ -104,9 +104,7 @@ def build_from(problem: Any) -> Model:
 def lcp_stated_by(problem: Any) -> LCP:
     """Return the LCP of a cvxpy problem, with the model as its origin."""
     model = build_from(problem)
-    stated = model.lcp("LCP.from_cvxpy")
-    stated.origin = model
-    return stated
+    return model.lcp("LCP.from_cvxpy").with_origin(model)
 
 
 def stated_in_cvxpy(problem: LCP) -> Any:

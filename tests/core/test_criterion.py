@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from campaigns import components as campaign
 from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
 from collection.truth import ExactData
+from constructed_points import CONSTRUCTED
 from exact import exact_rows, solve_fractions
 from exact_criterion import failures
 from hypothesis import given
@@ -39,80 +40,12 @@ from lcp_plugin.core.settings import Settings
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
-TINY = 2.0**-17
-STACKED = np.array([[1e-8, -1e-8, 0], [-1e-8, 1 + 1e-8, -1], [0, -1, 1 + 1e-8]])
-WEIGHTS = np.linalg.solve(STACKED, [0.04905, 0, 0])  # about 9.81e6, 4.905e6, 4.905e6
-CONSTRUCTED: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or None, lower
-    "the snapped point is measured": (
-        [[1, 1], [0, 1]],
-        [-(2.0**33), 64],
-        [2.0**33, 64],
-        [2.0**33, 0],
-    ),
-    "an idle row is no reference": (
-        [[1, 2048, 0], [0, 1, 1], [0, 1, 1 + TINY]],
-        [-1024, -2, -2 - TINY],
-        [0, 1.5, 0.5],
-        [0, 1, 1],
-    ),
-    "terms that cancel": (
-        [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
-        [-1, 0, -(2.0**27)],
-        [2.0**20, 2.0**20, 2.0**27 - 2.0**20],
-        None,
-    ),
-    "a row next to a large one": (
-        [[1, 1, 0], [0, 1, -2], [0, 0, 1]],
-        [-(2.0**46), 0, -1],
-        [2.0**46 - 10, 10, 1],
-        [2.0**46 - 2, 2, 1],
-    ),
-    "a bound next to a large row": (
-        [[1, 1, 0], [0, 1, -2], [0, 0, 1]],
-        [-(2.0**46), 0, 0],
-        [2.0**46 - 10, 10, 1],
-        [2.0**46 - 2, 2, 1],
-        [0, 0, 1],
-    ),
-    "components": (np.eye(2), [-1e10, -0.5], [1e10, 0.6], [1e10, 0.5]),
-    "a row of zeros": ([[1, 1], [0, 0]], [-1, -1e-9], [1, 0], None),
-    "a tiny diagonal entry": ([[1, -2], [3, 1e-9]], [-3, -1], [1.672, 0], [3, 0]),
-    "heavy on light": (STACKED, [-0.04905, 0, 0], [4.905e6, 0, 0], WEIGHTS),
-    "a sign that is wrong for every z": ([[1e-9, 1], [-1, 0]], [-1, -1], [0, 1.1e16], None),
-    "a sign next to 1e15": (
-        [[1, 0, 2], [0, 1, 2], [-2, -2, 0]],
-        [0, -1e15, -1],
-        [0, 0, 0.5e15],
-        None,
-    ),
-    "a row in small units": (
-        [[1e6, 0, 0], [-2, -1, 0], [-1, 2, 1]],
-        [-1e6, 1, -1e15],
-        [1, 0, 1e15],
-        None,
-    ),
-    "a chain to a row with q": (
-        [[1, 0, 1, -1], [0, 1, 1, -1], [-1, -1, 0, 0], [1, 1, 0, 0]],
-        [-1e19, 2, -2, 0],
-        [-1, -1, 1e19, 0],
-        None,
-        [-1e10, -1, 0, 0],
-    ),
-    "rows that do not act": (
-        [[0.1, 0, 0, 1], [0, 0.1, 0, 1e8], [0, 0, 0.1, 1e16], [-1, -1, -1, 0]],
-        [-50, -50, -50, 1],
-        [2, 0, 0, 49.8],
-        [1, 0, 0, 49.9],
-    ),
-    "not moved to a bound": ([[1e-9, -1], [1, 1e-9]], [-1e-9, 0], [6, 5e-9], [1, 0]),
-    "excused at 1e-8": ([[2e-6, 1], [-1, 1e-11]], [-1, -2e-11], [2e-12, 1], [0, 2]),
-}
 
 
 def constructed(name: str) -> tuple[LCP, Any, Any]:
     """Return the problem, a wrong point and the right one."""
-    M, q, wrong, right, *lower = CONSTRUCTED[name]
-    return LCP(np.array(M, float), q, lower=lower[0] if lower else 0.0), wrong, right
+    case = CONSTRUCTED[name]
+    return LCP(case.M, case.q, lower=case.lower), case.wrong, case.right
 
 
 @pytest.mark.parametrize("method", METHODS)

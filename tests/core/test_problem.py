@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import tracemalloc
 import warnings
 from collections.abc import Callable
@@ -321,3 +322,24 @@ def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(
     """Common mistakes in the first call of every problem class raise errors with the remedy."""
     with pytest.raises(LCPError, match=words):
         wrong()
+
+
+@pytest.mark.parametrize("name", ["q", "lower", "upper", "matrix", "n", "other"])
+def test_a_problem_is_immutable(name: str) -> None:
+    """An attribute cannot be set, before and after a solve, because facts about the problem are cached."""
+    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    for one in (problem, problem.with_q([-1.0, -1.0]), copy.copy(problem)):
+        solve(one)
+        with pytest.raises(AttributeError, match="with_q"):
+            setattr(one, name, np.zeros(2))
+    assert Certificate.of(problem, solve(problem).z).relative_residual < 1e-12
+
+
+def test_a_scan_of_accelerations_keeps_no_vectors() -> None:
+    """A thousand values of `acceleration` add nothing to the facts about M."""
+    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
+    solve(problem, "npaor", acceleration=0.5)
+    before = len(problem.matrix._facts)
+    for acceleration in np.linspace(0.0, 1.0, 20):
+        assert solve(problem, "npaor", acceleration=float(acceleration)).is_solved
+    assert len(problem.matrix._facts) == before

@@ -41,6 +41,7 @@ from ..matrix.matrix import Matrix, fact, largest_in_rows
 from ..matrix.row_sums import BLOCK
 from ..matrix.structure import connected_components
 from ..rounding import compensated_product
+from .measured import Measured
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
@@ -73,11 +74,15 @@ class RowsAtPoint(NamedTuple):
 
 
 class RowData:
-    """M, q, bounds, d and components of one problem or of a stack of dense ones: the data of the criterion.
+    """M, q, bounds, d and components of one problem or of a stack: the data of the criterion.
+
+    A class of problems with another product or other rows replaces `anywhere`, `worst`, `largest`, `follow_chains` or
+    `demand`.
 
     Parameters
     ----------
     M : ndarray or CSR array, shape (n, n), or ndarray, shape (B, n, n)
+        A CSR array may have vectors of shape (B, n).
     absolute : the same
         |M|.
     q, lower, upper, scale : array, shape (n,) or (B, n)
@@ -110,9 +115,46 @@ class RowData:
         at = self.rows(self.start)
         return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
 
-    def rows(self, z: FloatVector) -> RowsAtPoint:
-        """Return the values of all rows at z."""
-        w, products = times(self.M, z) + self.q, times(self.absolute, np.abs(z))
+    def anywhere(self, mask: BoolVector) -> bool:
+        """Return whether the mask is True in any row."""
+        return bool(mask.any())
+
+    def worst(self, values: FloatVector) -> Any:
+        """Return the largest of the values ≥ 0 of each problem; a NaN stays."""
+        return values.max(-1, initial=0.0)
+
+    def measure(self, z: FloatVector, tolerance: float, power: float = POWER) -> Measured:
+        """Move z to near bounds, and measure the moved point: the stopping criterion.
+
+        Parameters
+        ----------
+        z : array, shape (…, n)
+            Within the bounds.
+        tolerance : float
+        power : float
+            Exponent of the tolerance next to T_i.
+
+        Returns
+        -------
+        Measured
+            The moved point, its relative residual, and whether it is SOLVED, shapes (…, n) and (…).
+        """
+        reference = self.reference
+        z = np.where(reference == 0.0, self.start, z)
+        w = times(self.M, z) + self.q
+        moved = self.snap_to_bounds(z, w)
+        at = self.rows(moved, None if self.anywhere(moved != z) else w)
+        high = self.residual_ends(moved, at.w, at.rounding)[1]
+        limit = np.minimum(reference, self.active_reference(at))
+        relative = self.worst(np.where(high == 0.0, 0.0, high / limit))
+        terms = self.worst(self.term_residuals(moved, at, power))
+        passes = (relative <= tolerance) & (terms <= tolerance)
+        return Measured(moved, relative, passes, terms=terms)
+
+    def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
+        """Return the values of all rows at z, with its slack w if that is known."""
+        w = times(self.M, z) + self.q if w is None else w
+        products = times(self.absolute, np.abs(z))
         terms = products + np.abs(self.q)
         bound = (self._counts + 6) * (EPSILON * terms + TINY)
         rounding = np.where(products > 0.0, bound, 0.0)  # NaN stays
@@ -182,7 +224,7 @@ class RowData:
         if isinstance(self.absolute, np.ndarray):
             of_neighbors = (self.absolute * shares[..., None, :]).max(-1, initial=0.0)
             return np.asarray(np.maximum(w, of_neighbors))
-        sizes = self.absolute.data * shares[self.absolute.indices]
+        sizes = self.absolute.data * shares[..., self.absolute.indices]
         return np.maximum(w, largest_in_rows(self.absolute, sizes))
 
     def term_residuals(self, z: FloatVector, at: RowsAtPoint, power: float = POWER) -> FloatVector:
@@ -198,7 +240,7 @@ class RowData:
         """
         violation = at.violation
         is_open = ~(violation <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
-        if not is_open.any():
+        if not self.anywhere(is_open):
             return np.zeros(z.shape)
         is_open &= ~(self._is_excused(z, at) | (violation <= self._underflow(z)))
         demand = self.demand
@@ -210,7 +252,7 @@ class RowData:
     def _is_excused(self, z: FloatVector, at: RowsAtPoint) -> Any:
         """Return the rows with q_i = 0 that are at the rounding level of their component, bool."""
         is_candidate = self.q == 0.0
-        if not is_candidate.any():
+        if not self.anywhere(is_candidate):
             return is_candidate
         of_z = self.scale * self.largest(np.abs(z))
         of_active = self.largest(np.where(at.is_active, at.terms, 0.0))
@@ -218,15 +260,21 @@ class RowData:
         is_small = at.terms <= NEGLIGIBLE * unit
         is_at_bound = (z != 0.0) & ((z == self.lower) | (z == self.upper))
         has_unit = ~is_candidate | is_at_bound | (times(self.absolute, is_at_bound) > 0.0)
-        is_led = is_small & has_unit
-        by_columns = self.absolute.swapaxes(-1, -2) if z.ndim > 1 else self.absolute.T
-        while is_led.any():
+        is_led = self.follow_chains(is_small & has_unit, is_small, z)
+        return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
+
+    def follow_chains(self, is_led: Any, is_small: Any, z: FloatVector) -> Any:
+        """Return the small rows to which a chain of small rows leads from the rows `is_led`, bool."""
+        if not is_led.any():
+            return is_led
+        is_dense = isinstance(self.absolute, np.ndarray)
+        by_columns = self.absolute.swapaxes(-1, -2) if is_dense else self.absolute.T
+        while True:
             is_shared = (is_led | (times(by_columns, is_led) > 0.0)) & (z != 0.0)
             after = is_led | (is_small & (times(self.absolute, is_shared) > 0.0))
             if (after == is_led).all():
-                break
+                return is_led
             is_led = after
-        return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
 
     def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
         """Return the rounding level of each residual: k_i ε T_i / d_i with k_i = nonzeros of row i + 2."""
@@ -237,7 +285,9 @@ class RowData:
     def _underflow(self, z: FloatVector) -> Any:
         """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""
         grid = np.where((z != 0.0) & (np.abs(z) < NORMAL), TINY, 0.0)
-        return times(self.absolute, grid) + (self._counts + 2) * TINY if grid.any() else 0.0
+        if not self.anywhere(grid > 0.0):
+            return 0.0
+        return times(self.absolute, grid) + (self._counts + 2) * TINY
 
     def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
         """Return z with z_i projected onto a bound whose distance is at most the step −w_i/d_i."""
@@ -250,6 +300,8 @@ def times(M: Any, x: FloatVector) -> FloatVector:
     """Return M x for one problem, or for each problem of a stack, which may share one M."""
     if x.ndim == 1:
         product: FloatVector = M @ x
+    elif not isinstance(M, np.ndarray):
+        product = (M @ x.T).T
     elif len(M) == 1 < len(x):
         product = x @ M[0].T
     else:

@@ -150,14 +150,17 @@ def csr_of_dense(dense: FloatVector) -> sp.csr_array:
 
 
 def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
-    """Return the largest |entry| of each row, 0 for an empty row; `sizes` replaces the |entries| of a CSR array."""
+    """Return the largest |entry| of each row, 0 for an empty row.
+
+    `sizes`, shape (…, entries), replaces the |entries| of a CSR array.
+    """
     if not sp.issparse(M):
         return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
-    largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
+    sizes = np.abs(M.data) if sizes is None else sizes
+    largest = np.zeros((*sizes.shape[:-1], M.shape[0]))
+    filled = np.flatnonzero(np.diff(M.indptr))
     if filled.size:
-        largest[filled] = np.maximum.reduceat(
-            np.abs(M.data) if sizes is None else sizes, M.indptr[filled]
-        )
+        largest[..., filled] = np.maximum.reduceat(sizes, M.indptr[filled], axis=-1)
     return largest
 
 

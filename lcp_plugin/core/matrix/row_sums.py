@@ -67,7 +67,6 @@ def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
     return triangle_sums(matrix, np.ones(matrix.n))
 
 
-@fact
 def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVector:
     """Return θ, shape (n,): up to 2 if every row of M is diagonally dominant, else 1 on all rows; one pass over M.
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restore_state
 from ..errors import UnsuitableMatrix
+from ..lcp import LCP
 from ..representation import format_count
-from ..settings import Status
+from ..settings import Settings, Status
 from .base_result import NEXT, BaseResult
 
 if TYPE_CHECKING:
@@ -118,6 +119,47 @@ class Result(BaseResult):
     )  # advice of a status that replaces its default
 
     __setstate__ = restore_state
+
+    @classmethod
+    def at(
+        cls,
+        problem: LCP,
+        z: FloatVector,
+        stage: StageRecord,
+        settings: Settings,
+        seconds: float = 0.0,
+        **others: Any,
+    ) -> Result:
+        """Return the result at a point that is measured as SOLVED, without another solve or measurement.
+
+        Parameters
+        ----------
+        problem : LCP
+        z : ndarray, shape (n,)
+            Read-only.
+        stage : StageRecord
+            The method of "auto" that found z, with its iterations and work.
+        settings : Settings
+        seconds : float
+        **others
+            Further fields of the result.
+        """
+        certificate = Certificate(problem, z)
+        return cls(
+            z=z,
+            w=certificate.w,
+            status=Status.SOLVED,
+            certificate=certificate,
+            algorithm=f"auto: {stage.name}",
+            iterations=stage.iterations,
+            work=stage.work,
+            seconds=seconds,
+            setup_seconds=0.0,
+            tolerance=settings.tolerance,
+            absolute_tolerance=settings.absolute_tolerance,
+            stages=(stage,),
+            **others,
+        )
 
     @property
     def error_bound(self) -> ErrorBound | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -121,7 +122,11 @@ class SearchLimitReached:
 
 
 def search(
-    problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES
+    problem: LCP,
+    *,
+    first_only: bool = True,
+    max_nodes: int = DEFAULT_NODES,
+    most: float = math.inf,
 ) -> Solutions | NoSolution | SearchLimitReached:
     """Return a solution (or all), the proof that there is none, or that the limit was too low.
 
@@ -132,6 +137,8 @@ def search(
     max_nodes : int
         Limit of the number of complementarity pieces; one costs about a millisecond at n = 10, more with long
         mantissas.
+    most : float
+        Stop after this number of solutions.
 
     Raises
     ------
@@ -149,7 +156,7 @@ def search(
     True
     """
     limit, effort = _checked_count("max_nodes", max_nodes), Effort()
-    for outcome in explore(problem, effort, first_only=first_only):
+    for outcome in explore(problem, effort, first_only=first_only, most=most):
         if outcome is not None:
             return outcome
         if effort.cases > limit:
@@ -158,12 +165,17 @@ def search(
 
 
 def explore(
-    problem: LCP, effort: Effort, *, first_only: bool = True
+    problem: LCP, effort: Effort, *, first_only: bool = True, most: float = math.inf
 ) -> Iterator[Solutions | NoSolution | None]:
-    """Yield None after each case and within long ones, then the result of `search`; `effort` counts the work."""
+    """Yield None after each case and within long ones, then the result of `search`; `effort` counts the work.
+
+    The search ends at `most` solutions.
+    """
     _require_small(problem)
     explorer = Explorer(problem, effort, first_only=first_only)
     for _ in explorer.run():
+        if len(explorer.faces) >= most and len(_maximal(explorer.faces)) >= most:
+            break
         yield None
     if explorer.faces:
         yield Solutions(
@@ -187,7 +199,7 @@ def all_solutions(
     problem : LCP
         At most 24 rows that leave a choice, n at most 60.
     limit : int, optional
-        Stop after this number of solutions.
+        Stop after this number of solutions; a listed face may then be a part of a larger one.
     max_nodes : int
         Limit of the number of complementarity pieces.
 
@@ -223,14 +235,15 @@ def all_solutions(
     >>> print(face)
     z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
     """
-    outcome = search(problem, first_only=False, max_nodes=max_nodes)
+    most = math.inf if limit is None else _checked_count("limit", limit)
+    outcome = search(problem, first_only=False, max_nodes=max_nodes, most=most)
     if isinstance(outcome, SearchLimitReached):
         raise UnsuitableProblem(
             f"the search did not end within max_nodes={max_nodes} pieces; raise max_nodes, or compute one "
             "solution with solve(problem)"
         )
     found = outcome.solutions if isinstance(outcome, Solutions) else ()
-    return list(found if limit is None else found[: _checked_count("limit", limit)])
+    return list(found if limit is None else found[:limit])
 
 
 def _maximal(faces: Sequence[Face]) -> list[Face]:

@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.linalg import LinAlgError
 
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import RowData, times
+from ...core.certificates.measured import Measured
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, residual_scales
@@ -79,11 +80,11 @@ def first_candidate(
         if not stack.reference.all():
             return None
         is_cold = z0 is problem.nearest_to_zero
-        if not is_cold and measure(stack, z0[None], tolerance).is_solved[0]:
+        if not is_cold and measure(stack, z0[None], tolerance).passes[0]:
             return None
         label, z, entries = next(candidates(stack, z0[None]))
         found = measure(stack, z[None], tolerance)
-    if not found.is_solved[0]:
+    if not found.passes[0]:
         return None
     return read_only(found.z[0]), label, entries / max(problem.matrix.nonzeros, 1)
 
@@ -145,29 +146,16 @@ def select_problems(stack: RowData, items: Any) -> RowData:
     return RowData(**parts, labels=labels)
 
 
-class MeasuredPoints(NamedTuple):
-    """Points after the projection onto near bounds, whether each is SOLVED, and their relative residuals."""
+def clean(stack: RowData, z: FloatVector) -> FloatVector:
+    """Return z within its bounds, and 0 for values whose products would underflow."""
+    size = np.abs(z)
+    least = SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0)
+    return np.minimum(np.maximum(np.where(size > least, z, 0.0), stack.lower), stack.upper)
 
-    z: FloatVector
-    is_solved: BoolVector
-    residual: FloatVector
 
-
-def measure(stack: RowData, z: FloatVector, tolerance: float) -> MeasuredPoints:
-    """Move the points z of a stack to near bounds, and test each by the criterion with exponent 1."""
-    size, reference = np.abs(z), stack.reference
-    z = np.where(
-        size > SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0), z, 0.0
-    )
-    z = np.minimum(np.maximum(z, stack.lower), stack.upper)
-    z = np.where(reference == 0.0, stack.start, z)
-    z = stack.snap_to_bounds(z, times(stack.M, z) + stack.q)
-    at = stack.rows(z)
-    high = stack.residual_ends(z, at.w, at.rounding)[1]
-    limit = np.minimum(reference, stack.active_reference(at))
-    relative = np.where(high == 0.0, 0.0, high / limit).max(-1, initial=0.0)
-    terms = stack.term_residuals(z, at, power=1.0).max(-1, initial=0.0)
-    return MeasuredPoints(z, (relative <= tolerance) & (terms <= tolerance), relative)
+def measure(stack: RowData, z: FloatVector, tolerance: float) -> Measured:
+    """Measure the clean points of a stack, at the ends of linear solves."""
+    return stack.measure(clean(stack, z), tolerance, power=1.0)
 
 
 def solve_stack(
@@ -191,14 +179,14 @@ def solve_stack(
         first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
         found = measure(stack, stack.start if first is None else rounds(stack, first), tolerance)
         has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
-        items = np.flatnonzero(~found.is_solved & ~has_free)
+        items = np.flatnonzero(~found.passes & ~has_free)
         if items.size:
             few = select_problems(stack, items)
             of_paths = measure(few, paths(few), tolerance)
-            for table, values in zip(found, of_paths, strict=True):
+            for table, values in zip(found[:3], of_paths[:3], strict=True):
                 table[items] = values
         begun = stack.start if starts is None else starts
-        return found.z, found.residual, (found.z != begun).any(1).astype(int), found.is_solved
+        return found.z, found.residual, (found.z != begun).any(1).astype(int), found.passes
 
 
 def guess(stack: RowData) -> FloatVector | None:

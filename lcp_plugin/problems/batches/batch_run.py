@@ -13,9 +13,10 @@ from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
+from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...core.solving.base_result import BaseResult
-from ...core.solving.result import Result
+from ...core.solving.result import Result, StageRecord
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares
 from ..least_squares.enclosures import Enclosures
@@ -150,21 +151,28 @@ class BatchRun:
 
     def result_of(self, k: int) -> Any:
         """Return the result of problem k, which has no error; its start if it never ran."""
-        if k in self.results:
-            return self.results[k]
+        if k not in self.results:
+            self.results[k] = self._result_at(k, self.problems[k])
+        return self.results[k]
+
+    def _result_at(self, k: int, problem: Any) -> Any:
         if self.status[k] is not Status.SOLVED:
             options = {**self.asked.options, "max_seconds": 0.0}
             found = self._solved(k, self.problems.start(k), options)
             return replace(found, status=self.status[k])
-        share, problem = self.seconds / len(self.status), self.problems[k]
+        z, iterations = self.z[k][: problem.n], int(self.iterations[k])
+        share = self.seconds / len(self.status)
+        if isinstance(problem, LCP):
+            stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
+            return Result.at(problem, read_only(z), stage, self.settings, share)
         if isinstance(problem, BoundedLeastSquares):
-            tolerance, count = self.settings.tolerance, int(self.iterations[k])
+            tolerance = self.settings.tolerance
             with np.errstate(all="ignore"):
                 point = Optimality.of(Enclosures(problem), self.z[k], tolerance=tolerance)
-                found = (Status.SOLVED, count, "normal equations", share, tolerance)
+                found = (Status.SOLVED, iterations, "normal equations", share, tolerance)
                 return LeastSquaresResult.at(point, *found)
-        found = self._solved(k, self.z[k][: problem.n], self.asked.options)
-        return replace(found, iterations=int(self.iterations[k]), seconds=share)
+        found = self._solved(k, z, self.asked.options)
+        return replace(found, iterations=iterations, seconds=share)
 
     def tables(self) -> dict[str, Any]:
         """Return the arrays of the results by name."""

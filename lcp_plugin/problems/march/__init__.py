@@ -17,8 +17,8 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
-from ...core.settings import Status
-from ...core.solving.result import Result
+from ...core.settings import Settings, Status
+from ...core.solving.result import Result, StageRecord
 from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..many.answers import AnswerSequence
@@ -127,18 +127,16 @@ def take_steps_on_band(
         forcing = done.forcing[len(done) : len(done) + BLOCK]
         solved = steps.solve(forcing, state)
         for q, state in zip(*solved, strict=True):
-            stated = partial(problem.with_q, q)
-            done.take(state, partial(_result_at, stated, state, algorithm, wishes))
+            done.take(state, partial(_result_at, problem, q, state, settings))
         if len(solved[0]) < len(forcing):
             break
     done.seconds += clock.read()
 
 
-def _result_at(
-    stated: Callable[[], LCP], z: FloatVector, algorithm: str | Algorithm, wishes: dict[str, Any]
-) -> Result:
-    """Return the result of a step, by a solve that starts at its known solution."""
-    return solve_lcp(stated(), algorithm, z0=z, **wishes)
+def _result_at(problem: LCP, q: FloatVector, z: FloatVector, settings: Settings) -> Result:
+    """Return the result of a step on a band, which is measured already."""
+    stage = StageRecord(Banded.name, "M is a narrow band: many steps in one loop", 1, 1.0)
+    return Result.at(problem.with_q(q), z, stage, settings)
 
 
 def take_steps(

@@ -7,13 +7,12 @@ is then one pass of :func:`~lcp_plugin.methods.banded.solve_one_sided`. On other
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, FloatVector
-from ...core.kernels.floats import EPSILON, TINY
+from ...core.certificates.criterion import RowData
+from ...core.certificates.measured import Measured
+from ...core.checks import FloatVector, read_only
 from ...core.lcp import LCP
 from ...methods.banded import active_sets, solve_one_sided
 from ...systems.factors import Bands
@@ -61,10 +60,12 @@ class BandSteps:
                 Q, Z = Q[:k], Z[:k]
                 break
             state = Z[k] = found
-        Z.flags.writeable = False  # because they are checked now
-        are_solved = self._are_solved(Q, Z)
-        count = len(Q) if are_solved.all() else int(np.argmin(are_solved))
-        return Q[:count], Z[:count]
+        measured = self._measure(Q, Z)
+        passes, moves = measured.passes, (measured.z != Z).any(axis=1)
+        count = len(Q) if passes.all() else int(np.argmin(passes))
+        if moves[:count].any():  # later steps were computed from the point before it was moved
+            count = int(np.argmax(moves)) + 1
+        return Q[:count], read_only(measured.z)[:count]
 
     def _step(self, q: FloatVector, state: FloatVector) -> FloatVector | None:
         """Return the solution of one step, or None if none was found."""
@@ -79,27 +80,15 @@ class BandSteps:
         rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))
         return next((z for z, residual in rounds if residual <= goal), None)
 
-    def _are_solved(self, Q: FloatVector, Z: FloatVector) -> BoolVector:
-        """Return the mask of the steps that meet the criterion, rounding included."""
-        problem, nearest = self.problem, self.problem.nearest_to_zero
-        T, W = (self.absolute @ np.abs(Z).T).T + np.abs(Q), (problem.csr @ Z.T).T + Q
-        is_held = ((problem.lower >= Z) & (W >= 0.0)) | ((problem.upper <= Z) & (W <= 0.0))
-        wrong = np.where(is_held | (problem.lower == problem.upper), 0.0, np.abs(W))
-        is_right = (wrong <= self.tolerance**0.75 * T).all(axis=1)
-        residual = self._residual(W, Z) + self._rounding(T)
-        reference = self._residual(self.of_nearest + Q, nearest)
-        reference -= self._rounding(self.absolute @ np.abs(nearest) + np.abs(Q))
-        allowed = self.tolerance * reference.max(axis=1, initial=0.0)
-        are_solved: BoolVector = is_right & (residual.max(axis=1, initial=0.0) <= allowed)
-        return are_solved
+    def _measure(self, Q: FloatVector, Z: FloatVector) -> Measured:
+        """Return the measured points of the steps, rounding included."""
+        problem = self.problem
+        bounds = problem.lower, problem.upper
+        data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
+        return data.measure(Z, self.tolerance, power=1.0)
 
     def _residual(self, w: FloatVector, z: FloatVector) -> FloatVector:
         """Return |z − mid(lower, upper, z − w/d)|."""
         problem = self.problem
         step = np.clip(w / problem.residual_scale, z - problem.upper, z - problem.lower)
         return np.asarray(np.abs(step))
-
-    def _rounding(self, terms: FloatVector) -> Any:
-        """Return a bound of the rounding error of w/d."""
-        width = int(np.diff(self.problem.csr.indptr).max(initial=0))
-        return (terms * EPSILON + TINY) * ((width + 4) / self.problem.residual_scale)

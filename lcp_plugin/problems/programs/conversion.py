@@ -76,9 +76,7 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
 def optimality_conditions(program: QuadraticProgram, tolerance: float = PROGRAM_TOLERANCE) -> LCP:
     """Return the conditions of a program known to be convex; a run on them stops at a solution of the program."""
     origin = QPOrigin(program, tolerance)
-    problem = conditions(origin.reduced)
-    problem.origin = origin
-    return problem
+    return conditions(origin.reduced).with_origin(origin)
 
 
 def conditions(program: QuadraticProgram) -> LCP:

@@ -141,9 +141,7 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
     M = np.zeros((m + k, m + k))
     M[:m, m:] = _costs(row_payoffs, own=0)
     M[m:, :m] = _costs(column_payoffs, own=1).T
-    problem = LCP(M, np.full(m + k, -1.0))
-    problem.origin = GameOrigin(row_payoffs, column_payoffs)
-    return problem
+    return LCP(M, np.full(m + k, -1.0)).with_origin(GameOrigin(row_payoffs, column_payoffs))
 
 
 def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:

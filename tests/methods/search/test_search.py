@@ -11,7 +11,15 @@ import scipy.sparse as sp
 from campaigns.games import game, missed, wrong_equilibria
 from campaigns.search import Enumeration, random_problem, violations
 
-from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    InvalidOption,
+    InvalidProblem,
+    Status,
+    UnsuitableProblem,
+    solve,
+)
 from lcp_plugin.methods.search import SearchLimitReached, all_solutions, search
 from lcp_plugin.methods.search.simplex import QUANTUM
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
@@ -242,3 +250,14 @@ def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None
     result = solve(LCP(M, np.full(900, -1e-3)), "multigrid")
     assert result.status is Status.INFEASIBLE
     assert result.iterations < 10_000
+
+
+def test_a_limit_of_solutions_ends_the_search() -> None:
+    """`limit=1` of a problem with 2ⁿ solutions examines a few pieces only, and finds a solution."""
+    problem = LCP(-np.eye(12), np.ones(12))  # z_i is 0 or 1
+    found = all_solutions(problem, limit=1, max_nodes=100)
+    assert len(found) == 1
+    assert Certificate.of(problem, found[0].z).relative_residual == 0.0
+    assert len(all_solutions(problem, limit=3, max_nodes=100)) == 3
+    with pytest.raises(UnsuitableProblem):
+        all_solutions(problem, max_nodes=100)

@@ -1,0 +1,86 @@
+"""Every problem class refuses the constructed wrong points: a table of classes and cases.
+
+A class is a function from a case to its points, each with the mark whether it is SOLVED. Add a class here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from constructed_points import CONSTRUCTED, Case
+
+from lcp_plugin import LCP, march, solve, solve_batch
+
+Points = Iterator[tuple[Any, bool]]
+FURTHER_ROWS = 200  # of a band, so that a march takes its steps on bands
+LINK = 2.0**-60  # entry next to the diagonal of these rows
+
+
+def lcp_points(case: Case) -> Points:
+    """Yield the results of an LCP, dense and sparse, from the wrong point and from z°."""
+    for M in (case.M, sp.csr_array(case.M)):
+        for z0 in (case.wrong, None):
+            result = solve(LCP(M, case.q, lower=case.lower), z0=z0)
+            assert result.is_solved is (case.right is not None)
+            yield result.z, result.is_solved
+
+
+def stack_points(case: Case) -> Points:
+    """Yield the points of a batch, with the matrix shared and with one per problem, and the results of its items."""
+    starts = [case.wrong, case.lower]
+    for M in (case.M, np.array([case.M, case.M])):
+        batch = solve_batch(M, [case.q, case.q], lower=case.lower, z0=starts)
+        for k in range(2):
+            assert batch[k].status is batch.status[k]
+            assert batch[k].z.tobytes() == batch.z[k].tobytes()
+            assert batch[k].is_solved is (case.right is not None)
+            yield batch.z[k], batch[k].is_solved
+
+
+def march_points(problem: LCP, case: Case) -> Points:
+    """Yield the points of three steps with the same data, from the wrong point and from z°."""
+    further = np.zeros(problem.n - case.q.size)
+    for z0 in (np.concatenate([case.wrong, further]), problem.nearest_to_zero):
+        done = march(problem, np.broadcast_to(problem.q, (3, problem.n)), propagator=0.0, z0=z0)
+        for k, z in enumerate(done.z):
+            assert done[k].status is done.status[k]
+            assert done[k].z.tobytes() == z.tobytes()
+            yield z, done[k].is_solved
+
+
+def dense_march_points(case: Case) -> Points:
+    """Yield the steps of a march with a dense matrix."""
+    return march_points(LCP(case.M, case.q, lower=case.lower), case)
+
+
+def band_march_points(case: Case) -> Points:
+    """Yield the steps of a march over a band: the case, and 200 rows z_i + 2⁻⁶⁰ z_{i−1} + 1."""
+    m, n = case.q.size, case.q.size + FURTHER_ROWS
+    M = sp.lil_array((n, n))
+    M[:m, :m] = case.M
+    for i in range(m, n):
+        M[i, i], M[i, i - 1] = 1.0, LINK
+    q = np.concatenate([case.q, np.ones(FURTHER_ROWS)])
+    lower = np.concatenate([case.lower, np.zeros(FURTHER_ROWS)])
+    return march_points(LCP(M.tocsr(), q, lower=lower), case)
+
+
+CLASSES: dict[str, Callable[[Case], Points]] = {
+    "LCP": lcp_points,
+    "stack": stack_points,
+    "march, dense": dense_march_points,
+    "march, band": band_march_points,
+}
+
+
+@pytest.mark.few(24)
+@pytest.mark.parametrize("case", CONSTRUCTED)
+@pytest.mark.parametrize("problem_class", CLASSES)
+def test_no_class_calls_a_wrong_point_solved(problem_class: str, case: str) -> None:
+    """A SOLVED point is the solution; a problem without a solution is never SOLVED."""
+    for z, is_solved in CLASSES[problem_class](CONSTRUCTED[case]):
+        CONSTRUCTED[case].judge(z, is_solved=is_solved)

@@ -100,9 +100,9 @@ class ConeRows(RowData):
         found: FloatVector = self.largest(demand) if self.stack.has_friction else self._norm(demand)
         return found
 
-    def rows(self, z: FloatVector) -> RowsAtPoint:
-        """Return the values of all laws at z."""
-        at = super().rows(z)
+    def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
+        """Return the values of all laws at z, with its slack w if that is known."""
+        at = super().rows(z, w)
         if not self.has_cones:
             return at
         stack, x, g = self.stack, self.wide(z), self.wide(at.w)

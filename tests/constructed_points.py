@@ -52,7 +52,7 @@ TABLE: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or N
         [2.0**33, 64],
         [2.0**33, 0],
     ),
-    "an idle row is no reference": (
+    "an idle row is not a reference": (
         [[1, 2048, 0], [0, 1, 1], [0, 1, 1 + TINY]],
         [-1024, -2, -2 - TINY],
         [0, 1.5, 0.5],

@@ -79,7 +79,7 @@ class LCP:
         given["origin"] = None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Refuse a change: facts about the problem are cached."""
+        """Raise AttributeError, because facts about the problem are cached."""
         raise AttributeError(
             f"an LCP is immutable, so {name} cannot be set; write problem.with_q(q, lower=…, upper=…), or LCP(M, q)"
         )

@@ -1,4 +1,4 @@
-"""Every problem class refuses the constructed wrong points: a table of classes and cases.
+"""Every problem class rejects the constructed wrong points: a table of classes and cases.
 
 A class is a function from a case to its points, each with the mark whether it is SOLVED. Add a class here.
 """

@@ -85,7 +85,12 @@ class LCP:
         )
 
     def with_origin(self, origin: Any) -> Self:
-        """Return this new problem with its origin: the problem before a conversion, to recover its solution."""
+        """Return this new problem with its origin, which recovers the solution of the problem before a conversion.
+
+        Parameters
+        ----------
+        origin : object
+        """
         vars(self)["origin"] = origin
         return self
 

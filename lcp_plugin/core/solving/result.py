@@ -141,6 +141,7 @@ class Result(BaseResult):
             The method of "auto" that found z, with its iterations and work.
         settings : Settings
         seconds : float
+            Seconds of the computation of z.
         **others
             Further fields of the result.
         """

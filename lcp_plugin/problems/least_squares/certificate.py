@@ -51,6 +51,7 @@ from .enclosures import (
     shortest_solution,
     times,
 )
+from .engines import is_within_reach
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 ACCURACY = 1e-8  # to which a dual point is made orthogonal to the free columns
@@ -360,8 +361,7 @@ def _gap(
 def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVector:
     """Return by how much the cost falls at most over the slack, at a slant known up to `off`."""
     steep = slant + off
-    falls = (steep > 0.0) & (slack > 0.0)
-    return np.where(falls, np.where(falls, steep, 0.0) * slack + TINY, 0.0)
+    return np.where((steep > 0.0) & (slack > 0.0), steep * slack + TINY, 0.0)
 
 
 def _repair(
@@ -409,25 +409,53 @@ def _push(
 
     The caller checks the signs.
     """
-    scaled, columns, root = problem.scaled, np.flatnonzero(chosen), problem.root_weights
+    columns, root = np.flatnonzero(chosen), problem.root_weights
     if not wanted[columns].any():
         return np.zeros(root.size)
     if problem.is_small:
-        push = shortest_solution(scaled.matrix(is_dense=True)[:, columns].T, wanted[columns])
+        few = problem.weighted_matrix()[:, columns]
+        few = (few.toarray() if problem.is_sparse else few) / problem.column_scales[columns]
+        push = shortest_solution(few.T, wanted[columns])
         return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
+    push = _push_by_products(problem, wanted[columns], columns, accuracy)
+    return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
+
+
+def _push_by_products(
+    problem: BoundedLeastSquares, wanted: FloatVector, columns: Any, accuracy: float
+) -> FloatVector:
+    """Return the shortest p of the scaled problem by lsmr, by a sparse factorization if lsmr does not converge."""
     from scipy.sparse.linalg import LinearOperator, lsmr
+
+    scaled, (m, n) = problem.scaled, problem.shape
 
     def back(pull: FloatVector) -> FloatVector:
         if enforced_seconds_left() < 0.0:
             raise OutOfTimeError
-        full = np.zeros(wanted.size)
+        full = np.zeros(n)
         full[columns] = pull
         return np.asarray(scaled.product(full))
 
-    shape = (columns.size, root.size)
     across = LinearOperator(
-        shape, lambda push: scaled.apply_transpose(push)[columns], back, dtype=np.float64
+        (columns.size, m), lambda push: scaled.apply_transpose(push)[columns], back, dtype=float
     )
     steps = min(REPAIR_STEPS, 2 * columns.size + 1)
-    push = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)[0]
-    return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
+    push, *_, left = lsmr(across, wanted, atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)[:4]
+    if left > accuracy * np.linalg.norm(wanted) and problem.is_sparse and is_within_reach(scaled):
+        push = _push_by_factorization(scaled.matrix(is_dense=False)[:, columns], wanted, push)
+    return np.asarray(push)
+
+
+def _push_by_factorization(A: Any, wanted: FloatVector, otherwise: FloatVector) -> FloatVector:
+    """Return the shortest p with Aᵀp = wanted, of p + A u = 0, with one refinement; `otherwise` if A is singular."""
+    from scipy.sparse.linalg import splu
+
+    m = A.shape[0]
+    both = sp.csc_array(sp.block_array([[sp.eye_array(m), A], [A.T, None]]))
+    right = np.append(np.zeros(m), wanted)
+    try:
+        factors = splu(both)
+    except RuntimeError:
+        return otherwise
+    solution = factors.solve(right)
+    return np.asarray((solution + factors.solve(right - both @ solution))[:m])

@@ -125,14 +125,13 @@ class BoundedLeastSquares:
 
     def is_in_range(self, entries: FloatVector) -> Any:
         """Return whether squares of the largest entry, or of √weights, of each row are in the range of doubles."""
-        largest = np.maximum(entries.max(-1, initial=0.0), -entries.min(-1, initial=0.0))
-        largest = largest * self._largest_root
+        largest = np.abs(entries).max(-1, initial=0.0) * self._largest_root
         least, most = SQUARED_RANGE
         return (largest == 0.0) | ((largest >= least) & (largest <= most))
 
     @cached_property
     def _largest_root(self) -> float:
-        return max(1.0, float(np.max(self.root_weights, initial=0.0)))
+        return 1.0 if self.weights is None else max(1.0, float(self.root_weights.max(initial=0.0)))
 
     def with_vectors(
         self,
@@ -194,6 +193,11 @@ class BoundedLeastSquares:
     def nearest_to_zero(self) -> FloatVector:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
         return read_only(np.clip(0.0, self.lower, self.upper))
+
+    @property
+    def bounds_per_column(self) -> Any:
+        """Number of finite bounds of each column, shape (n,)."""
+        return np.isfinite(self.lower).astype(int) + np.isfinite(self.upper)
 
     def checked_start(self, x0: ArrayLike) -> FloatVector:
         """Return the start within the bounds, shape (n,); raise InvalidOption if x0 is not a finite vector."""

@@ -11,6 +11,7 @@ condition number of the first and the last form is the condition number of A.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import EngineAnswer, ProgramData, SolverLimits
 from ...engines.piqp import PIQP
 from ...engines.polish import polish_steps
-from .data import ScaledLeastSquares
+from .data import BoundedLeastSquares, ScaledLeastSquares
 from .enclosures import clip, shortest_solution
 from .steps import FacePoint
 
@@ -74,10 +75,10 @@ def _dense_solutions(
     problem: ScaledLeastSquares, A: FloatVector, b: FloatVector
 ) -> Iterator[tuple[str, FloatVector]]:
     """Yield solutions x, the cheapest first, with the name of the solver."""
-    bounds = np.isfinite(problem.lower).astype(int) + np.isfinite(problem.upper)
+    bounds = problem.problem.bounds_per_column
     if not (bounds.any() or problem.l1.any()):
         yield "lstsq", shortest_solution(A, b)
-    if (bounds == 1).all() and not problem.l1.any() and min(A.shape) <= MAX_NNLS_COLUMNS:
+    if is_for_nnls(problem.problem):
         yield "nnls", _solve_by_nnls(problem, A, b)
     split = Split.of(problem, A)
     if A.shape[0] < A.shape[1] and (bounds <= 1).all():
@@ -87,16 +88,35 @@ def _dense_solutions(
     yield "lstsq", shortest_solution(A, b)  # bounds may be far, and PIQP's point between them, too
 
 
-def _solve_by_nnls(problem: ScaledLeastSquares, A: FloatVector, b: FloatVector) -> FloatVector:
+def is_for_nnls(problem: BoundedLeastSquares) -> bool:
+    """Return whether each column of a small A has one bound, and no penalty."""
+    is_small = problem.is_small and 0 < min(problem.shape) <= MAX_NNLS_COLUMNS
+    return bool(is_small and (problem.bounds_per_column == 1).all() and not problem.l1.any())
+
+
+def nnls_point(problem: BoundedLeastSquares) -> FloatVector:
+    """Return the solution without weights by nnls, in the user's own scaling; NaN if nnls fails."""
+    A, b, n = problem.A.toarray() if problem.is_sparse else problem.A, problem.b, problem.shape[1]
+    if problem.ridge > 0.0:
+        A = np.vstack([A, math.sqrt(problem.ridge) * np.eye(n)])
+        b = np.append(b, np.zeros(n))
+    return _solve_by_nnls(problem, A, b)
+
+
+def _solve_by_nnls(problem: Any, A: FloatVector, b: FloatVector) -> FloatVector:
     """Return the solution within one bound per column, NaN if nnls fails."""
     from scipy.optimize import nnls
 
-    is_below = np.isfinite(problem.lower)
+    is_below, n = np.isfinite(problem.lower), A.shape[1]
     sign, bound = np.where(is_below, 1.0, -1.0), np.where(is_below, problem.lower, problem.upper)
+    if not is_below.all():
+        A = A * sign
+    if bound.any():
+        b = b - A @ (sign * bound)
     try:
-        z = nnls(A * sign, b - A @ bound, maxiter=NNLS_STEPS * sign.size)[0]
+        z = nnls(A, b, maxiter=NNLS_STEPS * n)[0]
     except (RuntimeError, ValueError, np.linalg.LinAlgError):
-        return np.full(sign.size, np.nan)
+        return np.full(n, np.nan)
     return np.asarray(bound + sign * z)
 
 

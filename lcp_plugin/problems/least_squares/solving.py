@@ -19,7 +19,7 @@ from ...core.solving.base_result import NEXT, BaseResult
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
-from .engines import engine_points, is_within_reach
+from .engines import engine_points, is_for_nnls, is_within_reach, nnls_point
 from .steps import FacePoint, projected_steps
 
 NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last such steepness
@@ -98,15 +98,19 @@ class LeastSquaresRun:
     ) -> None:
         self.problem, self.settings, self.clock = problem, settings, clock
         self.enclosures = Enclosures(problem)
-        self.has_start = start is not None
         if start is not None:
             self.enclosures.known.append(start)
-        scaled = problem.scaled
-        begin = scaled.nearest_to_zero if start is None else scaled.from_caller(start)
-        self.nearest = np.clip(begin, scaled.lower, scaled.upper)
+        self.start = start
         self.best: Optimality | None = None
         self.algorithm, self.steps = "start", 0
         self._smallest = np.inf
+
+    @cached_property
+    def nearest(self) -> FloatVector:
+        """The scaled point that is best so far; at first the start."""
+        scaled = self.problem.scaled
+        begin = scaled.nearest_to_zero if self.start is None else scaled.from_caller(self.start)
+        return np.clip(begin, scaled.lower, scaled.upper)
 
     def status(self) -> Status:
         """Take steps until the problem is solved, a limit is reached, or no step remains; return the reason."""
@@ -122,8 +126,13 @@ class LeastSquaresRun:
             return Status.INTERRUPTED
 
     def _status(self) -> Status:
+        if self._may_begin_with_nnls:
+            self.steps, self.algorithm = 1, "nnls"
+            if self._is_solution(nnls_point(self.problem)):
+                return Status.SOLVED
+            self.steps, self.algorithm = 0, "start"
         is_at_rest = not FacePoint(self.problem.scaled, self.nearest).natural_residual.any()
-        if (self.has_start or is_at_rest) and self._is_certified(self.nearest):
+        if (self.start is not None or is_at_rest) and self._is_certified(self.nearest):
             return Status.SOLVED
         for point in chain.from_iterable(self._stages()):
             _require_time()
@@ -133,6 +142,12 @@ class LeastSquaresRun:
             return Status.MAX_ITERATIONS
         is_at_rounding_level = self.best is not None and self.best.is_at_rounding_level
         return Status.PRECISION_LIMIT if is_at_rounding_level else Status.STALLED
+
+    @property
+    def _may_begin_with_nnls(self) -> bool:
+        """Whether nnls may solve the problem as it is: with weights, units of rows and columns must not matter."""
+        is_plain = self.start is None and self.problem.weights is None
+        return is_plain and self.settings.max_iterations > 0 and is_for_nnls(self.problem)
 
     def _stages(self) -> Iterator[Iterator[FloatVector]]:
         """Yield projected steps, as many as cost about as much as PIQP, and engines; only engines if A is small."""
@@ -180,8 +195,11 @@ class LeastSquaresRun:
 
     def _is_certified(self, x: FloatVector, tolerance: float | None = None) -> bool:
         """Certify a scaled x, and store the best x; return whether this x is SOLVED."""
+        return self._is_solution(self.problem.scaled.to_caller(x), tolerance)
+
+    def _is_solution(self, x: FloatVector, tolerance: float | None = None) -> bool:
+        """Certify an x within the bounds, and store the best x; return whether this x is SOLVED."""
         goal = self.settings.tolerance
-        x = self.problem.scaled.to_caller(x)
         judged = Optimality.of(
             self.enclosures, x, tolerance=goal if tolerance is None else tolerance
         )

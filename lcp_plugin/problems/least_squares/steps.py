@@ -28,6 +28,7 @@ from .enclosures import clip
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
 SUFFICIENT = 1e-4  # share of the fall that the gradient promises
+CHANGES = 0.01  # of the columns: conjugate gradients pay before the face has settled completely
 LEFT_BEHIND = 0.1  # of the pull out of an orthant: a smaller residual in it is not worth a step
 
 
@@ -182,9 +183,9 @@ def _cauchy_length(point: FacePoint) -> float:
 def _spectral_steps(
     point: FacePoint, length: float
 ) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
-    """Take projected gradient steps until the face no longer changes; return the last point and step length."""
+    """Take projected gradient steps until the face hardly changes; return the last point and step length."""
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
-    while settled < 2:  # steps in a row without a change of the face
+    while settled < 2:  # steps in a row that hardly change the face
         problem = point.problem
         direction = clip(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
         product = problem.product(direction)
@@ -196,7 +197,8 @@ def _spectral_steps(
             share = min(1.0, -slope / curvature)
         after = point.move(direction, product, share)
         length = float(direction @ direction) / curvature
-        settled = settled + 1 if np.array_equal(after.is_free, point.is_free) else 0
+        changes = np.count_nonzero(after.is_free != point.is_free)
+        settled = settled + 1 if changes <= CHANGES * problem.n else 0
         point = after
         costs.append(point.cost)
         yield point
@@ -204,21 +206,32 @@ def _spectral_steps(
 
 
 def _conjugate_steps(point: FacePoint) -> Generator[FacePoint, None, FacePoint]:
-    """Take conjugate gradient steps on the face until a bound stops them or columns at a bound pull harder."""
-    direction = -point.free_gradient
+    """Take conjugate gradient steps on a face, then on the next one, until columns at a bound pull harder.
+
+    A run that meets a bound in its first step is the last.
+    """
+    is_on = True
+    while is_on:
+        point, is_on = yield from _steps_on_face(point)
+    return point
+
+
+def _steps_on_face(point: FacePoint) -> Generator[FacePoint, None, tuple[FacePoint, bool]]:
+    """Take conjugate gradient steps on one face; return the last point, and whether a bound stopped a later step."""
+    direction, steps = -point.free_gradient, 0
     size = float(direction @ direction)
     while size > 0.0 and float(point.pull @ point.pull) <= size:
         product = point.problem.product(direction)
         curvature = point.curvature(direction, product)
         if not curvature > 0.0:
-            return point
+            break
         length = size / curvature
         if length > point.farthest(direction):
             point = point.project(length * direction, length * product)
             yield point
-            return point
-        point = point.move(direction, product, length)
+            return point, steps > 0
+        point, steps = point.move(direction, product, length), steps + 1
         yield point
         before, size = size, float(point.free_gradient @ point.free_gradient)
         direction = (size / before) * direction - point.free_gradient
-    return point
+    return point, False

@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -17,7 +18,14 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse.linalg import aslinearoperator
 
-from lcp_plugin import BoundedLeastSquares, QuadraticProgram, load_problem, solve, solve_batch
+from lcp_plugin import (
+    BoundedLeastSquares,
+    QuadraticProgram,
+    Status,
+    load_problem,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
 
@@ -192,3 +200,27 @@ def test_a_tiny_penalty_on_an_exact_fit_has_the_cost_of_basis_pursuit(
     result = solve(BoundedLeastSquares(A, b, -INF, l1=l1))
     assert result.is_solved or l1 < 1e-9
     assert result.cost == pytest.approx(l1 * least, rel=1e-6)
+
+
+@pytest.mark.parametrize("weight", [1e4, 1e8])
+def test_trend_of_changing_slopes_is_solved_next_to_the_whole_objective(weight: float) -> None:
+    """A trend x with penalized slope changes d, weight (D x − d)², is SOLVED with the cost that Clarabel finds."""
+    n, rng = 600, np.random.default_rng(0)
+    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    b = 0.1 * np.cumsum(np.cumsum((rng.random(n) < 0.02) * rng.standard_normal(n)))
+    b += rng.standard_normal(n)
+    A = sp.csr_array(sp.block_array([[sp.eye_array(n), None], [D, -sp.eye_array(n - 2)]]))
+    problem = BoundedLeastSquares(
+        A,
+        np.append(b, np.zeros(n - 2)),
+        lower=-INF,
+        weights=np.append(np.ones(n), np.full(n - 2, weight)),
+        l1=np.append(np.zeros(n), np.full(n - 2, 50.0)),
+    )
+    result = solve(problem)
+    assert result.status is Status.SOLVED
+    x, r = cp.Variable(n), cp.Variable(n - 2)
+    # the least over d of ½ weight (D x − d)² + 50 |d| is a Huber function of D x
+    huber = 0.5 * weight * cp.sum_squares(D @ x - r) + 50.0 * cp.norm1(r)
+    least = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(x - b) + huber)).solve(solver=cp.CLARABEL)
+    assert result.cost == pytest.approx(least, rel=1e-6)

@@ -228,19 +228,50 @@ def solve_on_band(
     state : array of int, shape (n,)
     value, q : arrays, shape (n,)
     """
-    is_held, n = state != 0, q.size
-    entries = np.where(is_held, 0.0, band.entries * band.weights)
-    entries[band.below, is_held] = 1.0
-    right = np.where(is_held, value, -q * band.weights)
-    if len(entries) == 3 and band.below == 1 and n > 1:
+    right = np.where(state != 0, value, -q * band.weights)
+    x = solve_held(held_entries(band, state), band.below, right)
+    return x if x is not None and np.isfinite(x).all() else None
+
+
+def held_entries(band: Bands, state: NDArray[np.int8]) -> FloatVector:
+    """Return the bands of rows of size 1, for each active set: rows of the identity where the state is not 0.
+
+    Parameters
+    ----------
+    band : Bands
+    state : array of int, shape (…, n)
+
+    Returns
+    -------
+    array, shape (…, k, n)
+    """
+    is_held = state != 0
+    entries = np.where(is_held[..., np.newaxis, :], 0.0, band.entries * band.weights)
+    entries[..., band.below, :][is_held] = 1.0
+    return entries
+
+
+def solve_held(entries: FloatVector, below: int, right: FloatVector) -> FloatVector | None:
+    """Return the solution of a banded system, None if it is singular.
+
+    Parameters
+    ----------
+    entries : array, shape (k, n)
+        Bands as in `Bands.entries`.
+    below : int
+        Number of subdiagonals.
+    right : array, shape (n,)
+    """
+    n = right.size
+    if len(entries) == 3 and below == 1 and n > 1:
         x, info = lapack.dgtsv(entries[0, 1:], entries[1], entries[2, :-1], right)[3:]
     else:
-        above = len(entries) - 1 - band.below
+        above = len(entries) - 1 - below
         # the layout of LAPACK, with rows for its pivots
-        columns = np.zeros((band.below + len(entries), n))
+        columns = np.zeros((below + len(entries), n))
         for k, row in enumerate(entries):
-            offset = k - band.below
+            offset = k - below
             first, last = max(offset, 0), n + min(offset, 0)
-            columns[band.below + above - offset, first:last] = row[first - offset : last - offset]
-        x, info = lapack.dgbsv(band.below, above, columns, right)[2:]
-    return x if info == 0 and np.isfinite(x).all() else None
+            columns[below + above - offset, first:last] = row[first - offset : last - offset]
+        x, info = lapack.dgbsv(below, above, columns, right)[2:]
+    return x if info == 0 else None

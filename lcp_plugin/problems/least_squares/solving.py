@@ -145,7 +145,7 @@ class LeastSquaresRun:
 
     @property
     def _may_begin_with_nnls(self) -> bool:
-        """Whether nnls may solve the problem as it is: with weights, units of rows and columns must not matter."""
+        """Whether nnls may solve the unscaled problem: with weights, units of rows and columns must not matter."""
         is_plain = self.start is None and self.problem.weights is None
         return is_plain and self.settings.max_iterations > 0 and is_for_nnls(self.problem)
 
@@ -357,7 +357,7 @@ ADVICE = {
     ),
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.x",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.x",
-    Status.INTERRUPTED: "stopped by Ctrl-C; next: go on from x, the best point so far",
+    Status.INTERRUPTED: "stopped by Ctrl-C; next: continue from x, the best point so far",
 }
 OF_OPERATORS = {
     Status.SOLVED: "; of an operator: the gradient is at most tolerance · ‖AᵀWb‖∞",

@@ -21,7 +21,7 @@ from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
-from ...methods.banded import solve_on_band
+from ...methods.banded import held_entries, solve_held
 from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
 from . import BLOCK, March, checked_rows
@@ -43,7 +43,7 @@ class Band(NamedTuple):
     M: sp.csr_array
     size: sp.csr_array
     entries: Bands
-    propagator: sp.csr_array
+    propagate: Callable[[FloatVector], FloatVector]
 
     @classmethod
     def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
@@ -51,34 +51,69 @@ class Band(NamedTuple):
         width = sum(bandwidth(matrix) or (matrix.n, matrix.n))
         if width > BANDED_UP_TO or (entries := bands(matrix)) is None:
             return None
-        return cls(matrix.csr, abs(matrix.csr), entries, propagator)
+        is_diagonal = np.array_equal(propagator.indices, row_numbers(propagator))
+        diagonal = propagator.diagonal()
+        return cls(
+            matrix.csr,
+            abs(matrix.csr),
+            entries,
+            diagonal.__mul__ if is_diagonal else lambda z: (propagator @ z.T).T,
+        )
 
-    def solve(
-        self, state: NDArray[np.int8], value: FloatVector, right: FloatVector
-    ) -> tuple[FloatVector, FloatVector, float] | None:
-        """Return x, M x + right and its rounding error; x is `value` on rows with a state.
+    def follow(
+        self, state: NDArray[np.int8], value: FloatVector, right: FloatVector, before: FloatVector
+    ) -> tuple[FloatVector, FloatVector, FloatVector]:
+        """Return x, w = M x + r and the rounding error of w of the first of consecutive steps, r = right + C before.
 
-        The other rows are free and satisfy M x + right = 0. The rounding error is relative to the row weights. The
-        result is None if the block of the free rows is nearly singular, because its residual exceeds the rounding
-        error, or its terms cancel.
+        `before` is the x of the step before. x is `value` on rows with a state; the other rows are free and satisfy
+        w = 0. The rounding error is relative to the row weights. Steps end before one whose block of free rows is
+        nearly singular, because its residual exceeds the rounding error, or its terms cancel.
+
+        Parameters
+        ----------
+        state, value, right : arrays, shape (k, n)
+        before : array, shape (n,)
+
+        Returns
+        -------
+        x, w : array, shape (j, n)
+        rounding : array, shape (j,)
         """
-        x = solve_on_band(self.entries, state, value, right)
-        if x is None:
-            return None
-        is_free, unit = state == 0, self.entries.weights
-        w, size = self.M @ x + right, (self.size @ np.abs(x) + np.abs(right)) * unit
-        terms = np.max(size[is_free], initial=0.0)
-        given = np.abs(self.M @ np.where(is_free, 0.0, x) + right) * unit
-        is_regular = np.max(
-            np.abs(w[is_free]) * unit[is_free], initial=0.0
-        ) <= BACKWARD * terms and terms <= CANCELLED * np.max(given[is_free], initial=0.0)
-        return (x, w, EPSILON * float(terms)) if is_regular else None
+        x, unit, is_free = np.empty(right.shape), self.entries.weights, state == 0
+        given, weights = np.where(is_free, -right * unit, value), np.where(is_free, unit, 0.0)
+        count, first = len(x), before
+        for k, entries in enumerate(held_entries(self.entries, state)):
+            rest = given[k] - weights[k] * self.propagate(before)
+            if (found := solve_held(entries, self.entries.below, rest)) is None:
+                count = k
+                break
+            before = x[k] = found
+        x, is_free = x[:count], is_free[:count]
+        right = right[:count] + self.propagate(np.array([first, *x[:-1]])[:count])
+        w, size = (self.M @ x.T).T + right, ((self.size @ np.abs(x).T).T + np.abs(right)) * unit
+        given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
+        terms, given, left = (
+            np.max(one, axis=1, initial=0.0, where=is_free)
+            for one in (size, given, np.abs(w) * unit)
+        )
+        is_regular = (left <= BACKWARD * terms) & (terms <= CANCELLED * given)
+        count = count if is_regular.all() else int(np.argmin(is_regular))
+        return x[:count], w[:count], EPSILON * terms[:count]
 
 
 def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVector:
     """Return Σ_k left_ki right_kj at the entries of A."""
     sums: FloatVector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
     return sums
+
+
+def _solve_each(entries: FloatVector, below: int, right: FloatVector) -> FloatVector:
+    """Return the solutions of banded systems, shape (k, n), as one system; NaN for a singular one."""
+    together = solve_held(np.concatenate([*entries], axis=1), below, right.ravel())
+    if together is not None:
+        return together.reshape(right.shape)
+    found = map(solve_held, entries, [below] * len(right), right)
+    return np.array([np.full(right.shape[1], np.nan) if one is None else one for one in found])
 
 
 class Steps:
@@ -116,7 +151,7 @@ class Steps:
         """Solve each step on its free rows once, and classify its rows if the active set stays."""
         problem, z = self.march.problem, self.z
         lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
-        change, before = np.zeros(z.shape), self.sides
+        change = before = self.sides
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
@@ -128,13 +163,11 @@ class Steps:
             if is_last:
                 break
             before = found
-            for k, state in enumerate(found):
-                bound = np.where(state < 0, lower, upper)
-                step = solve_on_band(band.entries, state, np.where(state, bound - z[k], 0.0), w[k])
-                if step is None:
-                    before[k] = KINK
-                    continue
-                z[k], change[k] = np.where(state, bound, z[k] + step), np.abs(step)
+            value = np.where(found < 0, lower, upper)
+            right = np.where(found, value - z, -w * band.entries.weights)
+            step = _solve_each(held_entries(band.entries, found), band.entries.below, right)
+            change, z = np.abs(step), np.where(found, value, z + step)
+        self.z = z
         size *= EPSILON * (np.diff(band.M.indptr) + 1)
         near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
         is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
@@ -170,22 +203,16 @@ class Steps:
         At the call, `before` is the change of the state before the first step.
         """
         given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
-        right, dz, band = given + (dM @ self.z.T).T, np.empty(self.z.shape), self.whole.band
-        for k, side in enumerate(self.sides):
-            moved, found = self.march.propagator @ before, None
-            if band is not None and self.is_plain[k]:
-                value = np.where(side < 0, dlower, np.where(side > 0, dupper, 0.0))
-                found = band.solve(side, value, right[k] + moved)
-            if found is not None:  # a degenerate row stays at its bound if its slack agrees
-                dz[k], w, rounding = found
-                slack = np.where(side > 0, w, -w) * band.entries.weights  # type: ignore[union-attr]
-                if (slack[np.abs(side) == KINK] > rounding).any():
-                    found = None
-            if found is None:
-                alone = self.at(k)
-                dq = given[k] + moved + dM @ alone.z
-                dz[k] = alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
-            before[:] = dz[k]
+        value = np.where(self.sides < 0, dlower, np.where(self.sides > 0, dupper, 0.0))
+
+        def solve_alone(k: int, before: FloatVector) -> FloatVector:
+            alone = self.at(k)
+            dq = given[k] + self.march.propagator @ before + dM @ alone.z
+            return alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
+
+        forwards, right = np.arange(len(self)), given + (dM @ self.z.T).T
+        dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)
+        before[:] = dz[-1]
         return dz
 
     def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
@@ -194,22 +221,56 @@ class Steps:
         `after` is the gradient by q of the next step (0 if there is none), and is overwritten by the gradient of
         the first of these steps.
         """
-        by_q, band = np.empty(self.z.shape), self.whole.transposed
-        for k in reversed(range(len(self))):
-            side, right = self.sides[k], g[k] + self.march.propagator.T @ after
-            found = None
-            if band is not None and self.is_plain[k]:
-                found = band.solve(side, np.zeros(side.size), right)
-            if found is not None:
-                by_q[k], w, _ = found
-                of_bounds[:] += np.where(side < 0, w, 0.0), np.where(side > 0, w, 0.0)
-            else:
-                alone = self.at(k)
-                gradient, self.z[k] = alone.vjp(right), alone.z
-                of_bounds[:] += gradient.lower, gradient.upper
-                by_q[k] = gradient.q
-            after[:] = by_q[k]
-        return by_q
+
+        def solve_alone(k: int, after: FloatVector) -> FloatVector:
+            alone = self.at(k)
+            gradient = alone.vjp(g[k] + self.march.propagator.T @ after)
+            self.z[k] = alone.z
+            of_bounds[:] += gradient.lower, gradient.upper
+            return np.asarray(gradient.q)
+
+        order, none = np.arange(len(self))[::-1], np.zeros(g.shape)
+        by_q, w = self._follow(self.whole.transposed, order, none, g[order], after, solve_alone)
+        side = self.sides[order]
+        of_bounds[:] += (w * (side < 0)).sum(axis=0), (w * (side > 0)).sum(axis=0)
+        after[:] = by_q[-1]
+        return by_q[order]
+
+    def _follow(
+        self,
+        band: Band | None,
+        order: NDArray[np.intp],
+        value: FloatVector,
+        right: FloatVector,
+        before: FloatVector,
+        solve_alone: Callable[[int, FloatVector], FloatVector],
+    ) -> tuple[FloatVector, FloatVector]:
+        """Return x and w of the steps in this order, on the band if that decides; w is 0 for the other steps.
+
+        Forwards, a degenerate row stays at its bound if its slack agrees; backwards, any piece is a gradient.
+        """
+        x, w, k, side = np.empty(right.shape), np.zeros(right.shape), 0, self.sides[order]
+        is_plain = self.is_plain[order] & (band is not None)
+        is_kink = (np.abs(side) == KINK) & (order[-1] >= order[0])
+        while k < len(x):
+            stop = k + int(np.argmin(np.append(is_plain[k:], False)))
+            if band is None or stop == k:
+                before = x[k] = solve_alone(int(order[k]), before)
+                k += 1
+                continue
+            here = slice(k, stop)
+            found, slack, rounding = band.follow(side[here], value[here], right[here], before)
+            here = slice(k, k + len(found))
+            signed = np.where(side[here] > 0, slack, -slack) * band.entries.weights
+            is_wrong = (is_kink[here] & (signed > rounding[:, np.newaxis])).any(axis=1)
+            count = int(np.argmax(is_wrong)) if is_wrong.any() else len(found)
+            here = slice(k, k + count)
+            x[here], w[here] = found[:count], slack[:count]
+            k += count
+            before = x[k - 1] if count else before
+            if k < stop:
+                is_plain[k] = False
+        return x, w
 
 
 class MarchGradient(NamedTuple):

@@ -15,7 +15,7 @@ Other packages. No package is best at everything.
   for the contact problem of a step, statuses computed on your data, gradients and cvxpy.
 - PETSc SNESVI is better at nonlinear problems on several machines. For an LCP, this package needs only M and q,
   also on several machines with MPI (``help("lcp_plugin.ranks")``).
-- QuantEcon's ``lcp_lemke`` solves a dense LCP with ten unknowns about twenty times faster than one call of `solve`.
+- QuantEcon's ``lcp_lemke`` solves a dense LCP with ten unknowns a hundred times faster than one call of `solve`.
   lemkelcp has few dependencies. This package adds sparse matrices, other algorithms, bounds and verified statuses.
 - Pyomo, JuMP and GAMSPy are better at nonlinear and mixed-integer models and interface to many solvers. This package
   adds the solver itself, and the language of cvxpy.

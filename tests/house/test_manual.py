@@ -101,8 +101,8 @@ def test_a_notebook_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     plt.close("all")
 
 
-def test_every_guide_has_a_picture_that_an_example_draws() -> None:
-    """The first picture of a page is drawn by a script of the examples."""
-    for name in GUIDES:
+def test_every_application_has_a_picture_that_an_example_draws() -> None:
+    """The first picture of a page on an application is drawn by a script of the examples."""
+    for name in TRADES:
         picture = re.findall(r"^!\[.*\]\(\.\./pictures/(\w+)\.png\)$", guide(name), re.M)[0]
         assert picture in examples()

@@ -415,7 +415,7 @@ def error_against_time(
     if not isinstance(target, LCP | Scene | str):
         raise InvalidOption(f"{refusal('error_against_time', target)}; or a test problem")
     return study(
-        {f"{target.n} unknowns": target} if isinstance(target, LCP) else [target],
+        {"problem": target} if isinstance(target, LCP) else [target],
         methods,
         references=references,
         **options,

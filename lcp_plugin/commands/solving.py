@@ -52,7 +52,7 @@ def run(
         arrays = _arrays(answer)
         objective = answer.objective
         if objective is not None:
-            objective = given.sign * (objective + given.constant) + 0.0
+            objective = given.sign * objective + 0.0
     if bound:
         from ..proofs.bounds.error_bounds import error_bound
 

@@ -18,15 +18,14 @@ class Target(NamedTuple):
     problem : LCP, or a problem of another class
         An ``NLModel`` of an .nl file.
     scene : Scene or None
-    constant, sign : float
-        The objective of a file is sign · (the program's objective + constant).
+    sign : float
+        The objective of a file is sign · the program's objective.
     names : sequence of str or None
         Names of the variables.
     """
 
     problem: Any
     scene: Any = None
-    constant: float = 0.0
     sign: float = 1.0
     names: Any = None
 
@@ -59,8 +58,8 @@ def read_target(target: str, size: int | None = None) -> Target:
             f"--size {size} is for a test problem, but {target!r} is not one; leave it out"
         )
     if path.suffix.lower() in MPS:
-        program, constant, sign, names = load_program(target)
-        return Target(program, None, constant, sign, names)
+        program, sign, names = load_program(target)
+        return Target(program, None, sign, names)
     if path.suffix.lower() == ".nl":
         from ..interfaces.nl import read_nl
 

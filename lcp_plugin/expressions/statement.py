@@ -340,10 +340,11 @@ class Statement:
             smooth = SmoothPart(
                 Program.of(self.compiler, results, self.first, n), *_stacked(bent, "low", "high")
             )
-        P, c, offset = quadratic or (sp.csr_array((n, n)), np.zeros(n), 0.0)
+        P, c, constant = quadratic or (sp.csr_array((n, n)), np.zeros(n), 0.0)
         A, shift = assembled([one.rows for one in linear], self.first, n)
         low, high = (ends - shift for ends in _stacked(linear, "low", "high"))
-        program = QuadraticProgram.from_ranges(P, c, A, low, high, self.lower, self.upper)
+        bounds = self.lower, self.upper
+        program = QuadraticProgram.from_ranges(P, c, A, low, high, *bounds, constant)
         first, low, high = _stacked(self.pairs, "z", "low", "high")
         return EquilibriumProgram(
             program,
@@ -351,7 +352,6 @@ class Statement:
             np.concatenate([*seconds, np.zeros(0)]).astype(np.int64),
             low,
             high,
-            offset,
             self.integers,
             smooth,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +27,7 @@ from .files.matrix_market import folder_arrays, in_folder
 from .nl.model import lcp_in_nl, program_in_nl
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
+MAXIMIZE = re.compile(rb"(?im)^(?:OBJSENSE\s+)?MAX(?:IMI[SZ]E|IMUM)?[ \t\r]*$")  # also on one line
 Arrays = dict[str, Any]
 
 
@@ -36,16 +38,13 @@ class LoadedProgram(NamedTuple):
     ----------
     program : QuadraticProgram
         To be minimized.
-    constant : float
-        Constant of its objective.
     sign : float
-        −1 if the file maximizes: its objective is sign · (objective of the program + constant).
+        −1 if the file maximizes: its objective is sign · objective of the program.
     names : sequence of str or None
         Names of the variables.
     """
 
     program: QuadraticProgram
-    constant: float = 0.0
     sign: float = 1.0
     names: Sequence[str] | None = None
 
@@ -115,7 +114,7 @@ def _program(content: Arrays) -> LoadedProgram:
     kind, limits = QuadraticProgram, _numbers(content, "l", "u")
     if not limits:
         rows = {name: content[name] for name in ("G", "h", "A", "b") if name in content}
-        return LoadedProgram(kind(P, c, **rows, **bounds), constant)
+        return LoadedProgram(kind(P, c, **rows, **bounds, constant=constant))
     if A is None:
         raise InvalidProblem(
             "it holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
@@ -123,8 +122,8 @@ def _program(content: Arrays) -> LoadedProgram:
     if others := sorted(content.keys() & {"G", "h", "b"}):
         raise InvalidProblem(f"{', '.join(others)} and l, u state rows; l, u are the limits of all")
     limits = {"l": -np.inf, "u": np.inf} | limits
-    program = kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds)
-    return LoadedProgram(program, constant)
+    program = kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds, constant=constant)
+    return LoadedProgram(program)
 
 
 def _symmetric(P: Any) -> Any:
@@ -265,7 +264,7 @@ def _read(source: Path, needed: type | None = None) -> Any:
     layout, suffix = layout_of(source), source.suffix.lower()
     if suffix == NL:
         return (
-            LoadedProgram(*program_in_nl(source))
+            LoadedProgram(program_in_nl(source))
             if needed is QuadraticProgram
             else lcp_in_nl(source)
         )
@@ -295,7 +294,7 @@ def load_lcp(path: str | PathLike[str]) -> LCP:
 
 
 def load_program(path: str | PathLike[str]) -> LoadedProgram:
-    """Return the program of a file with the constant, sign and names; see :func:`load_problem`."""
+    """Return the program of a file with the sign and names; see :func:`load_problem`."""
     program: LoadedProgram = _read(checked_path(path), QuadraticProgram)
     return program
 
@@ -324,16 +323,14 @@ def load_problem(path: str | PathLike[str]) -> Any:
 
     Notes
     -----
-    A QuadraticProgram is minimized, and has no constant: a ModelWarning reports files that state otherwise.
+    A QuadraticProgram is minimized: a ModelWarning reports a file that maximizes.
     """
     found = _read(checked_path(path))
     if not isinstance(found, LoadedProgram):
         return found
-    if found.constant or found.sign < 0.0:
-        stated = f"objective {found.constant:+g}"
-        stated = stated if found.sign > 0.0 else f"-({stated})"
+    if found.sign < 0.0:
         warnings.warn(
-            f"{path} states {stated}, where objective is what the problem returned minimizes",
+            f"{path} maximizes; the problem returned minimizes the objective with the other sign",
             ModelWarning,
             stacklevel=2,
         )
@@ -362,9 +359,10 @@ def _from_mps(source: Path) -> LoadedProgram:
 
     reader: Any = QuietHighs()  # type: ignore[no-untyped-call]
     reader.setOptionValue("output_flag", False)
+    content, is_mps = source.read_bytes(), source.suffix.lower() != ".lp"
     with tempfile.TemporaryDirectory() as folder:  # HiGHS goes by the ending of the name
-        copy = Path(folder) / f"program{'.lp' if source.suffix.lower() == '.lp' else '.mps'}"
-        copy.write_bytes(source.read_bytes())
+        copy = Path(folder) / f"program{'.mps' if is_mps else '.lp'}"
+        copy.write_bytes(MAXIMIZE.sub(b"OBJSENSE\n    MAX", content) if is_mps else content)
         if reader.readModel(str(copy)) == highspy.HighsStatus.kError:
             raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it")
     model = reader.getModel()
@@ -395,9 +393,29 @@ def _from_mps(source: Path) -> LoadedProgram:
             A,
             linear.row_lower_,
             linear.row_upper_,
-            linear.col_lower_,
+            _lower_bounds(source, content, linear) if is_mps else linear.col_lower_,
             linear.col_upper_,
+            sense * float(linear.offset_) + 0.0,
         ),
     )
-    names, constant = list(linear.col_names_), sense * float(linear.offset_)
-    return LoadedProgram(program, constant, sense, names if len(names) == n else None)
+    names = list(linear.col_names_)
+    return LoadedProgram(program, sense, names if len(names) == n else None)
+
+
+def _lower_bounds(source: Path, content: bytes, linear: Any) -> Any:
+    """Return the lower bounds of the variables, −∞ for a negative upper bound without a lower one."""
+    lower, upper = np.array(linear.col_lower_), np.array(linear.col_upper_)
+    columns = np.flatnonzero((lower == 0.0) & (upper < 0.0))
+    lines = (line.split() for line in content.partition(b"\nBOUNDS")[2].splitlines())
+    given = {words[-2] for words in lines if len(words) > 2 and words[0].upper() == b"LO"}
+    open_below = [j for j in columns if str(linear.col_names_[j]).encode() not in given]
+    lower[open_below] = -np.inf
+    if open_below:
+        name = linear.col_names_[open_below[0]]
+        warnings.warn(
+            f"{source} gives {name} the upper bound {upper[open_below[0]]:g} and no lower bound; it is −∞, as in other "
+            "readers of MPS files: write MI for −∞, or LO",
+            ModelWarning,
+            stacklevel=2,
+        )
+    return lower

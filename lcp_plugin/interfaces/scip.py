@@ -254,7 +254,7 @@ class _Model:
             self._sums(program.A, self.x, np.zeros(program.b.size)), program.b, program.b
         )
         goal = self._sums(
-            program.c[None] / self.unit, self.x, np.array([self.problem.offset / self.unit])
+            program.c[None] / self.unit, self.x, np.array([program.constant / self.unit])
         )[0]
         P = sp.coo_array(sp.csr_array(program.P))
         entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)

@@ -75,4 +75,4 @@ def _best_value(problem: Any) -> tuple[float, str]:
     result = run(program.program if is_quadratic else program, max_seconds=MAX_SECONDS)
     if not result.is_solved:
         return (-np.inf if result.status is Status.UNBOUNDED else np.nan), result.advice
-    return (result.objective + program.offset if is_quadratic else result.value), ""
+    return (result.objective if is_quadratic else result.value), ""

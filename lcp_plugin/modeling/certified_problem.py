@@ -7,7 +7,6 @@ of the constraint residuals.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -46,10 +45,7 @@ def certify_problem(problem: Any, tolerance: float) -> Certification:
         if wrong := _disagreement(problem, compiled, x, tolerance):
             verdict = "disproved" if found.verdict == "disproved" else "unproved"
             found = replace(found, verdict=verdict, reason=wrong)
-    lower, upper = (
-        None if bound is None else math.nextafter(bound + compiled.offset, end)
-        for bound, end in ((found.lower, -math.inf), (found.upper, math.inf))
-    )
+    lower, upper = found.lower, found.upper
     if sense_of(problem) < 0.0:
         lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
     return replace(found, lower=lower, upper=upper)
@@ -104,9 +100,9 @@ def _disagreement(problem: Any, compiled: CompiledProblem, x: FloatVector, toler
     program, own = compiled.program, np.abs(x)
     with np.errstate(all="ignore"):
         stated = sense_of(problem) * float(dense_value(problem.objective.value))
-        value = 0.5 * float(x @ (program.P @ x)) + float(program.c @ x) + compiled.offset
+        value = program.objective(x)
         size = 0.5 * float(own @ (abs(program.P) @ own)) + float(np.abs(program.c) @ own)
-        if not abs(stated - value) <= tolerance * (size + abs(compiled.offset)):
+        if not abs(stated - value) <= tolerance * (size + abs(program.constant)):
             return f"the objective is {stated:.9g}, and {value:.9g} in the program that cvxpy makes"
         largest = float(program.constraints.excess(x).max(initial=0.0))
         missed = [(name_of(one), dense_value(one.residual)) for one in problem.constraints]

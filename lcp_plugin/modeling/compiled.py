@@ -78,14 +78,11 @@ class CompiledProblem:
     Attributes
     ----------
     program : QuadraticProgram
-    offset : float
-        Constant of the objective, which is minimized, that the program omits.
     entries : dict
         Entries of each variable, by its id.
     """
 
     program: QuadraticProgram
-    offset: float
     entries: dict[int, Entries]
 
     @classmethod
@@ -106,7 +103,8 @@ class CompiledProblem:
         if is_folded:
             program = program.folded.reduced
         entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
-        return cls(program, float(inverse[-1][settings.OFFSET]), entries)
+        program = program.with_vectors(constant=float(inverse[-1][settings.OFFSET]))
+        return cls(program, entries)
 
     def values(self, x: FloatVector) -> dict[int, Any]:
         """Return the value of each variable by its id."""

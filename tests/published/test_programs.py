@@ -43,14 +43,14 @@ def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
 
 
 def as_a_file(of: PublishedProgram, name: str) -> Answer:
-    program, constant, _, _ = load_program(str(FOLDER / f"qp_{name}.npz"))
+    program = load_program(str(FOLDER / f"qp_{name}.npz")).program
     result = solve(program)
-    return result.x, result.objective + constant
+    return result.x, result.objective
 
 
 def as_rows(of: PublishedProgram, name: str) -> Answer:
-    result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u))
-    return result.x, result.objective + of.r
+    result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u, constant=of.r))
+    return result.x, result.objective
 
 
 def as_arrays(of: PublishedProgram, name: str) -> Answer:

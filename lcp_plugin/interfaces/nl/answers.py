@@ -242,8 +242,6 @@ class ProgramModel(NLModel):
     ----------
     sign : float
         −1 if the file maximizes the objective.
-    offset : float
-        Constant of the objective that is minimized.
     matrix : CSR array, shape (k, unknowns)
         The rows of the program are matrix · unknowns + constants.
     constants : ndarray, shape (k,)
@@ -253,7 +251,6 @@ class ProgramModel(NLModel):
 
     problem: QuadraticProgram
     sign: float
-    offset: float
     matrix: sp.csr_array
     constants: FloatVector
     rows: Indices
@@ -286,8 +283,7 @@ class ProgramModel(NLModel):
         rows = self.matrix @ x + self.constants
         for k in mismatches(values, rows, abs(self.matrix) @ np.abs(x) + np.abs(self.constants)):
             return _mismatch(self.content.row(int(self.rows[k])), values[k], rows[k])
-        computed = self.sign * (found.solution.objective + self.offset)
-        terms = _objective_terms(self.problem, x) + abs(self.offset)
+        computed, terms = self.sign * found.solution.objective, _objective_terms(self.problem, x)
         is_wrong = mismatches(objective, computed, terms).size > 0
         return _mismatch("the objective", objective, computed) if is_wrong else ""
 
@@ -366,7 +362,7 @@ class EquilibriumModel(NLModel):
         terms = 1.0 + sizes[: rows.size] + np.abs(within)
         for k in mismatches(rows, within, terms, FEASIBLE * terms)[:1]:
             return objective, _mismatch(content.row(int(k)), rows[k], within[k])
-        own = _objective_terms(self.problem.program, x[self.unknowns]) + abs(self.problem.offset)
+        own = _objective_terms(self.problem.program, x[self.unknowns])
         most = abs(value) + own + float(sizes[rows.size :].sum())
         is_wrong = (
             objectives.size and mismatches(objective, sign * value, 0.0, OBJECTIVE * most).size
@@ -378,7 +374,8 @@ def _objective_terms(program: QuadraticProgram, x: FloatVector) -> float:
     """Return the sum of the absolute values of the objective's terms at the leading unknowns x."""
     own = np.zeros(program.n)
     own[: x.size] = np.abs(x)
-    return float(own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c)))
+    terms = own @ (0.5 * (abs(program.P) @ own) + np.abs(program.c))
+    return float(terms) + abs(program.constant)
 
 
 def _mismatch(name: str, value: float, computed: float) -> str:

@@ -73,11 +73,11 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
     )
 
 
-def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
-    """Return the program of an ``.nl`` file, to be minimized, and the constant; else raise."""
+def program_in_nl(path: str | PathLike[str]) -> QuadraticProgram:
+    """Return the program of an ``.nl`` file, to be minimized; else raise."""
     model = read_nl(path)
     if isinstance(model, ProgramModel):
-        return model.problem, model.offset
+        return model.problem
     raise UnsupportedModel(
         f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it"
     )
@@ -203,8 +203,7 @@ class FileStatement:
             )
         A = sp.csr_array(found.matrix[others, : own.size])
         limits = A, found.offset[others], others
-        program, offset = problem.program, problem.offset
-        return ProgramModel(content, program, own, self.known, sign, offset, *limits)
+        return ProgramModel(content, problem.program, own, self.known, sign, *limits)
 
     def _parts(self, rows: Indices) -> list[Indices]:
         """Return the affine rows, then the others; no empty part."""

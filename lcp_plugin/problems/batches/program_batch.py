@@ -135,7 +135,7 @@ class ProgramBatchRun(BatchRun):
         return {**shared, **rows, "lower": lower, "upper": upper}
 
     def objectives(self) -> Any:
-        """Return ½ xᵀP x + cᵀx of each program, NaN if it is proved infeasible or unbounded."""
+        """Return ½ xᵀP x + cᵀx + constant of each program, NaN if it is proved infeasible or unbounded."""
         P, c, x = self.problems.P, self.problems.vectors["c"], self.z
 
         def values_of(P: Any, c: Any, x: Any) -> Any:
@@ -143,6 +143,7 @@ class ProgramBatchRun(BatchRun):
             return ((0.5 * Px + c) * x).sum(axis=1)
 
         values, terms = values_of(P, c, x), values_of(abs(P), np.abs(c), np.abs(x))
+        values = values + self.problems.constant
         for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
             values[i] = self.problems[i].objective(x[i])  # where terms cancel
         return np.where([status in PROVEN for status in self.status], np.nan, values)

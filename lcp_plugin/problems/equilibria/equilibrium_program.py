@@ -73,8 +73,6 @@ class EquilibriumProgram:
     lower, upper : scalar or array, shape (k,), optional
         The bounds of z in the pairs, ±1e20 and beyond for none; by default the program's bounds. If you pass
         other bounds, the program's bounds remain as ordinary constraints.
-    offset : float
-        A constant in the objective.
     integers : array of int, optional
         The variables that are integers.
     smooth : SmoothPart, optional
@@ -99,7 +97,6 @@ class EquilibriumProgram:
     second: Indices
     lower: Any = None
     upper: Any = None
-    offset: float = 0.0
     integers: Any = ()
     smooth: SmoothPart | None = None
 
@@ -131,7 +128,7 @@ class EquilibriumProgram:
 
     @classmethod
     def of_rows(
-        cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike, offset: float = 0.0
+        cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike
     ) -> EquilibriumProgram:
         """Return the problem with z = x_columns ⟂ w = M x + q; w is appended to x as new variables.
 
@@ -140,8 +137,6 @@ class EquilibriumProgram:
         program : QuadraticProgram
         columns : array of int, shape (k,)
         M, q : array or sparse array, shape (k, n), and array, shape (k,)
-        offset : float
-            A constant in the objective.
 
         Examples
         --------
@@ -164,8 +159,9 @@ class EquilibriumProgram:
             np.append(program.b, right),
             np.append(program.lower, np.full(k, -np.inf)),
             np.append(program.upper, np.full(k, np.inf)),
+            program.constant,
         )
-        return cls(wider, np.asarray(columns), np.arange(n, n + k), offset=offset)
+        return cls(wider, np.asarray(columns), np.arange(n, n + k))
 
     @property
     def pairs(self) -> int:
@@ -241,13 +237,13 @@ class EquilibriumProgram:
         return nearest
 
     def objective(self, x: FloatVector) -> float:
-        """Return ½ xᵀP x + cᵀx + offset, plus f(x) if there is a smooth part."""
+        """Return ½ xᵀP x + cᵀx + constant, plus f(x) if there is a smooth part."""
         smooth = 0.0 if self.smooth is None else float(self.smooth.map.value(x)[0])
-        return self.program.objective(x) + self.offset + smooth
+        return self.program.objective(x) + smooth
 
     def objective_size(self, x: FloatVector) -> float:
-        """Return Σ |c_j x_j| + ½ |xᵀP x| + |offset| + |objective|, the reference of a gap."""
-        parts = (0.5 * (x @ (self.program.P @ x)), self.offset, self.objective(x))
+        """Return Σ |c_j x_j| + ½ |xᵀP x| + |constant| + |objective|, the reference of a gap."""
+        parts = (0.5 * (x @ (self.program.P @ x)), self.program.constant, self.objective(x))
         return float(np.abs(self.program.c * x).sum()) + sum(abs(float(part)) for part in parts)
 
     def excess(self, x: FloatVector) -> float:

@@ -164,7 +164,7 @@ class Relaxations:
         box = np.maximum(self._box[0], program.lower), np.minimum(self._box[1], program.upper)
         if (box[0] > box[1]).any():
             box = program.lower, program.upper
-        offset = self.problem.offset
+        offset = self.problem.program.constant
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 

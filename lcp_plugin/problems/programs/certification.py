@@ -159,9 +159,16 @@ def certify(
         # Proofs are not cached under a time limit, because they may be incomplete.
         proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
         if claim in ("infeasible", "unbounded"):
-            return proofs.prove_claim(str(claim), float(tolerance))
-        answer = _answer(problem, x, multipliers)
-        return proofs.prove_answer(*answer, float(tolerance))
+            found = proofs.prove_claim(str(claim), float(tolerance))
+        else:
+            found = proofs.prove_answer(*_answer(problem, x, multipliers), float(tolerance))
+        if problem.constant == 0.0:
+            return found
+        lower, upper = (
+            None if bound is None else math.nextafter(bound + problem.constant, end)
+            for bound, end in ((found.lower, -math.inf), (found.upper, math.inf))
+        )
+        return replace(found, lower=lower, upper=upper)
 
 
 def _answer(
@@ -357,7 +364,9 @@ class ProgramProofs:
             return replace(unproved, verdict="disproved", reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
             return replace(
-                unproved, verdict="disproved", reason=f"no feasible x is below {lower:.9g}"
+                unproved,
+                verdict="disproved",
+                reason=f"no feasible x is below {lower + self.program.constant:.9g}",
             )
         return unproved
 
@@ -373,7 +382,8 @@ class ProgramProofs:
             lower = self.lower(x, given[:m], given[m : m + p], value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, given, tolerance, size[0])
         points = self.upper(x, exactly=False, by_own=False)
-        found = ProvenBounds(value, violation, lower, points, tolerance, size)
+        constant = program.constant
+        found = ProvenBounds(value, violation, lower, points, tolerance, size, constant)
         is_enough = found.is_proved() and not found.violation_may_lower_objective()
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
@@ -469,6 +479,8 @@ class ProvenBounds:
     tolerance : float
     size : pair of float
         Doubles below and above Σ|c_j x_j| + |xᵀP x|, the reference of errors of values.
+    constant : float
+        Constant of the objective, which the other values do not contain.
     """
 
     value: tuple[float, float]
@@ -477,6 +489,7 @@ class ProvenBounds:
     points: list[FeasiblePoint] = field(repr=False)
     tolerance: float
     size: tuple[float, float]
+    constant: float
 
     @property
     def upper(self) -> float:
@@ -495,12 +508,15 @@ class ProvenBounds:
     def disproof(self) -> str:
         """Return the disproof of the point as text, empty if there is none."""
         (below, above), allowed = self.value, self.tolerance * self.size[1] * OUTWARD
+        least, shift = self.lower, self.constant
         if self.violation.is_missed:
             return f"a constraint is violated by {self.violation.least:.3g}"
         if float(sum_above(self.upper, allowed)) < below:
-            return f"a feasible point has the objective {self.upper:.9g}, below {below:.9g}"
-        if self.lower > float(sum_above(above, allowed)):
-            return f"no feasible x is below {self.lower:.9g}, and this one has {above:.9g}"
+            return f"a feasible point has the objective {self.upper + shift:.9g}, below {below + shift:.9g}"
+        if least > float(sum_above(above, allowed)):
+            return (
+                f"no feasible x is below {least + shift:.9g}, and this one has {above + shift:.9g}"
+            )
         return ""
 
     def is_proved(self) -> bool:

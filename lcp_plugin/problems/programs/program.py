@@ -17,6 +17,7 @@ from ...core.checks import (
     checked_right_side,
     checked_vector,
     freeze_csr,
+    is_number,
     read_only,
     rectangular_matrix,
     restore_state,
@@ -45,7 +46,7 @@ CANCELS = 1e-9  # of the objective: rounding that matters
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class QuadraticProgram:
-    """Minimize ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
+    """Minimize ½ xᵀP x + cᵀx + constant subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
 
     Parameters
     ----------
@@ -60,6 +61,8 @@ class QuadraticProgram:
     A, b : array or sparse array, shape (p, n), and array, shape (p,), optional
     lower, upper : scalar or array, shape (n,)
         In the unit of x; none by default. ±1e20 and beyond means none, as ±∞ does.
+    constant : float
+        Constant of the objective, in its value and in the bounds of the value.
 
     Attributes
     ----------
@@ -95,6 +98,7 @@ class QuadraticProgram:
     b: FloatVector
     lower: FloatVector
     upper: FloatVector
+    constant: float = 0.0
     asymmetry: float = field(default=0.0)
     ranges: Any = field(default=None, repr=False)
     matrices: ProgramMatrices = field(init=False, repr=False)
@@ -109,6 +113,7 @@ class QuadraticProgram:
         b: ArrayLike | None = None,
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
+        constant: float = 0.0,
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
@@ -119,7 +124,7 @@ class QuadraticProgram:
         equations, right = _checked_rows(A, b, "A", "b", n, checked_vector)
         below, above = checked_bounds(lower, upper, n)
         self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
-        self.__dict__["asymmetry"] = asymmetry
+        self.__dict__.update(asymmetry=asymmetry, constant=checked_constant(constant))
 
     @classmethod
     def from_ranges(
@@ -131,12 +136,13 @@ class QuadraticProgram:
         upper_rows: ArrayLike,
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
+        constant: float = 0.0,
     ) -> QuadraticProgram:
-        """Return the program min ½ xᵀP x + cᵀx over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
+        """Return the program min ½ xᵀP x + cᵀx + constant over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
 
         Parameters
         ----------
-        P, c, lower, upper
+        P, c, lower, upper, constant
             As in the class.
         A : array or sparse array, shape (m, n)
         lower_rows, upper_rows : scalar or array, shape (m,)
@@ -173,6 +179,7 @@ class QuadraticProgram:
             ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds
         )
         program.__dict__.update(asymmetry=asymmetry, ranges=(order, signs, m))
+        program.__dict__["constant"] = checked_constant(constant)
         return program
 
     @property
@@ -207,6 +214,7 @@ class QuadraticProgram:
         b: ArrayLike | None = None,
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
+        constant: float | None = None,
     ) -> QuadraticProgram:
         """Return the program with other vectors; it shares the cached properties of the matrices.
 
@@ -214,6 +222,7 @@ class QuadraticProgram:
         ----------
         c, h, b, lower, upper : arrays, shapes (n,), (m,), (p,), (n,), (n,), optional
             The present ones by default. A number stands for a vector of one.
+        constant : float, optional
 
         Raises
         ------
@@ -243,6 +252,9 @@ class QuadraticProgram:
             above,
         )
         made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
+        made.__dict__["constant"] = (
+            self.constant if constant is None else checked_constant(constant)
+        )
         return made
 
     @classmethod
@@ -258,16 +270,16 @@ class QuadraticProgram:
 
     @np.errstate(under="ignore")
     def objective(self, x: ArrayLike) -> float:
-        """Return ½ xᵀP x + cᵀx for x of shape (n,); computed without rounding if that is more than 1e-9 of it."""
+        """Return ½ xᵀP x + cᵀx + constant for x of shape (n,), without rounding if that is more than 1e-9 of it."""
         point = checked_vector(x, "x", self.n)
-        value = float(0.5 * (point @ (self.P @ point)) + self.c @ point)
+        value = float(0.5 * (point @ (self.P @ point)) + self.c @ point) + self.constant
         sizes = np.abs(point)
         terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
         if not CANCELS * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
             return value
         high, low, _ = compensated_pair(self.matrices.sparse_P, point)
         row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])
-        return float(compensated_product(row, np.tile(point, 3))[0][0])
+        return float(compensated_product(row, np.tile(point, 3), np.array([self.constant]))[0][0])
 
     def __repr__(self) -> str:
         m, p = self.h.size, self.b.size
@@ -323,6 +335,13 @@ class ProgramFacts:
         """Return a proof that the constraints of a program, convex or not, are inconsistent, or None."""
         found = proof_of_contradiction(self.program)
         return found if found is not None and found.excludes(PROGRAM_TOLERANCE) else None
+
+
+def checked_constant(constant: Any) -> float:
+    """Return the constant of an objective as a float; raise InvalidProblem if it is not a finite number."""
+    if not (is_number(constant) and np.isfinite(constant)):
+        raise InvalidProblem(f"constant must be a finite number, got {constant!r}")
+    return float(constant)
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:

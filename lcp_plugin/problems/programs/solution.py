@@ -121,7 +121,7 @@ class QPSolution:
 
     @cached_property
     def objective(self) -> float:
-        """½ xᵀP x + cᵀx."""
+        """½ xᵀP x + cᵀx + constant."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.program.objective(self.x)
 

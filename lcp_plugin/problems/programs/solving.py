@@ -116,7 +116,7 @@ class QuadraticProgramResult(BaseResult):
 
     @property
     def objective(self) -> float | None:
-        """½ xᵀP x + cᵀx; None if the program is proved infeasible or unbounded."""
+        """½ xᵀP x + cᵀx + constant; None if the program is proved infeasible or unbounded."""
         return None if self.has_no_solution else self.solution.objective
 
     @property

@@ -26,7 +26,7 @@ from .program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_sm
 
 
 class QuadraticProgramBatch:
-    """Programs of one shape: minimize ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper, one for each k.
+    """Programs of one shape, for each k: minimize ½ xᵀP x + cᵀx + constant; G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
     ``programs[k]`` is the :class:`~lcp_plugin.QuadraticProgram` of number k, and raises what is wrong with it.
 
@@ -39,6 +39,8 @@ class QuadraticProgramBatch:
     c, h, b : arrays, shapes (B, n), (B, m) and (B, p), or without B
     lower, upper : scalar or array, shape (n,) or (B, n)
         ±1e20 and beyond means none, and an h of 1e20 no row, as ±∞ does.
+    constant : float or array, shape (B,)
+        Constants of the objectives.
 
     Raises
     ------
@@ -68,6 +70,7 @@ class QuadraticProgramBatch:
         b: ArrayLike | None = None,
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
+        constant: ArrayLike = 0.0,
     ) -> None:
         c = real_array(c, "c must have shape (B, n) or (n,)")
         if not c.ndim:
@@ -102,6 +105,8 @@ class QuadraticProgramBatch:
         stacks |= {
             name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2
         }
+        self.constant = real_array(constant, "constant must be a number or have shape (B,)")
+        stacks |= {"constant": self.constant} if self.constant.ndim else {}
         self.count = length_of_all({name: len(rows) for name, rows in stacks.items()})
         self.sizes: tuple[int, int, int, int] = m, p, n, n
         self._shared, self._given = None, None
@@ -151,6 +156,7 @@ class QuadraticProgramBatch:
         # The vectors of an invalid program are NaN.
         sizes = {"c": n, "h": m, "b": p, "lower": n, "upper": n}
         none = {name: np.full(size, np.nan) for name, size in sizes.items()}
+        made.constant = np.array([getattr(one, "constant", np.nan) for one in programs])
         made.vectors = {
             name: np.array([getattr(one, name, missing) for one in programs]).reshape(
                 len(programs), missing.size
@@ -238,14 +244,15 @@ class QuadraticProgramBatch:
         if not -len(self) <= k < len(self):
             raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
         c, h, b, lower, upper = (_row_of(rows, k % len(self)) for rows in self.vectors.values())
+        constant = float(np.broadcast_to(self.constant, self.count)[k])
         if self._given is not None:
             if isinstance(one := self._given[k], LCPError):
                 raise one
             return one
         if self._shared is not None:
-            return self._shared.with_vectors(c, h, b, lower, upper)
+            return self._shared.with_vectors(c, h, b, lower, upper, constant)
         P, G, A = (_row_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
-        return QuadraticProgram(P, c, G, h, A, b, lower, upper)
+        return QuadraticProgram(P, c, G, h, A, b, lower, upper, constant)
 
     def __repr__(self) -> str:
         return (

@@ -63,11 +63,10 @@ def test_programs_are_read_by_the_names_people_save(
         np.savez(path, **content)
     else:
         savemat(path, {name: np.asarray(array, dtype=float) for name, array in content.items()})
-    program, constant, *_ = load_program(path)
+    program = load_problem(path)
+    assert isinstance(program, QuadraticProgram)
     assert solve(program).require_solved().x.round(6).tolist() == [0.5, 1.5]
-    assert constant == content.get("r", 0.0)
-    with pytest.warns(ModelWarning, match=r"objective \+5") if constant else nullcontext():
-        assert isinstance(load_problem(path), QuadraticProgram)
+    assert program.constant == content.get("r", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -213,16 +212,74 @@ def test_lp_files_are_programs_and_integers_are_named(tmp_path: Path) -> None:
 
 
 def test_a_constant_and_a_maximum_are_told(tmp_path: Path) -> None:
-    """A program has neither; what the file adds to its objective, or that it is negated, is not lost in silence."""
+    """A constant is part of the objective; a ModelWarning reports that the objective is negated."""
     pytest.importorskip("highspy")
     lp = "maximize\n 2 x + 4 y + 3\nsubject to\n x + y <= 2\nend\n"
     (tmp_path / "p.lp").write_text(lp)
-    with pytest.warns(ModelWarning, match=r"p\.lp states -\(objective -3\), where"):
+    with pytest.warns(ModelWarning, match=r"p\.lp maximizes; the problem returned minimizes"):
         program = load_problem(tmp_path / "p.lp")
-    assert -(solve(program).require_solved().objective - 3.0) == pytest.approx(11.0)
+    assert solve(program).require_solved().objective == pytest.approx(-11.0)
     np.savez(tmp_path / "r.npz", P=np.eye(2), c=[-1.0, 0.0], r=0.5)
-    with pytest.warns(ModelWarning, match=r"r\.npz states objective \+0\.5, where"):
-        load_problem(tmp_path / "r.npz")
+    assert solve(load_problem(tmp_path / "r.npz")).require_solved().objective == pytest.approx(0.0)
+
+
+MPS = """NAME T
+{sense}ROWS
+ N obj
+ G c1
+COLUMNS
+ x obj 1 c1 1
+ y obj 2 c1 1
+RHS
+ RHS c1 {right}{constant}
+BOUNDS
+{bounds} UP BND y 4
+ENDATA
+"""
+
+
+@pytest.mark.parametrize(
+    ("bounds", "lower", "objective"),
+    [
+        (" UP BND x -3\n", -np.inf, -6.0),
+        (" UP BND x -3\n MI BND x\n", -np.inf, -6.0),
+        (" UP BND x -3\n LO BND x -5\n", -5.0, -5.0),
+        (" UP BND x 0\n", 0.0, 0.0),
+    ],
+)
+def test_a_negative_upper_bound_in_mps_leaves_no_lower_bound_of_0(
+    bounds: str, lower: float, objective: float, tmp_path: Path
+) -> None:
+    """X + 2 y over x + y ≥ −6, 0 ≤ y ≤ 4 and x ≤ −3: the lower bound of x is −∞ unless the file gives one."""
+    pytest.importorskip("highspy")
+    text = MPS.format(sense="", right="-6", constant="", bounds=bounds)
+    (tmp_path / "p.mps").write_text(text)
+    is_told = bounds == " UP BND x -3\n"
+    with (
+        pytest.warns(ModelWarning, match="gives x the upper bound -3") if is_told else nullcontext()
+    ):
+        program = load_problem(tmp_path / "p.mps")
+    assert program.lower.tolist() == [lower, 0.0]
+    assert solve(program).require_solved().objective == pytest.approx(objective)
+    (tmp_path / "q.mps").write_text(text.replace("BOUNDS", "BOUNDS\n LO BND x 0"))
+    if "LO" not in bounds and "MI" not in bounds and lower < 0.0:
+        with pytest.raises(UnreadableFile, match="lower"):
+            load_problem(tmp_path / "q.mps")
+
+
+@pytest.mark.parametrize(
+    "sense", ["OBJSENSE MAXIMUM\n", "OBJSENSE MAX\n", "OBJSENSE\n    MAXIMIZE\n", "MAX\n"]
+)
+def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: Path) -> None:
+    """The largest x + 2 y + 10 over x + y ≥ 2, x ≤ 3, y ≤ 4 is 21; without the line, the least one is 12."""
+    pytest.importorskip("highspy")
+    text = MPS.format(sense=sense, right="2", constant="\n RHS obj -10", bounds=" UP BND x 3\n")
+    (tmp_path / "p.mps").write_text(text)
+    with pytest.warns(ModelWarning, match="maximizes"):
+        program = load_problem(tmp_path / "p.mps")
+    assert solve(program).require_solved().objective == pytest.approx(-21.0)
+    (tmp_path / "q.mps").write_text(text.replace(sense, ""))
+    assert solve(load_problem(tmp_path / "q.mps")).objective == pytest.approx(12.0)
 
 
 def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:

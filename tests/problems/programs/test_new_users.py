@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import InvalidOption, QPSolver, QuadraticProgram, Status, solve, solve_batch, trace
+from lcp_plugin import (
+    InvalidOption,
+    InvalidProblem,
+    QPSolver,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    Status,
+    certify,
+    solve,
+    solve_batch,
+    trace,
+)
 
 
 @pytest.mark.parametrize("n", [5_000, 200_000])
@@ -117,3 +128,38 @@ def test_methods_of_complementarity_solve_programs_by_name(name: str) -> None:
     assert result.solution.is_optimal()
     assert result.x == pytest.approx([1, 1], abs=1e-6)
     assert result.z.shape == (2,)
+
+
+def test_a_constant_is_in_the_objective_and_in_its_bounds() -> None:
+    """(x − 3)² over x ≤ 1 as x² − 6 x + 9 is 4: in a result, a certificate, a batch, cvxpy, and for other vectors."""
+    program = QuadraticProgram([[2.0]], [-6.0], upper=1.0, constant=9.0)
+    result = solve(program)
+    assert program.objective([1.0]) == 4.0
+    assert result.objective == result.solution.objective == pytest.approx(4.0, abs=1e-12)
+    found = certify(result)
+    assert found.verdict == "proved"
+    assert found.lower <= 4.0 <= found.upper + 1e-12
+    assert found.upper - found.lower <= 1e-12
+    assert certify(program, [0.0]).reason == "a feasible point has the objective 4, below 9"
+    assert solve(program.with_vectors(upper=[2.0])).objective == pytest.approx(1.0)
+    assert program.with_vectors(constant=0.0).constant == 0.0
+    ranges = QuadraticProgram.from_ranges([[2.0]], [-6.0], [[1.0]], [-1.0], [1.0], constant=9.0)
+    assert solve(ranges).objective == pytest.approx(4.0)
+    batch = QuadraticProgramBatch([[2.0]], [[-6.0], [-4.0]], upper=1.0, constant=[9.0, 4.0])
+    assert solve_batch(batch).objective == pytest.approx([4.0, 1.0])
+    assert [solve(batch[k]).objective for k in range(2)] == pytest.approx([4.0, 1.0])
+    assert solve_batch([program, program]).objective == pytest.approx([4.0, 4.0])
+    x = cp.Variable()
+    problem = cp.Problem(cp.Minimize(x**2 - 6 * x + 9), [x <= 1])
+    problem.solve(solver=QPSolver)
+    assert problem.value == pytest.approx(4.0)
+    assert certify(problem).upper == pytest.approx(4.0)
+    for wrong in (np.nan, np.inf, "a", [1.0], True):
+        with pytest.raises(InvalidProblem, match="constant must be a finite number"):
+            QuadraticProgram([[2.0]], [-6.0], constant=wrong)
+
+
+def test_a_constant_that_cancels_the_rest_leaves_the_digits_of_both() -> None:
+    """(x − 10⁸)² at x = 10⁸ + 1 is 1: the terms are 10¹⁶, and the constant is one of them."""
+    program = QuadraticProgram([[2.0]], [-2e8], constant=1e16)
+    assert program.objective([1e8 + 1.0]) == 1.0

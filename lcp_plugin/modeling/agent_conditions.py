@@ -115,7 +115,10 @@ class AgentProgram:
         self.standard = [StandardRows.of(one, change) for one in program.constraints]
         self.standard += map(StandardRows.of, epigraphs)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
-        self.decisions = cp.hstack([vector_of(one)[columns] for one, columns in self.entries])
+        parts = [
+            vector_of(one) if c.size == one.size else vector_of(one)[c] for one, c in self.entries
+        ]
+        self.decisions = cp.hstack(parts) if len(parts) > 1 else parts[0]
         self.size_of = {one.id: one.size for one, _ in self.entries}
         ends = np.cumsum([0, *self.size_of.values()]).tolist()
         #: The first number of each variable's entries, and the decision with a number; −1 if it is none.

@@ -175,7 +175,16 @@ class Optimal(Condition):
         float or None
             Best value of the program less its present value, or the largest violation of its constraints if that is
             larger; None with a ModelWarning if no solver finds the best value.
+
+        Raises
+        ------
+        ValueError
+            If a variable has no value yet.
         """
+        if any(one.value is None for one in self.program.variables()):
+            raise ValueError(
+                "cannot compute the gap of an agent whose variables have no values; solve the problem first"
+            )
         from .agent_gains import possible_gain  # with the classes of programs
 
         return possible_gain(self)

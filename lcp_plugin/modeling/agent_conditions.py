@@ -12,8 +12,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector
 from ..expressions import functions
-from ..expressions.differentiation import gradient
-from ..expressions.rows import Indices, Rows, assembled, is_definition, stacked
+from ..expressions.rows import Indices, Rows, assembled, is_definition
 from ._compat import (
     KINKS,
     attribute_bounds,
@@ -28,16 +27,32 @@ from .stated_terms import EQUATIONS, expression_of, sense_of
 #: Key of the first subexpression that the agent does not influence: larger than any id of a variable.
 FIRST_KEY = 2**61
 NO_BOUND = 1e30  # stands for ∞ in bounds with parameters, where constants must be finite
-ATOMS: dict[str, Any] = {
-    functions.SAME.name: lambda u: u,
-    functions.EXP.name: cp.exp,
-    functions.LOG.name: cp.log,
-    functions.LOG1P.name: cp.log1p,
-    functions.RELATIVE_ENTROPY.name: cp.rel_entr,
-    functions.LOG_ADD_EXP.name: lambda u, v: cp.logistic(u - v) + v,
-    functions.PRODUCT.name: cp.multiply,
-    functions.QUOTIENT.name: lambda u, v: u / v,
+#: The atom of an elementary function, and its derivatives by its arguments; r is its value.
+FUNCTIONS: dict[str, tuple[Any, Any]] = {
+    functions.SAME.name: (lambda u: u, lambda r, u: [np.ones(u.shape)]),
+    functions.EXP.name: (cp.exp, lambda r, u: [r]),
+    functions.LOG.name: (cp.log, lambda r, u: [cp.power(u, -1)]),
+    functions.LOG1P.name: (cp.log1p, lambda r, u: [cp.power(1 + u, -1)]),
+    functions.SQUARE.name: (cp.square, lambda r, u: [2 * u]),
+    functions.PRODUCT.name: (cp.multiply, lambda r, u, v: [v, u]),
+    functions.QUOTIENT.name: (lambda u, v: u / v, lambda r, u, v: [cp.power(v, -1), -r / v]),
+    functions.RELATIVE_ENTROPY.name: (
+        cp.rel_entr,
+        lambda r, u, v: [1 + cp.log(u) - cp.log(v), -u / v],
+    ),
+    functions.LOG_ADD_EXP.name: (
+        lambda u, v: cp.logistic(u - v) + v,
+        lambda r, u, v: [cp.power(1 + cp.exp(v - u), -1), cp.power(1 + cp.exp(u - v), -1)],
+    ),
 }
+
+
+def function_of(name: str) -> tuple[Any, Any]:
+    """Return the atom and the derivatives of an elementary function."""
+    if name in FUNCTIONS:
+        return FUNCTIONS[name]
+    p = float(name.removeprefix("power "))
+    return lambda u: cp.power(u, p), lambda r, u: [p * cp.power(u, p - 1)]
 
 
 class SimpleBound(NamedTuple):
@@ -119,10 +134,10 @@ class AgentProgram:
             vector_of(one) if c.size == one.size else vector_of(one)[c] for one, c in self.entries
         ]
         self.decisions = cp.hstack(parts) if len(parts) > 1 else parts[0]
-        self.size_of = {one.id: one.size for one, _ in self.entries}
-        ends = np.cumsum([0, *self.size_of.values()]).tolist()
+        sizes = {one.id: one.size for one, _ in self.entries}
+        ends = np.cumsum([0, *sizes.values()]).tolist()
         #: The first number of each variable's entries, and the decision with a number; −1 if it is none.
-        self.first, self.place = dict(zip(self.size_of, ends, strict=False)), np.full(ends[-1], -1)
+        self.first, self.place = dict(zip(sizes, ends, strict=False)), np.full(ends[-1], -1)
         numbers = np.concatenate([self.first[one.id] + columns for one, columns in self.entries])
         self.place[numbers] = np.arange(numbers.size)
         self.reader = Reader(takes_integers=True)
@@ -141,8 +156,8 @@ class AgentProgram:
 
     def _state(self) -> None:
         """Read the constraints; write the pairs of multipliers, and of decisions with the gradient."""
-        goal, sense = self.reader.rows(self.goal), np.array([sense_of(self.agent.program)])
-        weighted = [(goal, Rows({}, sense, (1,)))]
+        sense = cp.Constant([sense_of(self.agent.program)])
+        weighted: list[tuple[Rows, Any]] = [(self.reader.rows(self.goal), sense)]
         for one in self.standard:
             own = self.reader.rows(one.expression)
             if (bound := self._simple(one, own)) is not None:
@@ -153,16 +168,40 @@ class AgentProgram:
                 multiplier = one.origin.dual_variables[0]
             if multiplier.value is None and self.decisions.value is not None:
                 multiplier.value = np.zeros(multiplier.shape)  # a start for the run
-            self.sources[multiplier.id] = multiplier
-            weighted.append((own, Rows({multiplier.id: 1.0}, np.zeros(own.size), (own.size,))))
+            weighted.append((own, vector_of(multiplier)))
             first = box(multiplier, -np.inf if one.is_equation else 0.0, np.inf)
             kind = "value" if one.is_equation else "nonnegative"
             second = Side(-one.expression, kind, one.origin)
             self.rows[one.origin.id] = Complements(first, second), multiplier
-        slopes = gradient(self.reader.compiler, weighted, self.size_of)
-        F = stacked([slopes[one.id].taken(columns) for one, columns in self.entries])
         first = box(self.decisions, *self._ends())
-        self.stationarity = Complements(first, Side(self._expression(F), "value"))
+        self.stationarity = Complements(first, Side(self._gradient(weighted), "value"))
+
+    def _gradient(self, weighted: list[tuple[Rows, Any]]) -> Any:
+        """Return the gradient of Σ weights · rows by all decisions; its functions are elementary functions again."""
+        groups, active = self.reader.compiler.groups, set(self.own)
+        for _, _, arguments, key in groups:
+            if any(not active.isdisjoint(rows.blocks) for rows in arguments):
+                active.add(key)
+        found: dict[int, list[Any]] = {key: [] for key in active}
+
+        def distribute(rows: Rows, weights: Any) -> None:
+            for key in active.intersection(rows.blocks):
+                block = rows.blocks[key]
+                if not isinstance(block, float):
+                    found[key].append(sp.csc_array(block.T) @ weights)
+                else:
+                    found[key].append(weights if block == 1.0 else block * weights)
+
+        for rows, weights in weighted:
+            distribute(rows, weights)
+        for _, function, arguments, key in reversed(groups):
+            if found.get(key):
+                values = [self._expression(rows) for rows in arguments]
+                slopes = function_of(function.name)[1](self._source(key), *values)
+                for rows, slope in zip(arguments, slopes, strict=True):
+                    distribute(rows, cp.multiply(sum(found[key]), slope))
+        parts = [(sum(found[v.id]) + np.zeros(v.size))[columns] for v, columns in self.entries]
+        return cp.hstack(parts) if len(parts) > 1 else parts[0]
 
     @property
     def pairs(self) -> list[Complements]:
@@ -252,9 +291,7 @@ class AgentProgram:
         if key not in self.sources:
             _, function, arguments, _ = self.reader.compiler.groups[-1 - key]
             values = [self._expression(rows) for rows in arguments]
-            exponent = function.name.removeprefix("power ")
-            atom = ATOMS.get(function.name, lambda u: cp.power(u, float(exponent)))
-            self.sources[key] = atom(*values)
+            self.sources[key] = function_of(function.name)[0](*values)
         return self.sources[key]
 
 

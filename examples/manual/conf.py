@@ -29,6 +29,7 @@ napoleon_use_rtype = False
 python_use_unqualified_type_names = True
 suppress_warnings = ["ref.python"]  # the type "n" in a docstring is the attribute of two classes
 html_theme = "alabaster"
+html_show_copyright = False
 html_title = f"lcp_plugin {release}"
 html_copy_source = html_show_sourcelink = False
 html_static_path = ["static"]
@@ -36,7 +37,7 @@ html_css_files = ["site.css"]
 html_theme_options = {
     "description": "Complementarity problems in Python and cvxpy",
     "fixed_sidebar": True,
-    "page_width": "1100px",
+    "page_width": "940px",
     "sidebar_width": "250px",
     "show_powered_by": False,
     "show_relbars": False,

@@ -27,7 +27,8 @@ bound may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a s
 
 **The result** is z, solved again on the free rows, so that z is exact to rounding for any tolerance; compute
 w = M z + q from it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` names its number in the batch.
-(JAX wraps this error in its own.)
+(JAX wraps this error in its own.) With ``mask=True`` a layer returns (z, is_solved) instead: an instance that is not
+solved, or whose numbers are invalid, has z = 0 and the gradient 0, and the batch continues.
 
 **Gradients** by all four are computed by :meth:`BatchDerivative.vjp`: exact if no row is both at a bound and has w = 0.
 If such a row exists, as for a ReLU at 0, they are the gradients of one of the pieces that meet there. A second

@@ -43,6 +43,7 @@ FloatArray = NDArray[np.float64]
 
 SYMMETRIC = 1e-8  # of the largest entry
 STICKS = 1e-8  # of the largest velocity given: what is slower sticks
+DENSE_UP_TO = 300  # velocities of bodies whose dense matrices stay dense
 UNIT = 1e-6  # by which the length of a direction may differ from 1
 NOT_DEFINITE = (
     "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
@@ -95,16 +96,22 @@ def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
 
 
 class Bodies(NamedTuple):
-    """The bodies behind contacts: mass, (v, v), and rows J, (d k, v), sparse; velocities, (v,), None if not given."""
+    """The bodies behind contacts: mass and its inverse, (v, v), rows J, (d k, v), dense or CSR, and velocities.
+
+    The velocities have shape (v,); None if not given.
+    """
 
     mass: Any
+    inverse: Any
     rows: Any
     velocities: FloatArray | None
 
-    @property
-    def by_impulse(self) -> Any:
-        """Change of the body velocities by a unit impulse of each row, m⁻¹ Jᵀ, sparse, shape (v, d k)."""
-        return inverse_by_components(self.mass) @ self.rows.T
+    def velocities_after(self, impulses: FloatArray) -> FloatArray | None:
+        """Return the velocities after impulses of all rows, shape (d k,); None without the velocities before."""
+        if self.velocities is None:
+            return None
+        after: FloatArray = self.velocities + self.inverse @ (self.rows.T @ impulses)
+        return after
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,14 +144,23 @@ class Contacts:
     def arrays(self) -> tuple[FloatArray, FloatArray]:
         """M, shape (n, n), and q, shape (n,), n = k (m + 2)."""
         k, d, m = *self.velocities.shape, len(self.edges)
-        each, edges = np.eye(k), np.column_stack([np.zeros(m), self.edges])
-        rows = np.vstack([np.kron(each, np.eye(1, d)), np.kron(each, edges)])
-        of_slip = np.vstack([np.zeros((k, k)), np.kron(each, np.ones((m, 1)))])
-        of_cone = np.hstack([np.diag(self.friction), np.kron(each, -np.ones((1, m)))])
-        M = np.block([[rows @ self.W @ rows.T, of_slip], [of_cone, np.zeros((k, k))]])
+        each = np.vstack([np.eye(1, d), np.column_stack([np.zeros(m), self.edges])])
+        blocks = (each @ self.W.reshape(k, d, k * d)).reshape(-1, k, d) @ each.T
         moving = self.velocities.copy()
         moving[:, 0] += self.closing
-        return M, np.concatenate([rows @ moving.ravel(), np.zeros(k)])
+        order = np.arange(k * (1 + m)).reshape(
+            k, 1 + m
+        )  # contact by contact; normals come first in M
+        order = np.concatenate([order[:, 0], order[:, 1:].ravel()])
+        n = k * (m + 2)
+        M, q = np.zeros((n, n)), np.zeros(n)
+        M[: order.size, : order.size] = blocks.reshape(order.size, order.size)[order][:, order]
+        q[: order.size] = (moving @ each.T).ravel()[order]
+        contact, edge = np.arange(k), np.arange(k, k * (1 + m))
+        M[edge, n - k + (edge - k) // m] = 1.0
+        M[n - k + (edge - k) // m, edge] = -1.0
+        M[n - k + contact, contact] = self.friction
+        return M, q
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
@@ -167,8 +183,8 @@ class Contacts:
         impulses = np.column_stack([z[:k], z[k : k * (1 + m)].reshape(k, m) @ self.edges])
         given, bodies, after = self._velocities_of(answer), self.bodies, None
         moved = (self.W @ impulses.ravel()).reshape(impulses.shape) + given
-        if bodies is not None and bodies.velocities is not None and given is self.velocities:
-            after = bodies.velocities + bodies.by_impulse @ impulses.ravel()
+        if bodies is not None and given is self.velocities:
+            after = bodies.velocities_after(impulses.ravel())
         return motion_of(impulses, moved, given.ravel(), after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
@@ -253,7 +269,7 @@ def contact_data(
     given, bodies = _array(velocities, need), None
     if is_of_bodies(contacts):
         W, given, bodies = contacts_of_bodies(contacts, given)
-        W = W.toarray()
+        W = W.toarray() if sp.issparse(W) else W
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         check_symmetric(W, "W")
@@ -325,12 +341,11 @@ def warn_of_much_friction(friction: FloatArray, level: int) -> None:
     )
 
 
-def contacts_of_bodies(
-    contacts: Any, velocities: FloatArray
-) -> tuple[sp.csr_array, FloatArray, Bodies]:
+def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, FloatArray, Bodies]:
     """Return W, the contacts' velocities, shape (k, d), and the bodies, from (mass matrix, normals, tangents).
 
-    The mass matrix is inverted component by component. `velocities` has shape (v,), or (k, d) of the contacts.
+    All matrices are dense if those given are, and small; otherwise CSR, and the mass matrix is inverted component by
+    component. `velocities` has shape (v,), or (k, d) of the contacts.
     """
     if len(contacts) != 3:
         raise InvalidProblem(
@@ -339,10 +354,13 @@ def contacts_of_bodies(
     names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
-    mass, normals, tangents = (
-        canonical_csr(sp.csr_array(rectangular_matrix(part, name, None, None)), name)
-        for part, name in zip(flat, names, strict=True)
-    )
+    parts = [rectangular_matrix(*part, None, None) for part in zip(flat, names, strict=True)]
+    is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > DENSE_UP_TO
+    if is_sparse:
+        parts = [
+            canonical_csr(sp.csr_array(part), name) for part, name in zip(parts, names, strict=True)
+        ]
+    mass, normals, tangents = parts
     v, k = mass.shape[1], normals.shape[0]
     check_symmetric(mass, "the mass matrix")
     if normals.shape[1] != v:
@@ -357,11 +375,12 @@ def contacts_of_bodies(
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
             f"contact one after the other, k = {k} as of the normals; got {shape}"
         )
+    J: Any = sp.vstack([normals, tangents], format="csr") if is_sparse else np.vstack(parts[1:])
     tangent = k + np.arange(t * k).reshape(k, t)
-    order = np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()
-    J = sp.csr_array(sp.vstack([normals, tangents], format="csr")[order])
+    J = J[np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()]
     _check_directions(J, mass, 1 + t)
-    W, own = J @ inverse_by_components(mass) @ J.T, None
+    inverse, own = inverse_by_components(mass), None
+    W = J @ inverse @ J.T
     if velocities.shape == (v,):
         own = checked_vector(velocities, "velocities", v)
         velocities = (J @ own).reshape(k, 1 + t)
@@ -371,17 +390,19 @@ def contacts_of_bodies(
             f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
             "matrix"
         )
-    return sp.csr_array(0.5 * (W + W.T)), velocities, Bodies(mass, J, own)
+    return 0.5 * (W + W.T), velocities, Bodies(mass, inverse, J, own)
 
 
-def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
-    """Return the inverse of a symmetric positive definite matrix, whose connected components are small.
+def inverse_by_components(mass: Any) -> Any:
+    """Return the inverse of a symmetric positive definite matrix: a small dense one, or CSR with small components.
 
     Raises
     ------
     InvalidProblem
         If it is not positive definite.
     """
+    if isinstance(mass, np.ndarray):
+        return _inverse(mass)
     from scipy.sparse.csgraph import connected_components  # most problems do not need it
 
     count, component = connected_components(mass, directed=False)
@@ -395,39 +416,51 @@ def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
         number, inside = np.searchsorted(own, component[M.row]), sizes[component[M.row]] == size
         blocks = np.zeros((own.size, size, size))
         blocks[number[inside], place[M.row[inside]], place[M.col[inside]]] = M.data[inside]
-        try:
-            np.linalg.cholesky(blocks)
-        except np.linalg.LinAlgError as error:
-            raise InvalidProblem(NOT_DEFINITE) from error
         rows = order[firsts[own][:, None] + np.arange(size)]
         where = np.repeat(rows, size, axis=1).ravel(), np.tile(rows, size).ravel()
-        inverse.append(sp.csr_array((np.linalg.inv(blocks).ravel(), where), shape=mass.shape))
+        inverse.append(sp.csr_array((_inverse(blocks).ravel(), where), shape=mass.shape))
     return sp.csr_array(sum(inverse[1:], inverse[0]))
 
 
-def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
+def _inverse(blocks: FloatArray) -> FloatArray:
+    """Return the inverses of matrices, (…, v, v); raise InvalidProblem if one is not positive definite."""
+    try:
+        np.linalg.cholesky(blocks)
+    except np.linalg.LinAlgError as error:
+        raise InvalidProblem(NOT_DEFINITE) from error
+    found: Any = np.linalg.inv(blocks)
+    return found  # type: ignore[no-any-return]
+
+
+def _check_directions(J: Any, mass: Any, d: int) -> None:
     """Raise InvalidProblem if rows of J, d per contact, are clearly not unit vectors.
 
     Columns in which the mass matrix is m times the identity, with zeros elsewhere, are translations of a free body, or
     rotations of one with three equal moments of inertia. Normal and tangents are linearly independent there for
     translations only: r × n, r × t and r × s lie in a plane.
     """
-    diagonal, v = mass.diagonal(), mass.shape[0]
-    alone = (np.bincount(mass.indices, minlength=v) == 1) & (diagonal != 0.0)
+    (k, v), diagonal = J.shape, mass.diagonal()
+    k //= d
+    is_sparse = sp.issparse(mass)
+    counts = np.bincount(mass.indices, minlength=v) if is_sparse else np.count_nonzero(mass, axis=0)
+    alone = (counts == 1) & (diagonal != 0.0)
     windows = np.arange(max(v - d + 1, 0))[:, None] + np.arange(d)
     windows = windows[
         (alone[windows] & (diagonal[windows] == diagonal[windows[:, :1]])).all(axis=1)
     ]
-    parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
-    own = parts.data
+    if is_sparse:
+        parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
+        own, contact = parts.data, np.repeat(np.arange(k), np.diff(parts.indptr))
+    else:
+        own = J[:, windows].reshape(k, d, len(windows), d).swapaxes(1, 2).reshape(-1, d, d)
+        contact = np.repeat(np.arange(k), len(windows))
     products = own @ np.swapaxes(own, 1, 2)
     lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
     are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
     off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
-    contact = np.repeat(np.arange(J.shape[0] // d), np.diff(parts.indptr))[are]
-    least = np.full(J.shape[0] // d, np.inf)
+    least = np.full(k, np.inf)
     # one body in whose translations they are unit vectors is enough
-    np.minimum.at(least, contact, off)
+    np.minimum.at(least, contact[are], off)
     wrong = np.flatnonzero((least > UNIT) & (least < np.inf))
     if wrong.size:
         c = int(wrong[0])

@@ -13,7 +13,6 @@ from os import PathLike
 from typing import Any, Self
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
@@ -129,7 +128,7 @@ class Blocks:
         starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
         part = Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
         if self.bodies is not None:
-            part.bodies = self.bodies._replace(rows=sp.csr_array(self.bodies.rows)[rows])
+            part.bodies = self.bodies._replace(rows=self.bodies.rows[rows])
         return part
 
     def with_q(self, q: ArrayLike) -> Self:

@@ -107,7 +107,7 @@ class FrictionalContact(Blocks):
         if is_of_bodies(W):
             is_sparse = any(map(sp.issparse, W))
             W, velocities, self.bodies = contacts_of_bodies(W, velocities)
-            W = W if is_sparse else W.toarray()
+            W = W if is_sparse or not sp.issparse(W) else W.toarray()
         if velocities.ndim not in (1, 2):
             raise InvalidProblem(
                 f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"

@@ -469,8 +469,8 @@ class ConeResult(Result):
             )
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         bodies, after = problem.bodies, None
-        if bodies is not None and bodies.velocities is not None:
-            after = bodies.velocities + bodies.by_impulse @ self.z
+        if bodies is not None:
+            after = bodies.velocities_after(self.z)
         return motion_of(r, u, problem.q, after)
 
     def _effort(self) -> str:

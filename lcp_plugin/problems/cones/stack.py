@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...systems.least_norm import solved
-from .systems import Arms
+from .systems import FEW, Arms
 
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
 TINY = np.finfo(np.float64).tiny
@@ -250,7 +250,8 @@ class ConeStack:
                     M = M.toarray()
                 pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
                 bodies = problem.bodies
-                facts["stack"] = pattern, bodies and Arms(bodies, pattern.k, pattern.m)
+                has_many = bodies is not None and pattern.n > FEW
+                facts["stack"] = pattern, Arms(bodies, pattern.k, pattern.m) if has_many else None
             pattern, arms = facts["stack"]
             arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
             return cls(pattern, *arrays, has_friction=problem.has_friction, arms=arms)

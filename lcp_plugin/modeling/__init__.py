@@ -146,8 +146,7 @@ parameters. ``jvp`` maps changes of parameters to changes of variables and dual 
 - The parameters must have the values of the solve; otherwise `derivative` raises an error: solve again.
 - If an entry is at a bound and its w is zero, ``jvp`` is the one-sided change, and ``vjp`` the gradient of one of the
   adjacent pieces (an element of the B-subdifferential); ``lcp_plugin.derivative(extra_stats).is_unique`` is False.
-- Quadratic programs: use cvxpy's ``problem.solve(requires_grad=True)``, or state the optimality conditions with
-  ``complements``.
+- Quadratic programs: use cvxpy's ``problem.solve(requires_grad=True)``, or ``optimal(program, over=[x])``.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from ._compat import (
     postorder,
 )
 from .constraint import Complements, Side, box
+from .model import spans_of
 from .reading import Reader, rewritten
 from .stated_terms import EQUATIONS, expression_of, sense_of
 
@@ -84,8 +85,9 @@ class StandardRows(NamedTuple):
     def of(cls, constraint: Any, change: Any = lambda node: node) -> StandardRows:
         """Return the rows of a cvxpy constraint, each node of its expression changed."""
         expression = rewritten(expression_of(constraint), change)
-        sign = -1.0 if isinstance(constraint, cp.constraints.NonNeg) else 1.0
-        return cls(constraint, sign * expression, isinstance(constraint, EQUATIONS))
+        if isinstance(constraint, cp.constraints.NonNeg):
+            expression = -expression
+        return cls(constraint, expression, isinstance(constraint, EQUATIONS))
 
 
 class AgentProgram:
@@ -127,29 +129,23 @@ class AgentProgram:
             return value
 
         self.goal = rewritten(program.objective.args[0], change)
-        self.standard = [StandardRows.of(one, change) for one in program.constraints]
+        stated = {one.id: one for one in program.constraints}.values()  # each once
+        self.standard = [StandardRows.of(one, change) for one in stated]
         self.standard += map(StandardRows.of, epigraphs)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
-        parts = [
-            vector_of(one) if c.size == one.size else vector_of(one)[c] for one, c in self.entries
-        ]
-        self.decisions = cp.hstack(parts) if len(parts) > 1 else parts[0]
-        sizes = {one.id: one.size for one, _ in self.entries}
-        ends = np.cumsum([0, *sizes.values()]).tolist()
+        self.decisions = joined([*agent.decisions, *new.values()])
+        spans, size = spans_of({one.id: one for one, _ in self.entries})
         #: The first number of each variable's entries, and the decision with a number; −1 if it is none.
-        self.first, self.place = dict(zip(sizes, ends, strict=False)), np.full(ends[-1], -1)
+        self.first, self.place = {key: span.start for key, span in spans.items()}, np.full(size, -1)
         numbers = np.concatenate([self.first[one.id] + columns for one, columns in self.entries])
         self.place[numbers] = np.arange(numbers.size)
         self.reader = Reader(takes_integers=True)
-        stated = [self.goal, *(one.expression for one in self.standard)]
-        sources = {
-            node.id if isinstance(node, cp.Variable) else FIRST_KEY + k: node
-            for k, node in enumerate(uninfluenced(stated, self.own))
-        }
-        self.reader.hold(sources)
-        sources |= {one.id: one for one, _ in self.entries}
+        roots = [self.goal, *(one.expression for one in self.standard)]
+        nodes = enumerate(uninfluenced(roots, self.own), FIRST_KEY)
         #: Expressions behind the sources, by their keys.
-        self.sources = sources
+        self.sources = {one.id if isinstance(one, cp.Variable) else k: one for k, one in nodes}
+        self.reader.hold(self.sources)
+        self.sources |= {one.id: one for one, _ in self.entries}
         self.rows: dict[int, tuple[Complements, Any]] = {}
         self.bounds: list[SimpleBound] = []
         self._state()
@@ -186,11 +182,10 @@ class AgentProgram:
 
         def distribute(rows: Rows, weights: Any) -> None:
             for key in active.intersection(rows.blocks):
-                block = rows.blocks[key]
-                if not isinstance(block, float):
-                    found[key].append(sp.csc_array(block.T) @ weights)
+                if isinstance(block := rows.blocks[key], float):
+                    found[key].append(block * weights)
                 else:
-                    found[key].append(weights if block == 1.0 else block * weights)
+                    found[key].append(sp.csc_array(block.T) @ weights)
 
         for rows, weights in weighted:
             distribute(rows, weights)
@@ -200,8 +195,7 @@ class AgentProgram:
                 slopes = function_of(function.name)[1](self._source(key), *values)
                 for rows, slope in zip(arguments, slopes, strict=True):
                     distribute(rows, cp.multiply(sum(found[key]), slope))
-        parts = [(sum(found[v.id]) + np.zeros(v.size))[columns] for v, columns in self.entries]
-        return cp.hstack(parts) if len(parts) > 1 else parts[0]
+        return joined([(sum(found[v.id]) + np.zeros(v.size))[own] for v, own in self.entries])
 
     @property
     def pairs(self) -> list[Complements]:
@@ -210,11 +204,8 @@ class AgentProgram:
 
     def duals(self) -> dict[int, Any]:
         """Return the dual values by the id of the constraint; the tightest bound takes w⁺ or w⁻ of its decision."""
-        found, w = (
-            {key: one.value for key, (_, one) in self.rows.items()},
-            self.stationarity.dual_value,
-        )
-        if w is None:
+        found = {key: one.value for key, (_, one) in self.rows.items()}
+        if (w := self.stationarity.dual_value) is None:
             return found
         left = np.maximum(w, 0.0), np.maximum(-w, 0.0)
         for one in self.bounds:
@@ -283,8 +274,7 @@ class AgentProgram:
         ends = np.cumsum([0, *(part.size for part in parts)])
         first = dict(zip(rows.blocks, ends.tolist(), strict=False))
         matrix, offset = assembled([rows], first, int(ends[-1]))
-        vector = cp.hstack([vector_of(part) if part.ndim > 1 else part for part in parts])
-        return cp.Constant(sp.csc_array(matrix)) @ vector + offset
+        return cp.Constant(sp.csc_array(matrix)) @ joined(parts) + offset
 
     def _source(self, key: int) -> Any:
         """Return the expression of a source; a function becomes the atom of cvxpy, once."""
@@ -298,6 +288,12 @@ class AgentProgram:
 def vector_of(expression: Any) -> Any:
     """Return an expression as a vector, column by column."""
     return expression if expression.ndim == 1 else cp.vec(expression, order="F")
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """Return one vector of all entries."""
+    vectors = [vector_of(one) for one in parts]
+    return cp.hstack(vectors) if len(vectors) > 1 else vectors[0]
 
 
 def uninfluenced(roots: Iterable[Any], own: Collection[int]) -> list[Any]:

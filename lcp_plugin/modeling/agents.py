@@ -11,12 +11,10 @@ import numpy as np
 
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..expressions.rows import Indices, as_matrix, is_definition
-from ._compat import (
-    name_of,
-)
+from ._compat import name_of
 from .agent_conditions import AgentProgram
 from .constraint import Condition
-from .reading import INTEGERS, Reader
+from .reading import Reader, restricting_attribute
 from .stated_terms import EQUATIONS, INEQUALITIES, expression_of
 
 
@@ -79,24 +77,23 @@ def optimal(
     decisions = [over] if isinstance(over, cp.Expression) else list(over)
     if not decisions or not all(isinstance(one, cp.Expression) for one in decisions):
         raise UnsupportedModel(f"over must be a list of variables of the program, got {over!r}")
-    known = {one.id for one in program.variables()}
+    known, listed = {one.id for one in program.variables()}, list(shared)
     for variable in (variable for one in decisions for variable in one.variables()):
         if variable.id not in known:
             raise UnsupportedModel(
                 f"over has {variable.name()}, which does not occur in the program; list decisions of this agent"
             )
-        for attribute in INTEGERS:
-            if np.any(variable.attributes[attribute]):
-                raise UnsupportedModel(
-                    f"over has {variable.name()}, which is {attribute}: the optimum over integers has no optimality "
-                    "conditions; relax it, or let the outer problem decide it"
-                )
-    strange = [one for one in shared if all(one is not own for own in program.constraints)]
-    if strange:
-        raise UnsupportedModel(
-            f"shared has {name_of(strange[0])}, which is not a constraint of the program; list the same object in both"
-        )
-    return Optimal(program, tuple(decisions), frozenset(one.id for one in shared), check)
+        if tie := restricting_attribute(variable):
+            raise UnsupportedModel(
+                f"over has {variable.name()} with the attribute {tie!r}: such decisions have no optimality conditions; "
+                "relax it, or let the outer problem decide it"
+            )
+    for one in listed:
+        if all(one is not own for own in program.constraints):
+            raise UnsupportedModel(
+                f"shared has {name_of(one)}, which is not a constraint of the program; list the same object in both"
+            )
+    return Optimal(program, decisions, frozenset(one.id for one in listed), check)
 
 
 def entries_of(expression: Any) -> tuple[Any, Indices]:
@@ -130,11 +127,8 @@ class Optimal(Condition):
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.entries, self.is_checked = [entries_of(one) for one in decisions], False
-        stated = [
-            program.objective.args[0],
-            *(one for row in program.constraints for one in row.args),
-        ]
-        super().__init__([*stated, *decisions])
+        rows = [one for row in program.constraints for one in row.args]
+        super().__init__([program.objective.args[0], *rows, *decisions])
 
     def _construct_dual_variables(self, args: Any) -> None:
         self.dual_variables = [

@@ -299,9 +299,10 @@ def test_dependent_constraints_have_some_multipliers() -> None:
     """The same row three times: the multipliers are not unique, and their sum is."""
     x, y = cp.Variable(2), cp.Variable()
     rows = [cp.sum(x) <= y, 2 * cp.sum(x) <= 2 * y, x[0] + x[1] <= y]
+    rows.append(rows[0])
     best = optimal(cp.Problem(cp.Minimize(cp.sum_squares(x - 1)), rows), over=[x])
     solved([best], [y == 1])
-    assert np.dot([float(one) for one in best.dual_value], [1, 2, 1]) == pytest.approx(1.0)
+    assert np.dot([float(one) for one in best.dual_value[:3]], [1, 2, 1]) == pytest.approx(1.0)
 
 
 U = cp.Variable(3)
@@ -618,7 +619,7 @@ def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(ca
 def test_integer_decisions_have_no_conditions(attribute: str) -> None:
     """They belong to the leader."""
     x = cp.Variable(**{attribute: True})
-    with pytest.raises(UnsupportedModel, match="over integers"):
+    with pytest.raises(UnsupportedModel, match="no optimality conditions"):
         optimal(cp.Problem(cp.Minimize(x)), over=[x])
     y = cp.Variable(nonneg=True)
     follower = optimal(cp.Problem(cp.Minimize((y - 3 * x) ** 2)), over=[y])

@@ -30,6 +30,22 @@ PUBLISHED = np.array([36.9325, 41.8181, 43.7066, 42.6592, 39.1790])
 RISES = np.linspace(0.0, 40.0, 41)
 
 
+def earned_alone(output: np.ndarray, cost: np.ndarray) -> float:
+    """Return the most that any firm could earn besides by changing its own output only."""
+    most = 0.0
+    for i, beta in enumerate(BETA):
+        others = output.sum() - output[i]
+
+        def loss(q: float, i: int = i, beta: float = beta, others: float = others) -> float:
+            made = cost[i] * q + beta / (1 + beta) * SCALE ** (-1 / beta) * q ** ((1 + beta) / beta)
+            return made - q * (5000 / (others + q)) ** (1 / ELASTICITY)
+
+        most = max(
+            most, loss(output[i]) - minimize_scalar(loss, bounds=(0.0, 200.0), method="bounded").fun
+        )
+    return most
+
+
 def main(out: Path = Path()) -> None:
     """Find the published equilibrium, follow it while a cost rises, and save a figure into the folder OUT."""
     made, cost = cp.Variable(5, nonneg=True), cp.Parameter(5, value=COST)
@@ -88,22 +104,6 @@ def main(out: Path = Path()) -> None:
         ylim=(0, None),
     )
     figure.savefig(out / "cournot_oligopoly.png", dpi=150)
-
-
-def earned_alone(output: np.ndarray, cost: np.ndarray) -> float:
-    """Return the most that any firm could earn besides by changing its own output only."""
-    most = 0.0
-    for i, beta in enumerate(BETA):
-        others = output.sum() - output[i]
-
-        def loss(q: float, i: int = i, beta: float = beta, others: float = others) -> float:
-            made = cost[i] * q + beta / (1 + beta) * SCALE ** (-1 / beta) * q ** ((1 + beta) / beta)
-            return made - q * (5000 / (others + q)) ** (1 / ELASTICITY)
-
-        most = max(
-            most, loss(output[i]) - minimize_scalar(loss, bounds=(0.0, 200.0), method="bounded").fun
-        )
-    return most
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ GUIDES = (
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = (
     *("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control"),
-    *("add_an_algorithm", "learn_friction", "block_on_incline"),
+    *("add_an_algorithm", "learn_friction", "cournot_oligopoly"),
 )
 OF_SCRIPTS = (
     "import typer",

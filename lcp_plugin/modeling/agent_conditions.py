@@ -11,13 +11,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
+from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.rows import Indices, Rows, assembled, is_definition
 from ._compat import (
     KINKS,
+    NONSMOOTH,
     attribute_bounds,
     attribute_expressions,
     by_columns,
+    name_of,
     postorder,
 )
 from .constraint import Complements, Side, box
@@ -119,8 +122,15 @@ class AgentProgram:
 
         def change(node: Any) -> Any:
             graph = KINKS.get(type(node))
-            if graph is None or self.own.isdisjoint(one.id for one in node.variables()):
+            is_smooth = graph is None and not isinstance(node, NONSMOOTH)
+            if is_smooth or self.own.isdisjoint(one.id for one in node.variables()):
                 return node
+            if graph is None:
+                raise UnsupportedModel(
+                    f"{name_of(node)} in an agent's program has no epigraph of linear inequalities; write a norm as "
+                    "cp.sum_squares(x) <= t**2 with a constant t, or as cp.sqrt(cp.sum_squares(x) + 1e-9) with "
+                    'check="local"'
+                )
             value, inequalities = graph(node, node.args)
             for one in (value, *inequalities):
                 new.update({each.id: each for each in one.variables() if each.id not in known})

@@ -592,6 +592,13 @@ REFUSED: dict[str, Any] = {
         ),
         "no derivative reaches",
     ),
+    "a norm": (
+        lambda x, y: cp.Problem(
+            cp.Minimize(0),
+            [optimal(cp.Problem(cp.Minimize(x + cp.norm(cp.hstack([x, 1])))), over=[x])],
+        ),
+        "sum_squares",
+    ),
     "kinks without convexity": (
         lambda x, y: cp.Problem(
             cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(cp.square(x) - cp.abs(x))), over=[x])]

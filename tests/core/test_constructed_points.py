@@ -13,7 +13,7 @@ import pytest
 import scipy.sparse as sp
 from constructed_points import CONSTRUCTED, Case
 
-from lcp_plugin import LCP, march, solve, solve_batch
+from lcp_plugin import LCP, ConeProblem, march, solve, solve_batch
 
 Points = Iterator[tuple[Any, bool]]
 FURTHER_ROWS = 200  # of a band, so that a march takes its steps on bands
@@ -69,11 +69,23 @@ def band_march_points(case: Case) -> Points:
     return march_points(LCP(M.tocsr(), q, lower=lower), case)
 
 
+def cone_points(case: Case) -> Points:
+    """Yield the points over the cone of the bounds, dense and sparse, of solve, a batch and a march."""
+    for M in (case.M, sp.csr_array(case.M)):
+        problem = ConeProblem(M, case.q, [("box", case.lower, np.inf)])
+        for z0 in (case.wrong, None):
+            starts = None if z0 is None else [z0, z0]
+            batch = solve_batch([problem, problem], z0=starts)
+            steps = march(problem, [problem.q], propagator=0.0, z0=z0)
+            yield from ((one.z, one.is_solved) for one in (solve(problem, z0=z0), *batch, *steps))
+
+
 CLASSES: dict[str, Callable[[Case], Points]] = {
     "LCP": lcp_points,
     "stack": stack_points,
     "march, dense": dense_march_points,
     "march, band": band_march_points,
+    "cones": cone_points,
 }
 
 

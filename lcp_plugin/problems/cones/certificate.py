@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds
+from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, times
 from ...core.certificates.residuals import divide_nonnegative
 from ...core.checks import FloatVector, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
@@ -224,10 +224,9 @@ class Measures:
     def __init__(self, stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> None:
         rows = ConeRows(stack)
         x = rows.flat(z)
-        at = rows.rows(x)
-        moved = rows.snap_to_bounds(x, at.w)
-        if (moved != x).any():
-            x, at = moved, rows.rows(moved)
+        w = times(rows.M, x) + rows.q
+        moved = rows.snap_to_bounds(x, w)
+        x, at = moved, rows.rows(moved, None if (moved != x).any() else w)
         reference = np.minimum(rows.reference, rows.active_reference(at))
         ends = rows.residual_ends(x, at.w, at.rounding)
         goal = np.maximum(tolerance * reference, absolute)

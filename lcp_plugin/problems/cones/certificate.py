@@ -84,14 +84,10 @@ class ConeRows(RowData):
     @cached_property
     def reference(self) -> Array:
         """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        stack = self.stack
         if self.start.any():
             at = self.rows(self.start)
             return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
-        if stack.has_friction:
-            closing = np.where(self.is_cone, 0.0, np.maximum(-self.q, 0.0) / self.scale)
-            return self.largest(closing) * (1.0 - 4.0 * EPSILON)
-        return self._by_rows(stack.reference) * (1.0 - 16.0 * EPSILON)
+        return self._by_rows(self.stack.reference) * (1.0 - 16.0 * EPSILON)
 
     @cached_property
     def demand(self) -> FloatVector:
@@ -123,7 +119,8 @@ class ConeRows(RowData):
             far = g[..., 1:] - push[..., None] * away
             size = np.hypot(g[..., 0] + stack.mu * push, length(far))
             is_apex &= is_on
-            size = np.where(is_apex, length(stack.project(-g)), size)
+            if is_apex.any():
+                size = np.where(is_apex, length(stack.project(-g)), size)
             is_free = ~is_apex
         violation = self._with_laws(at.violation, size)
         is_active = self._with_laws(at.is_active, is_free | (size > 0.0))

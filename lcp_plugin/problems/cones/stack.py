@@ -233,9 +233,13 @@ class ConeStack:
         self.d, self.B, self.k, self.m = pattern.d, pattern.B, pattern.k, pattern.m
         first = pattern.starts[:-1]
         self.low, self.high = lower[:, first], upper[:, first]
-        self.origin = self.project(np.zeros_like(self.q))
-        w = self.slack(self.origin) if self.origin.any() else self.q
-        size = length(self.residual(self.origin, w)[0])
+        self.origin = np.zeros_like(self.q)
+        if has_friction:
+            size = np.maximum(-self.q[..., 0], 0.0) / self.d
+        else:
+            self.origin = self.project(self.origin)
+            w = self.slack(self.origin) if self.origin.any() else self.q
+            size = length(self.residual(self.origin, w)[0])
         self.reference = pattern.largest(size)
         self.is_answered = self.reference == 0.0  # the origin is a solution
         self.weight = np.where(self.is_answered, 0.0, 1.0 / self.reference)

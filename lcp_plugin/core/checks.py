@@ -348,6 +348,10 @@ def checked_bounds(
     InvalidProblem
         Unless lower ≤ upper on every row, with a real number between them.
     """
+    if type(lower) is type(upper) is float and -INFINITE_LIMIT < lower <= upper:
+        above = upper if upper < INFINITE_LIMIT else np.inf
+        if lower < INFINITE_LIMIT:
+            return _constant(lower, n), _constant(above, n)
     below, above = replace_huge_bounds_by_inf(
         checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
     )
@@ -364,6 +368,14 @@ def checked_bounds(
             )
         )
     return below, above
+
+
+def _constant(value: float, n: int) -> FloatVector:
+    """Return a read-only vector of equal entries."""
+    vector = np.empty(n)
+    vector.fill(value)
+    vector.flags.writeable = False
+    return vector
 
 
 def is_number(value: Any) -> bool:

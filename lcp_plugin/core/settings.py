@@ -100,7 +100,7 @@ class Settings:
             value = given[name]
             if value is None and name in NONE_MEANS:
                 given[name] = NONE_MEANS[name]
-            elif value is not getattr(Settings, name):
+            elif value is not DEFAULTS[name]:
                 given[name] = check(value, name)
 
     @property
@@ -118,6 +118,7 @@ class Settings:
         )
 
 
+DEFAULTS = {setting.name: setting.default for setting in fields(Settings)}
 BESIDE = ("z0", "callback")  # further options of a run
 MOST = 2**53  # limit of steps, nodes and threads
 OF_SOLVE = (

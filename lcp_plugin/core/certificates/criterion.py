@@ -300,9 +300,9 @@ def times(M: Any, x: FloatVector) -> FloatVector:
     """Return M x for one problem, or for each problem of a stack, which may share one M."""
     if x.ndim == 1:
         product: FloatVector = M @ x
-    elif not isinstance(M, np.ndarray):
+    elif M.ndim == 2:
         product = (M @ x.T).T
-    elif len(M) == 1 < len(x):
+    elif M.shape[0] == 1 < x.shape[0]:
         product = x @ M[0].T
     else:
         product = (M @ x[..., None])[..., 0]

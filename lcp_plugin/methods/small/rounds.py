@@ -109,7 +109,10 @@ def stack_of(M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> 
     One matrix for all stays one matrix, M of shape (1, n, n).
     """
     M = as_dense(M) if isinstance(M, Matrix) else M
-    q, lower, upper = np.broadcast_arrays(M[:, 0], q, lower, upper)[1:]
+    if q.ndim == 1 == len(M):
+        q, lower, upper = q[None], lower[None], upper[None]
+    else:
+        q, lower, upper = np.broadcast_arrays(M[:, 0], q, lower, upper)[1:]
     count, sizes = len(q), np.abs(M)
     scale = residual_scales(M.diagonal(axis1=-2, axis2=-1), sizes.max(-1, initial=0.0))
     labels = None

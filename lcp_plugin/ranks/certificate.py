@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ..core.certificates.criterion import RowData
+from ..core.certificates.criterion import RowData, RowsAtPoint
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON, NEGLIGIBLE, TINY
 from ..core.matrix.matrix import largest_in_rows
@@ -65,25 +65,21 @@ class CertificateOnRanks:
         ‖r(z)‖∞, rounding included.
     relative_residual : float
         The largest ‖r_P(z)‖∞ / ref_P of the components P.
-    backward_error : float
-        The largest v_i / T_i.
+    term_residual : float
+        The least tolerance at which every row passes the componentwise test.
     """
 
     z: FloatVector = field(repr=False)
     w: FloatVector = field(repr=False)
     scaled_residual: float
     relative_residual: float
-    backward_error: float
-    demand_error: float = field(repr=False)  # the largest v_i / a_i
+    term_residual: float
     is_at_rounding_level: bool
 
     def is_solved(self, tolerance: float, absolute: float = 0.0) -> bool:
         """Return whether the point is SOLVED at a tolerance."""
-        return (
-            (self.relative_residual <= tolerance or self.scaled_residual <= absolute)
-            and self.backward_error <= tolerance**0.75
-            and self.demand_error <= tolerance**0.25
-        )
+        is_small = self.relative_residual <= tolerance or self.scaled_residual <= absolute
+        return is_small and self.term_residual <= tolerance
 
 
 class ProductOnRanks:
@@ -93,7 +89,7 @@ class ProductOnRanks:
         self.rows, self.halo, self.indptr = rows, halo, rows.indptr
 
     def __matmul__(self, x: FloatVector) -> FloatVector:
-        product: FloatVector = self.rows @ self.halo.whole(x)
+        product: FloatVector = self.rows @ self.halo.whole(x.astype(np.float64, copy=False))
         return product
 
 
@@ -106,9 +102,31 @@ class RowDataOnRanks(RowData):
         super().__init__(M, size, problem.q, problem.lower, problem.upper, d)
         self.problem, self.components = problem, ComponentsOnRanks(problem)
 
+    def anywhere(self, mask: Any) -> bool:
+        """Return whether the mask is True in any row of any rank."""
+        return self.problem.halo.anywhere(mask)
+
+    def worst(self, values: FloatVector) -> float:
+        """Return the largest of the values ≥ 0 of all ranks."""
+        return self.problem.halo.largest(values)
+
     def largest(self, values: FloatVector) -> FloatVector:
         """Return the largest of the values ≥ 0 in the component of each row; a NaN stays."""
         return self.components.largest(values)
+
+    def follow_chains(self, is_led: Any, is_small: Any, z: FloatVector) -> Any:
+        """Return all small rows of a component with one in `is_led`: a chain over ranks is not followed."""
+        return is_small & (self.largest(is_led.astype(np.float64)) > 0.0)
+
+    def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
+        """Return an upper bound of every |r_i(z)|, by sums in twice the precision if rounding decides."""
+        high = self.residual_ends(z, at.w, at.rounding)[1]
+        r, worst = np.abs(self.residual(z, at.w)), self.worst
+        if worst(self.largest(high) / limit) > SHARP * worst(self.largest(r) / limit):
+            problem = self.problem
+            ends = compensated_product(problem.rows, problem.halo.whole(z), problem.q)
+            high = self.residual_ends(z, *ends)[1]
+        return high
 
     @cached_property
     def demand(self) -> FloatVector:
@@ -121,37 +139,17 @@ class RowDataOnRanks(RowData):
 
 @np.errstate(all="ignore")
 def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
-    """Return the certificate of a point; the rule is the same with a single process."""
-    problem, d = data.problem, data.scale
-    z = data.snap_to_bounds(z, problem.slack(z))
-    at = data.rows(z)
-    T, violation = at.terms, at.violation
-    r, high = np.abs(data.residual(z, at.w)), data.residual_ends(z, at.w, at.rounding)[1]
-    largest = problem.halo.largest
-    reference = np.minimum(data.reference, data.active_reference(at))
-    if largest(data.largest(high) / reference) > SHARP * largest(data.largest(r) / reference):
-        # Rounding in double precision decides: the rows are summed in twice the precision.
-        ends = compensated_product(problem.rows, problem.halo.whole(z), problem.q)
-        high = data.residual_ends(z, *ends)[1]
-    bound = data.largest(high)
-    relative = np.where(bound == 0.0, 0.0, bound / reference)
-    largest_z = data.largest(np.abs(z))
-    largest_active = data.largest(np.where(at.is_active, T, 0.0))
-    # A row of q_i = 0 at rounding level is tolerated only if no small row of its component has a unit of its own.
-    is_small = NEGLIGIBLE * np.minimum(d * largest_z, largest_active) >= T
-    at_bound = ((z != 0.0) & ((z == data.lower) | (z == data.upper))).astype(np.float64)
-    has_unit = (problem.q != 0.0) | (at_bound > 0.0) | (data.absolute @ at_bound > 0.0)
-    is_led = data.largest((is_small & has_unit).astype(np.float64)) > 0.0
-    counts = (violation > 0.0) & ((problem.q != 0.0) | ~is_small | is_led)
-    has_demand = counts & (data.demand > 0.0) & (violation > NEGLIGIBLE * T)
+    """Return the certificate of a point by the criterion of a single process."""
+    found, halo = data.measure(z, 0.0), data.problem.halo
+    at = found.rows
+    floor = 4.0 * data.rounding_floor(at.terms)
     return CertificateOnRanks(
-        z,
+        found.z,
         at.w,
-        largest(high),
-        largest(relative),
-        largest(np.where(counts, violation / T, 0.0)),
-        largest(np.where(has_demand, violation / data.demand, 0.0)),
-        problem.halo.everywhere(r <= 4.0 * data.rounding_floor(T)),
+        halo.largest(data.residual_ends(found.z, at.w, at.rounding)[1]),
+        found.residual,
+        found.terms,
+        halo.everywhere(np.abs(data.residual(found.z, at.w)) <= floor),
     )
 
 

@@ -144,12 +144,16 @@ class RowData:
         w = times(self.M, z) + self.q
         moved = self.snap_to_bounds(z, w)
         at = self.rows(moved, None if self.anywhere(moved != z) else w)
-        high = self.residual_ends(moved, at.w, at.rounding)[1]
         limit = np.minimum(reference, self.active_reference(at))
+        high = self.bound_residuals(moved, at, limit)
         relative = self.worst(np.where(high == 0.0, 0.0, high / limit))
         terms = self.worst(self.term_residuals(moved, at, power))
         passes = (relative <= tolerance) & (terms <= tolerance)
-        return Measured(moved, relative, passes, terms=terms)
+        return Measured(moved, relative, passes, terms=terms, rows=at)
+
+    def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
+        """Return an upper bound of every |r_i(z)|, which is compared with `limit`."""
+        return self.residual_ends(z, at.w, at.rounding)[1]
 
     def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
         """Return the values of all rows at z, with its slack w if that is known."""

@@ -20,6 +20,8 @@ class Measured(NamedTuple):
         Whether the point does not pass because of rounding only: PRECISION_LIMIT.
     terms : float or array
         The least tolerance at which every row passes the componentwise test.
+    rows : RowsAtPoint or None
+        The values of the rows at z.
     """
 
     z: Any
@@ -27,3 +29,4 @@ class Measured(NamedTuple):
     passes: Any
     is_limited: Any = False
     terms: Any = 0.0
+    rows: Any = None

@@ -349,9 +349,8 @@ def checked_bounds(
         Unless lower ≤ upper on every row, with a real number between them.
     """
     if type(lower) is type(upper) is float and -INFINITE_LIMIT < lower <= upper:
-        above = upper if upper < INFINITE_LIMIT else np.inf
         if lower < INFINITE_LIMIT:
-            return _constant(lower, n), _constant(above, n)
+            return _constant(lower, n), _constant(upper if upper < INFINITE_LIMIT else np.inf, n)
     below, above = replace_huge_bounds_by_inf(
         checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
     )

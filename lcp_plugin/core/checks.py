@@ -348,9 +348,9 @@ def checked_bounds(
     InvalidProblem
         Unless lower ≤ upper on every row, with a real number between them.
     """
-    if type(lower) is type(upper) is float and -INFINITE_LIMIT < lower <= upper:
-        if lower < INFINITE_LIMIT:
-            return _constant(lower, n), _constant(upper if upper < INFINITE_LIMIT else np.inf, n)
+    are_numbers = type(lower) is type(upper) is float
+    if are_numbers and -INFINITE_LIMIT < lower < INFINITE_LIMIT and lower <= upper:
+        return _constant(lower, n), _constant(upper if upper < INFINITE_LIMIT else np.inf, n)
     below, above = replace_huge_bounds_by_inf(
         checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
     )

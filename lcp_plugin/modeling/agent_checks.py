@@ -68,13 +68,12 @@ def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
 
 def _check_program(agent: Optimal, rules: Convexity) -> None:
     """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
-    program, has_kinks = (
-        agent.program,
-        len(agent.conditions.standard) > len(agent.program.constraints),
-    )
+    program, has_kinks = agent.program, agent.conditions.has_kinks
+    if agent.check == "local" and not has_kinks:
+        return
     goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)
     for one in (goal, *map(StandardRows.of, program.constraints)):
-        if (agent.check == "local" and not has_kinks) or rules.hold(one, agent.entries):
+        if rules.hold(one, agent.entries):
             continue
         fault = (
             f"{name_of(one.expression)} in {agent!r} is not known to be {'affine' if one.is_equation else 'convex'} in "

@@ -113,6 +113,7 @@ class AgentProgram:
         The pair of each constraint with a multiplier, and the multiplier, by the id of the constraint.
     bounds : list of SimpleBound
         The other constraints.
+    has_kinks : bool
     """
 
     def __init__(self, agent: Any) -> None:
@@ -142,6 +143,7 @@ class AgentProgram:
         stated = {one.id: one for one in program.constraints}.values()  # each once
         self.standard = [StandardRows.of(one, change) for one in stated]
         self.standard += map(StandardRows.of, epigraphs)
+        self.has_kinks = bool(new)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
         self.decisions = joined([*agent.decisions, *new.values()])
         spans, size = spans_of({one.id: one for one, _ in self.entries})

@@ -13,7 +13,8 @@ from ..core.errors import ModelWarning
 from ..core.settings import Status
 from ..problems.equilibria.branch_and_bound import minimize_over_solutions
 from ..problems.programs.solving import solve_program
-from .agent_conditions import with_data
+from ._compat import attribute_bounds
+from .agent_conditions import StandardRows, with_data
 from .best_equilibrium import stated_program
 from .model import level_of_caller
 from .reading import rewritten
@@ -28,17 +29,20 @@ def possible_gain(agent: Any) -> float | None:
     A constraint that the present point violates may be violated by the same amount.
     """
     smooth, sense = agent.conditions, sense_of(agent.program)
-    values = {one.id: cp.Constant(one.value) for one in agent.variables()}
+    values = {one.id: cp.Constant(one.value) for one in agent.program.variables()}
     change = with_data(smooth.entries, values)
+    stated = {one.id: StandardRows.of(one).expression for one in agent.program.constraints}
     held, violation = [], 0.0
     for one in smooth.standard:
-        row, value = rewritten(one.expression, change), dense_value(one.expression.value)
-        excess = value if one.is_equation else np.maximum(value, 0.0)
+        row, own = rewritten(one.expression, change), stated.get(one.origin.id)
+        excess = np.zeros(row.shape) if own is None else dense_value(own.value)
+        excess = excess if one.is_equation else np.maximum(excess, 0.0)
         held.append(row == excess if one.is_equation else row <= excess)
         violation = max(violation, float(np.abs(excess).max(initial=0.0)))
-    lower, upper = smooth.stationarity.first.bounds()
-    at = smooth.decisions.value
-    violation = max(violation, float(np.maximum(lower - at, at - upper).max()))
+    for variable, _ in agent.entries:
+        lower, upper = attribute_bounds(variable)
+        excess = np.maximum(lower - variable.value, variable.value - upper)
+        violation = max(violation, float(excess.max(initial=0.0)))
     goal = cp.Minimize(sense * rewritten(smooth.goal, change))
     best, reason = _best_value(cp.Problem(goal, held))
     if np.isnan(best):
@@ -65,7 +69,8 @@ def _best_value(problem: Any) -> tuple[float, str]:
         try:
             with warnings.catch_warnings(action="ignore"):  # on approximations that cvxpy chooses
                 problem.solve()
-            return float(problem.value if problem.value is not None else np.nan), problem.status
+            is_known = problem.value is not None and problem.value < np.inf
+            return float(problem.value) if is_known else np.nan, problem.status
         except SolverError as error:
             return np.nan, str(error)
         finally:

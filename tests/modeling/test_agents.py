@@ -540,6 +540,21 @@ def test_random_bilevel_programs_have_the_least_value_over_active_sets() -> None
     assert list(campaign.faults(range(0), range(6))) == []
 
 
+def test_a_gap_is_measured_at_values_that_the_user_sets() -> None:
+    """The least value of |x − 1| + x²/2 is 1/2: at 3 the gain is 6, at −1 it is 2; violations count."""
+    x = cp.Variable()
+    best = optimal(cp.Problem(cp.Minimize(cp.abs(x - 1) + x**2 / 2), [cp.abs(x) <= 2]), over=[x])
+    with pytest.raises(ValueError, match="no values"):
+        best.gap()
+    for value, gain in ((-1.0, 2.0), (3.0, 6.0), (1.0, 0.0)):
+        x.value = value
+        assert best.gap() == pytest.approx(gain, abs=1e-6)
+    bounded = cp.Variable(nonneg=True)
+    other = optimal(cp.Problem(cp.Minimize(bounded)), over=[bounded])
+    bounded.save_value(np.array(-0.5))
+    assert other.gap() == pytest.approx(0.5, abs=1e-6)
+
+
 # --- messages ---
 
 

@@ -107,14 +107,16 @@ class LCPRun(Run):
             progress.work += 1.0 if progress.iteration > 0 else 0.0  # the start is always measured
         else:
             return None
-        if residual <= test.goal:
+        may_pass = residual <= test.goal
+        if may_pass:
             residual = test.certify(step.z)
         stage.record(residual, increment if known is None else None)
         if progress.iteration == 0:
             self.start_residual = residual
-        power = 1.0 if stage.algorithm.ends_on_active_set else POWER
-        passes = test.is_passed(step.z, residual, progress.iteration, power)
-        return Measured(step.z, residual, passes)
+        if may_pass:
+            power = 1.0 if stage.algorithm.ends_on_active_set else POWER
+            may_pass = test.is_passed(step.z, residual, progress.iteration, power)
+        return Measured(step.z, residual, may_pass)
 
     def keep(self, found: Measured) -> None:
         """Keep a copy of a point that passes, or whose residual is the smallest."""
@@ -145,11 +147,11 @@ class LCPRun(Run):
         is_lost = is_lost or not math.isfinite(found.residual)
         if is_lost and not found.residual <= 1e8 * max(1.0, self.start_residual):
             return TerminationReason.DIVERGED
-        if (limit := progress.limit()) is not None:
-            return limit
+        left = self.settings.max_iterations - progress.iteration
+        if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
+            return None  # because a limit is reached
         if stage.is_flat() and test.is_at_floor(self.z):
             return TerminationReason.AT_FLOOR
-        left = self.settings.max_iterations - progress.iteration
         is_watched = algorithm.is_monotone or algorithm.is_watched
         if is_watched and stage.is_stalled(self.problem.n, test.goal, left):
             return TerminationReason.STALLED

@@ -144,8 +144,9 @@ class Run:
         found = self.measure(stage, step)
         if found is not None:
             self.keep(found)
+        end: TerminationReason | None
         if found is not None and found.passes:
-            end: TerminationReason | None = TerminationReason.CONVERGED
+            end = TerminationReason.CONVERGED
         else:
             end = self.end_of(stage, step, found) or progress.limit()
         if progress.is_watched:

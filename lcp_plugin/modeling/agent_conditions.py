@@ -207,7 +207,8 @@ class AgentProgram:
                 slopes = function_of(function.name)[1](self._source(key), *values)
                 for rows, slope in zip(arguments, slopes, strict=True):
                     distribute(rows, cp.multiply(sum(found[key]), slope))
-        return joined([(sum(found[v.id]) + np.zeros(v.size))[own] for v, own in self.entries])
+        zeros = {one.id: cp.Constant(np.zeros(one.size)) for one, _ in self.entries}
+        return joined([sum(found[v.id], zeros[v.id])[own] for v, own in self.entries])
 
     @property
     def pairs(self) -> list[Complements]:

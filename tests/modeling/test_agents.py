@@ -286,6 +286,14 @@ def test_dual_values_of_a_maximum_are_those_of_its_minimization() -> None:
     assert float(halved.dual_value[0]) == pytest.approx(1.0)
 
 
+def test_a_program_without_an_objective_is_a_feasibility_problem() -> None:
+    """Any feasible point is optimal, and all dual values are 0."""
+    x, y = cp.Variable(2), cp.Variable()
+    best = optimal(cp.Problem(cp.Minimize(0), [x[0] >= 1, cp.sum(x) == y]), over=[x])
+    solved([best], [y == 2])
+    assert [float(one) for one in best.dual_value] == pytest.approx([0.0, 0.0])
+
+
 def test_a_bound_by_another_agents_variable_is_a_constraint_with_a_multiplier() -> None:
     """With x ≤ y y = 1 of another agent: x = 1 and the multiplier 2."""
     x, y = cp.Variable(), cp.Variable()

@@ -39,8 +39,7 @@ from numpy.typing import ArrayLike
 
 from .algorithms import create, refusal_of_engine
 from .core.algorithm import Algorithm, count_driven_sweeps
-from .core.certificates.residuals import Certificate
-from .core.checks import FloatVector, checked_start, read_only
+from .core.checks import FloatVector, checked_start
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kernels.threads import threads_for
@@ -48,7 +47,7 @@ from .core.lcp import LCP
 from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal
 from .core.matrix.structure import is_nearly_symmetric
-from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
+from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
 from .core.solving.lcp_run import LCPRun
 from .core.solving.progress import Callback
 from .core.solving.result import Result, StageRecord
@@ -288,19 +287,8 @@ def solve_lcp(
         found = first_candidate(problem, start, settings.tolerance)
         if found is not None:
             z, label, work = found
-            return Result(
-                z=z,
-                w=read_only(problem.slack(z)),
-                status=Status.SOLVED,
-                certificate=Certificate(problem, z),
-                algorithm=f"auto: {label}",
-                iterations=1,
-                work=work + 1.0,  # the point is measured
-                seconds=clock.read(),
-                setup_seconds=0.0,
-                tolerance=settings.tolerance,
-                stages=(StageRecord(label, GUESSED, 1, work),),
-            )
+            stage = StageRecord(label, GUESSED, 1, work + 1.0)  # the point is measured
+            return Result.at(problem, z, stage, settings, clock.read())
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate():
         return run_on(problem, method, settings, start, clock, callback)

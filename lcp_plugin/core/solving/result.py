@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, restore_state
+from ..checks import FloatVector, read_only, restore_state
 from ..errors import UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
@@ -145,12 +145,11 @@ class Result(BaseResult):
         **others
             Further fields of the result.
         """
-        certificate = Certificate(problem, z)
         return cls(
             z=z,
-            w=certificate.w,
+            w=read_only(problem.slack(z)),
             status=Status.SOLVED,
-            certificate=certificate,
+            certificate=Certificate(problem, z),
             algorithm=f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work,

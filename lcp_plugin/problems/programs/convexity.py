@@ -7,14 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.errors import UnsupportedModel
-from .program_matrices import as_array
+from .program_matrices import ProgramMatrices, as_array
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 
+LARGEST_SHOWN = 1000  # unknowns of a P whose eigenvalues are computed for a message
+ROUNDED = 1e-2  # of the largest eigenvalue: a negative one that rounding to some digits may cause
+
+
 def refuse_nonconvex(program: QuadraticProgram) -> None:
     """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
+
+    Only the unknowns count that bounds, and rows of one unknown, do not fix.
 
     Cost: one factorization, if no row decides and the factorization fits into memory.
 
@@ -32,13 +38,23 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     """
     if program.matrices.is_nearly_semidefinite:
         return
-    shown = (
-        f"the smallest eigenvalue of P is {np.linalg.eigvalsh(as_array(program.P))[0]:.3g}"
-        if program.n <= 1000
-        else "P has a negative eigenvalue"
-    )
+    P, (lower, upper) = program.P, (program.folded.reduced.lower, program.folded.reduced.upper)
+    free = np.flatnonzero(lower < upper)
+    if free.size < program.n:
+        none = np.zeros((0, free.size))
+        if ProgramMatrices(P[free][:, free], none, none).is_nearly_semidefinite:
+            return
+    shown, repair = "P has a negative eigenvalue", ""
+    if program.n <= LARGEST_SHOWN:
+        values = np.linalg.eigvalsh(as_array(P))
+        shown = f"the smallest eigenvalue of P is {values[0]:.3g}"
+        if -values[0] <= ROUNDED * values[-1]:
+            repair = (
+                "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
+                "P = V * w.clip(0) @ V.T; otherwise "
+            )
     raise UnsupportedModel(
-        f"the program is not convex: {shown}, so that a stationary point need not be a minimum; solve "
+        f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
         "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install "
         "'.[global]')"
     )

@@ -136,7 +136,7 @@ class QuadraticProgramResult(BaseResult):
         words = [happened, *self._describe_scope("x")]
         if not self.has_no_solution and self.program.is_convex is False:
             words.append(
-                "P has a negative eigenvalue, which is taken for rounding"
+                "P has a negative eigenvalue, at rounding level or of fixed unknowns"
                 if self.is_solved
                 else "P has a negative eigenvalue, and if it is no rounding error the program is not convex"
             )

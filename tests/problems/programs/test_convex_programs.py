@@ -92,7 +92,7 @@ def test_ranges_say_what_they_say() -> None:
     program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
     assert (program.h.size, program.b.size) == (4, 1)
     assert program.lower[0] == -INF
-    solution = solve_program(program, INTERIOR).solution
+    solution = solve_program(program, INTERIOR, tolerance=1e-9).solution
     assert solution.is_optimal(1e-9)
     y = solution.row_multipliers
     assert y.shape == (5,)
@@ -571,3 +571,34 @@ def test_a_stiff_difference_of_two_unknowns_ends_soon() -> None:
     result = solve(program)
     assert time.process_time() - began < 1.0
     assert not result.is_solved or result.objective == pytest.approx(-5e5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("curvature", [-1e-10, -1.0])
+def test_negative_curvature_of_a_fixed_unknown_is_no_obstacle(
+    curvature: float, sign: float
+) -> None:
+    """xᵀ diag(curvature, 10) x at x = (1, 2), and over x₁ = 1, x₂ ≥ 2; not convex with x₁ free."""
+    x, P = cp.Variable(2), np.diag([curvature, 10.0])
+    form = sign * cp.quad_form(x, cp.psd_wrap(P))
+    goal = cp.Minimize(form) if sign > 0.0 else cp.Maximize(form)
+    for constraints in ([x == [1, 2]], [x[0] == 1, x[1] >= 2]):
+        problem = cp.Problem(goal, constraints)
+        problem.solve(solver=QPSolver)
+        assert problem.status == cp.OPTIMAL
+        assert problem.value == pytest.approx(sign * (curvature + 40.0))
+    with pytest.raises(UnsupportedModel, match="not convex"):
+        solve(QuadraticProgram(2.0 * P, [0.0, 0.0], lower=[0.0, 2.0]))
+
+
+def test_the_refusal_of_a_rounded_correlation_matrix_names_the_nearest_semidefinite_one() -> None:
+    """The line of the message makes the program of 20 assets from 8 returns, rounded to 6 digits, convex."""
+    returns = np.random.default_rng(0).normal(size=(8, 20))
+    P = np.round(np.corrcoef(returns.T), 6)
+    rows = {"A": np.ones((1, 20)), "b": [1.0], "lower": 0.0}
+    with pytest.raises(
+        UnsupportedModel, match=r"eigenvalue of P is -.*P = V \* w\.clip\(0\) @ V\.T"
+    ):
+        solve(QuadraticProgram(P, np.zeros(20), **rows))
+    w, V = np.linalg.eigh(P)
+    assert solve(QuadraticProgram(V * w.clip(0) @ V.T, np.zeros(20), **rows)).is_solved

@@ -25,6 +25,7 @@ from lcp_plugin import ConeProblem, FrictionalContact, solve
 Problem = Any
 Point = list[Fraction]
 CLOSE = 1e-3  # relative error of a point that counts as a solution
+CONDITION = 1e4  # of M, as for LCPs: a residual of 1e-8 is not an error beyond
 DOCUMENTED = 1e-8  # of the largest |q_i|: inconsistencies below the tolerance are not noticed
 
 
@@ -241,7 +242,10 @@ def verdict(problem: Problem, z: Any, right: list[Point], is_vague: bool) -> str
         return "right"
     if violation(problem, z) <= DOCUMENTED * np.abs(problem.q).max():
         return "inconsistent by less than the tolerance"
-    return "one of a continuum" if is_vague else "false"
+    if is_vague:
+        return "one of a continuum"
+    is_regular = np.linalg.cond(problem.rows.csr.toarray()) <= CONDITION
+    return "false" if is_regular else "another point, M ill-conditioned"
 
 
 def check(seed: int, **options: Any) -> Counter[str]:

@@ -22,7 +22,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, times
+from ...core.certificates.criterion import (
+    RowData,
+    RowsAtPoint,
+    VectorEnds,
+    find_rounding_rows,
+    times,
+)
 from ...core.certificates.residuals import divide_nonnegative
 from ...core.checks import FloatVector, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
@@ -237,7 +243,8 @@ class Measures:
         do_pass = ((relative <= tolerance) & (terms <= tolerance)) | (ends[1] <= absolute)
         self.stack, self.z, self.w = stack, rows.wide(x), rows.wide(at.w)
         self._by_rows = {"sizes": ends[1], "relative": relative, "terms": terms, "fails": ~do_pass}
-        self._rows, self._least, self._reference = rows, ends[0], reference
+        self._is_rounding = find_rounding_rows(ends[0], rows.rounding_floor(at.terms))
+        self._has_reference = reference > 0.0
         self.residual = np.atleast_1d(relative.max(-1, initial=0.0))
         self.passes = np.atleast_1d((do_pass & np.isfinite(at.w)).all(-1))
 
@@ -249,8 +256,8 @@ class Measures:
     @cached_property
     def is_limited(self) -> Array:
         """Whether rounding explains the residuals of all laws that do not pass, shape (B,)."""
-        is_small = (self._by_rows["relative"] <= SMALL) | (self._reference == 0.0)
-        is_open = self._by_rows["fails"] & ~((self._least <= 0.0) & is_small)
+        is_small = (self._by_rows["relative"] <= SMALL) | ~self._has_reference
+        is_open = self._by_rows["fails"] & ~(self._is_rounding & is_small)
         return np.atleast_1d(~is_open.any(-1))
 
 

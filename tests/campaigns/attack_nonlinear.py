@@ -16,8 +16,7 @@ import numpy as np
 
 from lcp_plugin import NonlinearProblem
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.problems.nonlinear.certificate import NonlinearCertificate, Reference
-from lcp_plugin.problems.nonlinear.data import Linearization
+from lcp_plugin.problems.nonlinear.certificate import Linearizations
 
 JUDGE, ILL_CONDITIONED, STEPS = 1e-8, 1e-7, 240
 
@@ -152,13 +151,11 @@ def planted(rng: np.random.Generator) -> Target:
         return rows[:, None] * (M + np.diag(slope(x * units))) * units
 
     problem = NonlinearProblem(F, jacobian, lower=np.zeros(n))
-    reference, answer = Reference.of(problem, np.zeros(n)), right / units
+    points, answer = Linearizations(problem), right / units
 
     def passes(x: np.ndarray, tolerance: float) -> bool:
-        at = Linearization(problem, x)
-        return at.is_defined and NonlinearCertificate.at(at, reference).meets(
-            Settings(tolerance=tolerance)
-        )
+        at = points.at(x)
+        return at.is_defined and at.certificate.meets(Settings(tolerance=tolerance))
 
     def error(x: np.ndarray) -> float:
         wrong, size = abs(x * units - right).max(), abs(right).max()

@@ -197,10 +197,14 @@ class Certificate:
     @cached_property
     def references(self) -> VectorEnds:
         """Bounds of ref_P of each row, shape (n,), or (1,) if M is connected."""
-        least, most = references_of_components(self.problem)
+        least, most = self._start_references()
         with np.errstate(all="ignore"):
             limit = row_data(self.problem).active_reference(self._rows)
         return np.minimum(least, limit), np.minimum(most, limit)
+
+    def _start_references(self) -> VectorEnds:
+        """Return bounds of ‖r_P(z°)‖∞, of the shapes of `references`."""
+        return references_of_components(self.problem)
 
     @cached_property
     def residual_ends(self) -> VectorEnds:

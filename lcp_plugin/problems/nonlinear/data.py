@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -228,64 +227,6 @@ def _replace_infinite_rows(derivative: Any, n: int) -> Any:
     rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
     levelled = sp.csr_array(rows) + sp.diags_array(is_steep.astype(np.float64))
     return sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()
-
-
-class Linearization:
-    """The problem near a point x: F(x), and the LCP of F′(x), computed on first use.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    x : array, shape (n,)
-        A copy is kept.
-    """
-
-    def __init__(self, problem: NonlinearProblem, x: FloatVector) -> None:
-        self.problem, self.x = problem, read_only(x.copy())
-        self.value = problem.value(self.x)
-
-    @cached_property
-    def lcp(self) -> LCP:
-        """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearize`."""
-        return self.problem.linearize(self.x, self.value)
-
-    @cached_property
-    def is_defined(self) -> bool:
-        """True if F and its derivative are finite here."""
-        if not np.isfinite(self.value).all():
-            return False
-        try:
-            self.lcp  # noqa: B018
-        except UndefinedDerivativeError:
-            return False
-        return True
-
-
-class Linearizations:
-    """The latest linearizations of a problem, each of which is computed once.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    """
-
-    REMEMBERED = 3
-
-    def __init__(self, problem: NonlinearProblem) -> None:
-        self.problem = problem
-        self._latest: list[Linearization] = []
-
-    def at(self, x: FloatVector) -> Linearization:
-        """Return the linearization at x, shape (n,)."""
-        for known in self._latest:
-            if np.array_equal(known.x, x):
-                return known
-        self.keep(found := Linearization(self.problem, x))
-        return found
-
-    def keep(self, linearisation: Linearization) -> None:
-        """Store a linearization that was computed elsewhere."""
-        self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
 
 
 def _callable(given: Any, name: str) -> Any:

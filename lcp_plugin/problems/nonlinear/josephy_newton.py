@@ -13,8 +13,7 @@ import scipy.sparse as sp
 
 from ...auto import method_of, plan
 from ...core.algorithm import Algorithm, Step, without_warnings
-from ...core.certificates.criterion import row_data, scaled_residual
-from ...core.certificates.residuals import largest_ratio
+from ...core.certificates.criterion import references_of_components, row_data
 from ...core.checks import FloatVector
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
@@ -25,8 +24,7 @@ from ...core.solving.result import Result
 from ...core.solving.stage import Stage
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import fischer_burmeister
-from .certificate import NonlinearCertificate, Reference
-from .data import Linearization, Linearizations
+from .certificate import Linearization, Linearizations
 
 SUFFICIENT = 1e-4
 SHORTER = 30  # times a step is halved
@@ -36,10 +34,13 @@ SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal s
 FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of the tolerance of the run: a linearization needs no smaller residual
-PATIENCE = 25  # steps without a residual clearly below the residuals of the window before it
+PATIENCE = (
+    25  # steps without a residual clearly below the window before it; after a new start, a window
+)
 WINDOW, GAIN = 12, 0.95  # a jump of the residual may start a long decrease
-RESTARTS, SMALL = 6, 1000  # starts; unknowns, beyond which a new start is too expensive
+RESTARTS, SMALL = 4, 1000  # starts; unknowns, beyond which a new start is too expensive
 PATHS = 2  # of pivots
+NEARLY_THERE = 1e-4  # of the way from the start to x°
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +51,6 @@ class JosephyNewton(Algorithm):
     ----------
     points : Linearizations
         Linearizations of the nonlinear problem.
-    compared_with : Reference
-        Reference of the residuals, which determines the tolerance of the linearizations.
     linear : str or Algorithm
         Algorithm for the linearizations.
     tolerance : float
@@ -76,7 +75,6 @@ class JosephyNewton(Algorithm):
     is_monotone: ClassVar[bool] = False
 
     points: Linearizations = field(repr=False)
-    compared_with: Reference = field(repr=False)
     linear: str | Algorithm = "auto"
     tolerance: float = 0.0
 
@@ -102,7 +100,10 @@ class _NewtonRun:
         self.options, self.first, self.here = options, start, start
         self.recent: deque[Linearization] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
-        self.weights = _weights(start, options.compared_with)
+        self.failures = self.waits = (
+            0  # of linearizations without a solution; steps until the next one is tried
+        )
+        self.weights = _weights(start.lcp)
         self.random = np.random.default_rng(0)
 
     def step(self) -> Step:
@@ -113,7 +114,8 @@ class _NewtonRun:
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
         latest, since = deque([self._progress(self.here)], maxlen=WINDOW), 0
-        while since < PATIENCE and (following := self._next_point()) is not None:
+        patience = WINDOW if self.starts else PATIENCE
+        while since < patience and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
             self.options.points.keep(following)
@@ -125,12 +127,15 @@ class _NewtonRun:
                 return
 
     def _snap(self, point: Linearization) -> Linearization:
-        """Return the point with x° in the components that are nearly there, where x° solves them."""
-        x = self.options.compared_with.snap_to_start(point.lcp, point.x)
+        """Return the point with x° in the components that F(x°) solves, and that x has come near."""
+        origin, data = self.options.points.origin, row_data(point.lcp)
+        with np.errstate(all="ignore"):
+            errors = np.abs(data.residual(origin.x, origin.value))
+            left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
+            is_reached = (data.largest(errors) == 0.0) & (left <= NEARLY_THERE * way)
+        x = np.where(is_reached, origin.x, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
-        return (
-            there if there.is_defined and self._relative(there) <= self._relative(point) else point
-        )
+        return there if there.is_defined and there.residual <= point.residual else point
 
     def start_elsewhere(self, problem: LCP) -> bool:
         """Go to another point of the bounds where F is defined; return whether there is one."""
@@ -153,10 +158,14 @@ class _NewtonRun:
 
     def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
-        if not self._residuals(self.here).any():
+        if not self.here.certificate.residual_ends[1].any():
             return None
-        for shift in SHIFTS:
+        self.waits -= 1
+        for shift in SHIFTS[1:] if self.waits > 0 else SHIFTS:
             target = self._solution(shift)
+            if shift == 0.0:
+                self.failures = self.failures + 1 if target is None else 0
+                self.waits = 2**self.failures - 1
             found = None if target is None else self._search(target, is_newton=shift == 0.0)
             if found is not None or is_over() or self._is_at_floor():
                 return found
@@ -164,21 +173,23 @@ class _NewtonRun:
 
     def _search(self, target: FloatVector, *, is_newton: bool) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
-        here, allowed = self.here, GROWTH * min(map(self._relative, self.recent))
+        here, allowed = self.here, GROWTH * min(point.residual for point in self.recent)
         worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
         for k in range(SHORTER):
             x = target if k == 0 else here.x + 0.5**k * (target - here.x)
             point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
-            if not point.is_defined or np.array_equal(x, here.x):
+            if np.array_equal(x, here.x) or not np.isfinite(point.value).all():
                 continue
-            is_near = is_newton and not k and self._relative(point) <= allowed
-            if is_near or self._merit(point) < least:  # ∞ gains nothing on ∞
+            is_better = self._merit(point) < least  # ∞ gains nothing on ∞
+            if not (is_better or (is_newton and k == 0)) or not point.is_defined:
+                continue
+            if is_better or point.residual <= allowed < math.inf:
                 return point
         return None
 
     def _at(self, x: FloatVector) -> Linearization:
         self.work += 1.0
-        return Linearization(self.options.points.problem, x)
+        return Linearization(self.options.points, x)
 
     # --- what is measured ----------------------------------------------------------------------------------
 
@@ -191,25 +202,20 @@ class _NewtonRun:
         return float(np.linalg.norm(self.weights * phi.value))
 
     def _is_at_floor(self) -> bool:
-        return NonlinearCertificate.at(self.here, self.options.compared_with).is_limited_by_rounding
-
-    @staticmethod
-    def _residuals(point: Linearization) -> FloatVector:
-        """Return ‖r_P‖∞ of each row's component."""
-        residual = scaled_residual(point.lcp, point.x, point.value)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(row_data(point.lcp).largest(np.abs(residual)))
-
-    def _relative(self, point: Linearization) -> float:
-        references = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
-        return largest_ratio(self._residuals(point), references)
+        return self.here.certificate.is_limited_by_rounding
 
     def _progress(self, point: Linearization) -> float:
-        """Return the measure that must fall; small residuals also count relative to terms."""
-        size = self._relative(point)
-        if size > max(self.options.tolerance, SMALLEST_TOLERANCE):
-            return size
-        return NonlinearCertificate.at(point, self.options.compared_with).relative_residual
+        """Return the measure that must fall: residuals and violations, and then the componentwise test.
+
+        Next to a pole only the residual falls, because x_i approaches its bound; if F tends to 0 as x diverges, only
+        the violation falls. Both are in the units of the start.
+        """
+        certificate, scale = point.certificate, self.first.lcp.residual_scale
+        with np.errstate(all="ignore"):
+            sizes = np.maximum(certificate.residual_ends[1], certificate.violation / scale)
+            size = float((self.weights * sizes).max(initial=0.0))
+        is_small = point.residual <= max(self.options.tolerance, SMALLEST_TOLERANCE)
+        return size * min(1.0, certificate.term_residual) if is_small else size
 
     def _solution(self, shift: float) -> FloatVector | None:
         """Return a solution of (M + shift D)(x⁺ − x) + F(x) on the bounds, or None.
@@ -224,7 +230,7 @@ class _NewtonRun:
             lcp = LCP(M, lcp.q, lower=lcp.lower, upper=lcp.upper)
         x = self.here.x
         step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
-        relative = self._relative(self.here)
+        relative = self.here.residual
         enough = (
             max(ENOUGH * self.options.tolerance / relative, SMALLEST_TOLERANCE)
             if relative > 0.0
@@ -247,9 +253,9 @@ class _NewtonRun:
         return np.where(result.z >= step.upper, lcp.upper, target)
 
 
-def _weights(start: Linearization, compared_with: Reference) -> FloatVector:
-    """Return 1/reference of each row's component, shape (n,), or [1.0] for one component."""
-    unit = compared_with.ends(start.lcp, start.x, start.value)[1]
+def _weights(problem: LCP) -> FloatVector:
+    """Return 1/reference of each row's component, shape (n,), or shape (1,) for one component."""
+    unit = references_of_components(problem)[1]
     if unit.size == 1:
         return np.ones(1)
     return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)

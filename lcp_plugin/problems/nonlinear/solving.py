@@ -1,7 +1,8 @@
-"""solve_nonlinear(): Josephy–Newton in the common loop, measured by the residual of F."""
+"""solve_nonlinear(): Josephy–Newton in the common loop, measured by the criterion of LCPs."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,20 +10,23 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...auto import method_of
-from ...core.algorithm import Algorithm
-from ...core.certificates.residuals import Certificate
+from ...core.algorithm import Algorithm, Step
+from ...core.certificates.criterion import row_data
+from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.lcp_run import LCPRun
-from ...core.solving.progress import Callback
+from ...core.solving.advice import NOTHING_TO_DO
+from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result
+from ...core.solving.run import Run
+from ...core.solving.run_log import RunLog
 from ...core.solving.stage import Stage
-from ...core.solving.termination import TerminationReason, TerminationTest
-from .certificate import NonlinearCertificate, Reference
-from .data import Linearization, Linearizations, NonlinearProblem
+from ...core.solving.termination import TerminationReason
+from .certificate import Linearization, Linearizations
+from .data import NonlinearProblem
 from .josephy_newton import JosephyNewton
 
 CHECKED = 2.0**-20, 2.0**-10  # steps
@@ -58,11 +62,9 @@ def solve_nonlinear(
     algorithm : str or Algorithm
         Algorithm for the linear complementarity problem of each step.
     tolerance : float
-        SOLVED means that the measured residual of the returned x is at most this, as for :func:`lcp_plugin.solve`,
-        with F(x) for w and without rescaling of F. The residual of every component is relative to the residual of F at
-        the point of the bounds nearest to 0. This reference is limited to its maximum over all affine F with this
-        derivative. The residual of every row is also relative to the terms of the row
-        (:mod:`lcp_plugin.problems.nonlinear.certificate`).
+        SOLVED means that x passes the criterion of LCPs with this tolerance (:func:`lcp_plugin.solve`), for
+        M = F′(x), q = F(x) − F′(x) x, with F(x) for w and without rescaling of F. Two clauses are added:
+        ``help("lcp_plugin.problems.nonlinear.certificate")``.
     max_iterations : int, default 100 000
         Newton steps.
     max_seconds : float, optional
@@ -132,17 +134,16 @@ def solve_nonlinear(
     with np.errstate(), threads_for(settings.threads):
         points = Linearizations(problem)
         start, begun = begun_at(points, start)
-        reference = Reference.of(problem, start)
         first = points.at(start)
-        newton = JosephyNewton(
-            points=points, compared_with=reference, linear=algorithm, tolerance=settings.goal
-        )
-        test = NonlinearTest(points, reference, first, settings)
-        run = LCPRun(test.problem, newton, settings, callback, clock, start, test)
+        _check_start(first)
+        newton = JosephyNewton(points=points, linear=algorithm, tolerance=settings.goal)
+        with clock.pause():
+            log = RunLog(problem) if settings.verbose else None
+        run = NonlinearRun(points, newton, first, Progress(settings, callback, clock, log))
         try:
             if check_jacobian and problem.jacobian is not None:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            end = run.follow_all([Stage(newton, TANGENTS)])
+            end = run.follow_all([Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, start))])
         except KeyboardInterrupt:
             end = TerminationReason.INTERRUPTED
         return replace(run.result(end), begun=begun)
@@ -163,6 +164,16 @@ def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, s
     return start, ""
 
 
+def _check_start(start: Linearization) -> None:
+    """Raise InvalidProblem if F is not defined at the start."""
+    i = int(np.argmin(np.isfinite(start.value))) if start.value.size else -1
+    if i >= 0 and not np.isfinite(start.value[i]):
+        raise InvalidProblem(
+            f"F must be finite at the start, but F(x0)[{i}] = {start.value[i]} with x0[{i}] = {start.x[i]} after "
+            "projection onto the bounds; start where F is defined, or tighten the bounds"
+        )
+
+
 def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVector:
     if x0 is None:
         if problem.n is None:
@@ -176,42 +187,104 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
         raise InvalidOption(str(error)) from error
 
 
-class NonlinearTest(TerminationTest):
-    """Residuals and certificates of points by F; see :class:`TerminationTest`."""
+WORDS = {
+    Status.SOLVED: "the residual is within the tolerance, as measured on F",
+    Status.PRECISION_LIMIT: (
+        "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
+        "points nearby; next: accept z, or scale F"
+    ),
+    Status.STALLED: (
+        "no step reduces the residual further; z is a stationary point that is no solution, or F has none, is not "
+        "smooth here, or its jacobian is wrong; next: try another start x0"
+    ),
+    Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
+    Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
+    Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
+    Status.INTERRUPTED: Status.INTERRUPTED.value,
+}
 
-    words = {  # noqa: RUF012 - read only
-        Status.SOLVED: "the residual is within the tolerance, as measured on F",
-        Status.PRECISION_LIMIT: (
-            "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
-            "points nearby; next: accept z, or scale F"
-        ),
-        Status.STALLED: (
-            "no step reduces the residual further; z is a stationary point that is no solution, or F has none, is not "
-            "smooth here, or its jacobian is wrong; next: try another start x0"
-        ),
-        Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
-        Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
-        Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
-        Status.INTERRUPTED: Status.INTERRUPTED.value,
-    }
+
+class NonlinearRun(Run):
+    """Run of a nonlinear problem: its points are linearizations, measured by their certificates.
+
+    Parameters
+    ----------
+    points : Linearizations
+    newton : JosephyNewton
+    first : Linearization
+        At the start.
+    progress : Progress
+    """
 
     def __init__(
-        self, points: Linearizations, reference: Reference, start: Linearization, settings: Settings
+        self,
+        points: Linearizations,
+        newton: JosephyNewton,
+        first: Linearization,
+        progress: Progress,
     ) -> None:
-        self.points, self.compared_with = points, reference
-        self.problem, self.user_problem, self.settings = start.lcp, points.problem, settings
-        self.goal = settings.goal
-        self.reference = 1.0  # the certificate divides each component by its reference
+        super().__init__(progress)
+        self.points, self.newton, self.first = points, newton, first
 
-    def certificate_of(self, z: FloatVector) -> Certificate:
-        """Return the certificate of z by F(z) and F′(z)."""
-        if self._latest is None or not np.array_equal(self._latest[0], z):
-            self._latest = z.copy(), NonlinearCertificate.at(self.points.at(z), self.compared_with)
-        return self._latest[1]
+    def measure(self, stage: Stage, step: Step) -> Measured:
+        """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
+        point = self.points.at(step.z)
+        if point.residual <= self.settings.goal:
+            point = self._snap(point)
+        passes = point.certificate.meets(self.settings, power=1.0)  # the active set is known
+        return Measured(point, point.residual, passes)
 
-    def measure(self, z: FloatVector) -> float:
-        """Return the relative residual of z."""
-        return self.certify(z)
+    def _snap(self, point: Linearization) -> Linearization:
+        """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
+        x = row_data(point.lcp).snap_to_bounds(point.x, point.value)
+        if np.array_equal(x, point.x) or not (moved := self.points.at(x)).is_defined:
+            return point
+        meets = [one.certificate.meets(self.settings) for one in (point, moved)]
+        is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
+        return moved if is_no_worse else point
+
+    def end_of(self, stage: Stage, step: Step, found: Measured) -> TerminationReason | None:
+        """Return DIVERGED if a residual is not a number."""
+        return TerminationReason.DIVERGED if math.isnan(found.residual) else None
+
+    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+        """Return the reason."""
+        return end
+
+    def result(self, end: TerminationReason) -> Result:
+        """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
+        progress, settings = self.progress, self.settings
+        point: Linearization = self.first if self.best is None else self.best.z
+        is_interrupted = end is TerminationReason.INTERRUPTED
+        if not is_interrupted:
+            point = self._snap(point)
+        certificate = point.certificate
+        passes = certificate.meets(settings)
+        is_limited = not (passes or is_interrupted) and certificate.is_limited_by_rounding
+        self.best = Measured(point, point.residual, passes, is_limited)
+        stages, status = progress.records(), self.status(end)
+        if passes and progress.iteration == 0:
+            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+        result = Result(
+            z=certificate.z,
+            w=certificate.w,
+            status=status,
+            certificate=certificate,
+            tolerance=settings.tolerance,
+            absolute_tolerance=settings.absolute_tolerance,
+            algorithm=self.newton.name,
+            iterations=max(progress.iteration, 0),
+            work=progress.work,
+            seconds=progress.clock.read(),
+            setup_seconds=progress.setup_seconds,
+            history=tuple(progress.samples),
+            stages=stages,
+            _asked=self.newton,
+            _advice=WORDS,
+        )
+        if progress.log is not None:
+            progress.log.end(result)
+        return result
 
 
 TANGENTS = (

@@ -1,0 +1,141 @@
+"""SOLVED for nonlinear problems: constructed wrong points, affine and curved, and draws checked in fractions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import nonlinear_models as models
+import numpy as np
+import pytest
+from campaigns.small_nonlinear import SHAPES, attacks, curved, has_solution_near
+from constructed_points import CONSTRUCTED, Case
+
+from lcp_plugin import LCP, NonlinearProblem, Status, solve
+
+NO_SUM = [[1, -1, 0], [-1, 1, 0], [1, 0, 1]]  # F₁ + F₂ = −1 for every x with q = (−1, 0, ·)
+CASES = CONSTRUCTED | {
+    f"a contradiction next to 2^{k}": Case(
+        np.array(NO_SUM, float),
+        np.array([-1, 0, -(2.0**k)]),
+        np.zeros(3),
+        np.array([2.0**20, 2.0**20, 2.0**k]),
+        None,
+    )
+    for k in (27, 30, 35, 40)
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", CASES)
+def test_a_constructed_wrong_point_is_not_solved(name: str, shape: str) -> None:
+    """A run from a wrong point or z° ends at the only solution, or not SOLVED, affine or curved."""
+    case = CASES[name]
+    linear = LCP(case.M, case.q, lower=case.lower)
+    problem, z_of, y_of = curved(linear, shape, float(np.abs(case.q).max()))
+    for x0 in (y_of(case.wrong), None):
+        result = solve(problem, x0=x0, max_seconds=20.0)
+        case.judge(z_of(result.z), is_solved=result.is_solved)
+
+
+def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
+    """Next to F₀ = x₀ − 1e4 + 1e5 x₁, a double root is right to 2e-4: F₂ is within 1e-8 of its terms."""
+    problem = NonlinearProblem(
+        lambda x: np.array(
+            [
+                x[0] - 1e4 + 1e5 * x[1],
+                x[1] + x[2] - 2,
+                x[1] + x[2] - 2 + (x[2] - 1) ** 2,
+            ]
+        ),
+        lower=np.zeros(3),
+    )
+    result = solve(problem)
+    if result.is_solved:
+        np.testing.assert_allclose(result.z, [0, 1, 1], atol=2e-4)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_random_small_problems_have_no_false_solution(
+    shape: str, draws: Callable[[int], range]
+) -> None:
+    """No problem with known solutions is SOLVED at a point that is not near a solution."""
+    found: Counter[str] = Counter()
+    texts = []
+    for what, text in attacks(
+        np.random.default_rng([91, SHAPES.index(shape)]), len(draws(200)), shape
+    ):
+        found[what] += 1
+        if what == "false":
+            texts.append(text)
+    assert texts == []
+    assert found["right"] > 0.5 * found.total()
+
+
+# --- right points pass ---------------------------------------------------------------------------------------------
+
+
+A = np.random.default_rng(0).normal(size=(8, 8))
+SPD, OFFSET = A @ A.T / 8, np.random.default_rng(1).normal(size=8)
+RIGHT: dict[str, tuple[Callable[..., Any], int, float, Any]] = {  # F, start, lower, root or None
+    "Kojima, Shindo": (models.kojima_shindo, 4, 0.0, None),
+    "Josephy": (models.josephy, 4, 0.0, None),
+    "exponential": (lambda x: np.array([np.exp(x[0]) - 2, x[1] ** 3 - x[0]]), 2, 0.0, None),
+    "power": (lambda x: x**1.5 + SPD @ x + OFFSET, 8, 0.0, None),
+    "reciprocal": (lambda x: x - 1 / (1 + x) + SPD @ x + OFFSET, 8, 0.0, None),
+    "cube": (lambda x: x**3, 1, -np.inf, 0.0),
+    "cube at a bound": (lambda x: x**3, 1, 0.0, 0.0),
+    "double root": (lambda x: (x - 1) ** 2, 1, -np.inf, 1.0),
+    "double root of two": (lambda x: np.array([(x[0] - 1) ** 2, x[1] - x[0]]), 2, -np.inf, 1.0),
+    "cubic obstacle": (lambda x: 5 * x**3 + SPD @ x + OFFSET, 8, 0.0, None),
+    "tanh": (lambda x: np.tanh(x) - 0.5 + 0.1 * (SPD @ x), 8, 0.0, None),
+    "logarithm": (lambda x: np.log(x + 1e-3) + x, 5, 0.0, None),
+    "square minus 1e-30": (lambda x: x**2 - 1e-30, 1, 0.0, 1e-15),
+    "Nash, Cournot": (models.NASH_5, 5, 1e-3, models.NASH_5_SOLUTION),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_a_right_point_is_solved_and_solved_again(name: str) -> None:
+    """The result is right, and it passes from itself without a step, also with the last bits changed."""
+    F, n, lower, root = RIGHT[name]
+    start = np.full(n, 2.0)
+    jacobian = None if name != "square minus 1e-30" else lambda x: np.diag(2 * x)
+    problem = NonlinearProblem(F, jacobian, np.full(n, lower))
+    result = solve(problem, x0=start)
+    assert result.is_solved
+    if root is not None:
+        np.testing.assert_allclose(result.z, root, rtol=1e-4)
+    rng, is_free = np.random.default_rng(0), result.z != problem.lower
+    for k in range(4):
+        ulps = rng.integers(-1, 2, n) * is_free * (k > 0)
+        again = solve(problem, x0=result.z * (1.0 + ulps * 2.0**-52))
+        assert again.is_solved
+        assert again.iterations == 0
+
+
+@pytest.mark.parametrize(
+    ("F", "jacobian"),
+    [
+        (lambda x: x**2 - 1e-30, lambda x: np.diag(2 * x)),
+        (lambda x: x**2 - 1e-30, None),
+        (lambda x: -((x - 1) ** 2) - 1e-15, None),
+    ],
+)
+def test_a_run_without_a_slope_ends_soon(F: Callable[..., Any], jacobian: Any) -> None:
+    """Near-double roots from 0 end within 400 steps (under a second), right or STALLED."""
+    result = solve(NonlinearProblem(F, jacobian, lower=[0.0]))
+    assert result.iterations <= 400
+    if result.is_solved:
+        assert result.z[0] == pytest.approx(1e-15, rel=1e-4)
+    else:
+        assert result.status is Status.STALLED
+
+
+def test_the_check_of_the_draws_separates_a_solution_from_a_wrong_point() -> None:
+    """The check in fractions accepts (0, 1, 1) and rejects (0, 1.5, .5) in the idle row's problem."""
+    case = CONSTRUCTED["an idle row is not a reference"]
+    linear = LCP(case.M, case.q)
+    assert has_solution_near(linear, case.right)
+    assert not has_solution_near(linear, case.wrong)

@@ -57,8 +57,8 @@ def optimal(
     >>> second = cp.Problem(cp.Maximize(cp.multiply(price - 1, y)))
     >>> best = optimal(first, over=[x])
     >>> _ = cp.Problem(cp.Minimize(0), [best, optimal(second, over=[y])]).solve(method="LCP")
-    >>> x.value.round(6), y.value.round(6), best.dual_value[0].round(6), best.gap() <= 1e-6
-    (array(2.), array(3.5), array(1.5), True)
+    >>> [round(float(value), 6) for value in (x.value, y.value, best.dual_value[0])], best.gap() <= 1e-6
+    ([2.0, 3.5, 1.5], True)
     """
     if not isinstance(program, cp.Problem):
         raise UnsupportedModel(

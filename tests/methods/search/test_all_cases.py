@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,9 @@ def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
-def test_the_status_is_true(n: int) -> None:
+def test_the_status_is_true(n: int, draws: Callable[[int], range]) -> None:
     """SOLVED where there is a solution in exact arithmetic, else a proof that verifies; never neither."""
-    for seed in range(60 if n < 5 else 25):
+    for seed in draws(60 if n < 5 else 25):
         M, q = drawn(seed, n)
         problem = LCP(M, q)
         result = solve(problem)
@@ -50,12 +51,13 @@ def test_planted_problems_are_never_infeasible(n: int) -> None:
             assert result.infeasibility is None
 
 
-def test_random_problems_are_decided() -> None:
-    """Of 200 standard normal 8×8 each is SOLVED or proved to have no solution, and every proof verifies."""
+def test_random_problems_are_decided(draws: Callable[[int], range]) -> None:
+    """Standard normal problems with n = 8 are SOLVED or proved to have no solution, and every proof verifies."""
     rng = np.random.default_rng(7)
-    batch = solve_batch(rng.standard_normal((200, 8, 8)), rng.standard_normal((200, 8)))
+    count = len(draws(200))
+    batch = solve_batch(rng.standard_normal((count, 8, 8)), rng.standard_normal((count, 8)))
     assert set(batch.status) <= {Status.SOLVED, *PROVEN}
-    assert all(batch[k].infeasibility.verify() for k in range(200) if batch.status[k] in PROVEN)
+    assert all(batch[k].infeasibility.verify() for k in range(count) if batch.status[k] in PROVEN)
 
 
 @pytest.mark.few(1)
@@ -72,17 +74,19 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("prove_infeasibility", [True, False])
-def test_a_batch_answers_as_solve_does(prove_infeasibility: bool) -> None:
+def test_a_batch_answers_as_solve_does(
+    prove_infeasibility: bool, draws: Callable[[int], range]
+) -> None:
     """The same status, of boxes and warm starts too."""
-    rng = np.random.default_rng(5)
+    rng, count = np.random.default_rng(5), len(draws(80))
     M, q, upper, z0 = (
-        *(rng.standard_normal(s) for s in ((40, 5, 5), (40, 5))),
-        rng.random((40, 5)),
-        rng.random((40, 5)),
+        *(rng.standard_normal(s) for s in ((count, 5, 5), (count, 5))),
+        rng.random((count, 5)),
+        rng.random((count, 5)),
     )
     for more in ({}, {"upper": upper}, {"upper": upper, "z0": z0}):
         batch = solve_batch(M, q, prove_infeasibility=prove_infeasibility, **more)
-        for k in range(40):
+        for k in range(count):
             bounds = {"upper": upper[k]} if more else {}
             start: Any = z0[k] if "z0" in more else None
             alone = solve(

@@ -82,6 +82,10 @@ class LeastSquaresOptions(Limits, total=False):
     x0: ArrayLike | None
     z0: ArrayLike | None
     max_iterations: int | None
+    record: bool
+    callback: Callable[[Any, Any], Any] | None
+    threads: int | None
+    verbose: bool
 
 
 class EquilibriumOptions(Limits, total=False):

@@ -6,22 +6,29 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.algorithm import Step
 from ...core.checks import FloatVector, read_only, restore_state
-from ...core.deadline import Clock, OutOfTimeError, is_over, time_limit
-from ...core.settings import Settings, Status
+from ...core.deadline import Clock, OutOfTimeError, is_over
+from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.base_result import NEXT, BaseResult
+from ...core.solving.progress import Progress
+from ...core.solving.result import Sample, StageRecord
+from ...core.solving.run import STATUS_OF, Callback, Run
+from ...core.solving.run_log import RunLog, say
+from ...core.solving.stage import Stage
+from ...core.solving.termination import FAILED, TerminationReason
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
 from .engines import engine_points, is_for_nnls, is_within_reach, nnls_point
 from .steps import FacePoint, projected_steps
 
+START = "start"  # instead of a method, if the start is optimal
 NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last such steepness
 PATIENCE = (
     0.05  # projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
@@ -37,6 +44,10 @@ def solve_least_squares(
     tolerance: float = 1e-8,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
+    record: bool = False,
+    callback: Callback | None = None,
+    threads: int | None = None,
+    verbose: bool = False,
 ) -> LeastSquaresResult:
     """Minimize ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x| over lower ≤ x ≤ upper.
 
@@ -52,6 +63,8 @@ def solve_least_squares(
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, obeyed at the end of the current step; a run of PIQP is one step.
+    record, callback, threads, verbose
+        As for :func:`lcp_plugin.solve`; all loops run in BLAS or scipy, which `threads` does not change.
 
     Returns
     -------
@@ -77,33 +90,65 @@ def solve_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    clock = Clock()
-    settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
-    run = LeastSquaresRun(
-        problem, settings, None if x0 is None else problem.checked_start(x0), clock
+    settings = Settings(
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        max_seconds=max_seconds,
+        record=record,
+        threads=threads,
+        verbose=verbose,
     )
+    log = RunLog(problem) if settings.verbose else None
+    progress = Progress(settings, checked_callback(callback), Clock(), log)
+    start = None if x0 is None else problem.checked_start(x0)
+    run = LeastSquaresRun(problem, progress, start)
     with np.errstate(all="ignore"):
-        return run.result(run.status())
+        result: LeastSquaresResult = run.solve(run.plan())
+    if settings.verbose:
+        say(f"{result.status.name}: {result.advice}")
+    return result
 
 
-class LeastSquaresRun:
-    """Run that counts steps and certifies promising points."""
+class Solver(NamedTuple):
+    """Name of a method of a run."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Certified point of a run, as the loop compares it."""
+
+    optimality: Optimality
+    passes: bool
+
+    @property
+    def residual(self) -> float:
+        """The number that is at most the tolerance for SOLVED."""
+        return self.optimality.value
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether the gradient is at rounding level."""
+        return self.optimality.is_at_rounding_level
+
+
+class LeastSquaresRun(Run):
+    """Run that certifies points of external solvers, and the projected steps that may be optimal.
+
+    z of a step is the scaled x, or the FacePoint of a projected step, whose residual is the measure of the step; z is
+    not scaled at the start of the run, whose residual is ∞, and if the step is measured.
+    """
 
     def __init__(
-        self,
-        problem: BoundedLeastSquares,
-        settings: Settings,
-        start: FloatVector | None,
-        clock: Clock,
+        self, problem: BoundedLeastSquares, progress: Progress, start: FloatVector | None
     ) -> None:
-        self.problem, self.settings, self.clock = problem, settings, clock
+        super().__init__(progress)
+        self.problem, self.start = problem, start
         self.enclosures = Enclosures(problem)
         if start is not None:
             self.enclosures.known.append(start)
-        self.start = start
-        self.best: Optimality | None = None
-        self.algorithm, self.steps = "start", 0
-        self._smallest = np.inf
+        self.aim = self.settings.tolerance
 
     @cached_property
     def nearest(self) -> FloatVector:
@@ -112,115 +157,154 @@ class LeastSquaresRun:
         begin = scaled.nearest_to_zero if self.start is None else scaled.from_caller(self.start)
         return np.clip(begin, scaled.lower, scaled.upper)
 
-    def status(self) -> Status:
-        """Take steps until the problem is solved, a limit is reached, or no step remains; return the reason."""
-        limit = self.settings.max_seconds
-        try:
-            with time_limit(
-                math.inf if limit is None else limit - self.clock.read(), is_enforced=True
-            ):
-                return self._status()
-        except OutOfTimeError:
-            return Status.MAX_SECONDS
-        except KeyboardInterrupt:
-            return Status.INTERRUPTED
+    # --- the loop -----------------------------------------------------------------------------------------
 
-    def _status(self) -> Status:
+    def steps_of(self, stage: Stage) -> Iterator[Step]:
+        """Yield the start of the run without a measure, then the steps of the stage, while there is time."""
+        if self.progress.iteration < 0:
+            start = self.problem.nearest_to_zero if self.start is None else self.start
+            yield Step(start, math.inf, work=0.0, iterations=0)
+        for step in stage.steps:
+            if is_over():
+                raise OutOfTimeError
+            yield step
+
+    def measure(self, stage: Stage, step: Step) -> Judged | None:
+        """Return the certified point of a step; None for a projected step that is not much nearer than the last one."""
+        if step.measured is not None:
+            return step.measured  # type: ignore[no-any-return]
+        if step.residual is None:
+            self.nearest = step.z
+        else:
+            if not step.residual <= self.aim:
+                return None
+            self.aim = NARROWER * step.residual
+        return self.certify(self._scaled_x(step))
+
+    def certify(self, x: FloatVector, tolerance: float | None = None) -> Judged:
+        """Return the certified point of a scaled x."""
+        return self.judge(self.problem.scaled.to_caller(x), tolerance)
+
+    def judge(self, x: FloatVector, tolerance: float | None = None) -> Judged:
+        """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
+        goal = self.settings.tolerance
+        found = Optimality.of(
+            self.enclosures, x, tolerance=goal if tolerance is None else tolerance
+        )
+        return Judged(found, found.meets(goal))
+
+    def keep(self, found: Judged) -> None:
+        """Keep a point that passes, or whose gap is smaller than the best one, then its cost."""
+        new, best = found.optimality, self.best and self.best.optimality
+        if best is None or found.passes or (new.value, new.cost) < (best.value, best.cost):
+            self.best = found
+
+    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+        """Return the reason; external solvers may improve a point at rounding level."""
+        is_solved = end in FAILED and self.best is not None and self.best.passes
+        return TerminationReason.CONVERGED if is_solved else end
+
+    @staticmethod
+    def _scaled_x(step: Step) -> FloatVector:
+        return step.z.x if isinstance(step.z, FacePoint) else step.z
+
+    def shown(self, step: Step) -> FloatVector:
+        """Return the x of a step."""
+        if step.measured is not None or step.residual == math.inf:
+            return read_only(step.z)
+        return read_only(self.problem.scaled.to_caller(self._scaled_x(step)))
+
+    def status(self, end: TerminationReason) -> Status:
+        """Return the status; a limit precedes the rounding level, because further steps may improve the point."""
+        if not self.best.passes and end in STATUS_OF:
+            return STATUS_OF[end]
+        return super().status(end)
+
+    def result(self, end: TerminationReason) -> LeastSquaresResult:
+        """Return the result of the run with its best point."""
+        is_short = end in (TerminationReason.TIME_LIMIT, TerminationReason.INTERRUPTED)
+        if self.best is None or (not self.best.passes and end in STATUS_OF):
+            self.keep(self.certify(self.nearest, math.inf if is_short else None))
+        progress = self.progress
+        ran = [stage for stage in progress.records() if stage.iterations]
+        name = ", ".join(dict.fromkeys(stage.name for stage in ran)) or START
+        return LeastSquaresResult.at(
+            self.best.optimality,
+            self.status(end),
+            max(progress.iteration, 0),
+            name,
+            progress.clock.read(),
+            self.settings.tolerance,
+            tuple(progress.samples),
+            tuple(ran),
+        )
+
+    # --- the plan -----------------------------------------------------------------------------------------
+
+    def plan(self) -> Iterator[Stage]:
+        """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
+        problem, most = self.problem, self.settings.max_iterations
         if self._may_begin_with_nnls:
-            self.steps, self.algorithm = 1, "nnls"
-            if self._is_solution(nnls_point(self.problem)):
-                return Status.SOLVED
-            self.steps, self.algorithm = 0, "start"
-        is_at_rest = not FacePoint(self.problem.scaled, self.nearest).natural_residual.any()
-        if (self.start is not None or is_at_rest) and self._is_certified(self.nearest):
-            return Status.SOLVED
-        for point in chain.from_iterable(self._stages()):
-            _require_time()
-            if self._is_certified(point):
-                return Status.SOLVED
-        if self.steps >= self.settings.max_iterations:
-            return Status.MAX_ITERATIONS
-        is_at_rounding_level = self.best is not None and self.best.is_at_rounding_level
-        return Status.PRECISION_LIMIT if is_at_rounding_level else Status.STALLED
+            yield Stage(Solver("nnls"), "one bound per column", steps=self._nnls_step())
+        is_at_rest = not FacePoint(problem.scaled, self.nearest).natural_residual.any()
+        if self.start is not None or is_at_rest:
+            yield Stage(Solver(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
+        few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
+        if not problem.is_small:
+            yield self._projected(few if problem.has_entries else most)
+        if not problem.has_entries:
+            return
+        if is_within_reach(problem.scaled):
+            yield Stage(Solver("external solvers"), "A is factorized", steps=self._engine_steps())
+        else:
+            yield self._projected(most)
 
     @property
     def _may_begin_with_nnls(self) -> bool:
         """Whether nnls may solve the unscaled problem: with weights, units of rows and columns must not matter."""
-        is_plain = self.start is None and self.problem.weights is None
-        return is_plain and self.settings.max_iterations > 0 and is_for_nnls(self.problem)
+        return self.start is None and self.problem.weights is None and is_for_nnls(self.problem)
 
-    def _stages(self) -> Iterator[Iterator[FloatVector]]:
-        """Yield projected steps, as many as cost about as much as PIQP, and engines; only engines if A is small."""
-        problem, most = self.problem, self.settings.max_iterations
-        few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
-        if not problem.is_small:
-            yield self._projected_points(few if problem.has_entries else most)
-        if problem.has_entries:
-            is_direct = is_within_reach(problem.scaled)
-            yield self._engine_points() if is_direct else self._projected_points(most)
+    def _nnls_step(self) -> Iterator[Step]:
+        found = self.judge(nnls_point(self.problem))
+        yield Step(found.optimality.x, iterations=1, measured=found)
 
-    def _engine_points(self) -> Iterator[FloatVector]:
-        """Yield points by lstsq, nnls and PIQP; a point is a step."""
-        points = engine_points(self.problem.scaled)
-        while self.steps < self.settings.max_iterations:
-            _require_time()
-            if (found := next(points, None)) is None:
-                return
-            self.steps += 1
-            self.algorithm, self.nearest = found
-            yield self.nearest
+    def _engine_steps(self) -> Iterator[Step]:
+        """Yield points by lstsq, nnls and PIQP; a point is an iteration."""
+        for name, x in engine_points(self.problem.scaled):
+            yield Step(x, label=name, iterations=1)
 
-    def _projected_points(self, most: int) -> Iterator[FloatVector]:
-        """Yield possibly optimal points of the projected steps, the point closest to optimality at the end."""
-        self.algorithm, aim = "projected gradients", self.settings.tolerance
-        since, before = 0, np.inf
-        start = FacePoint(self.problem.scaled, self.nearest)
-        for point in projected_steps(start):
-            _require_time()
-            if self.steps >= min(most, self.settings.max_iterations):
+    def _size_at(self, point: FacePoint) -> float:
+        """Return the measure of a projected step, relative to the gradient of the data."""
+        size = point.size_of_residual * point.problem.size
+        return size / self.enclosures.reference if size > 0.0 else 0.0
+
+    def residual_of(self, step: Step) -> float:
+        """Return the measure of a step for a sample."""
+        is_start = step.residual == math.inf
+        point = FacePoint(self.problem.scaled, self.nearest) if is_start else None
+        return super().residual_of(step) if point is None else self._size_at(point)
+
+    def _projected(self, most: int) -> Stage:
+        because = "products with A and Aᵀ"
+        return Stage(Solver("projected gradients"), because, steps=self._projected_steps(most))
+
+    def _projected_steps(self, most: int) -> Iterator[Step]:
+        """Yield projected steps while their measure falls, then the point closest to optimality."""
+        since, before = 0, math.inf
+        smallest = math.inf
+        for k, point in enumerate(projected_steps(FacePoint(self.problem.scaled, self.nearest))):
+            size = self._size_at(point)
+            if not smallest <= size:
+                self.nearest, smallest = point.x, size
+            at: Any = point
+            yield Step(at, size, work=2.0, iterations=min(k, 1))
+            if k >= most:
                 break
-            self.steps += 1
-            size = point.size_of_residual * point.problem.size
-            size = size / self.enclosures.reference if size > 0.0 else 0.0
-            if not self._smallest <= size:
-                self.nearest, self._smallest = point.x, size
-            if size <= aim:
-                aim = NARROWER * size
-                yield point.x
-            if self.steps - since >= max(WINDOW, since // 2):
-                if self._smallest >= 0.99 * before:
+            if k - since >= max(WINDOW, since // 2):
+                if smallest >= 0.99 * before:
                     break
-                since, before = self.steps, self._smallest
-        yield self.nearest
-
-    def _is_certified(self, x: FloatVector, tolerance: float | None = None) -> bool:
-        """Certify a scaled x, and store the best x; return whether this x is SOLVED."""
-        return self._is_solution(self.problem.scaled.to_caller(x), tolerance)
-
-    def _is_solution(self, x: FloatVector, tolerance: float | None = None) -> bool:
-        """Certify an x within the bounds, and store the best x; return whether this x is SOLVED."""
-        goal = self.settings.tolerance
-        judged = Optimality.of(
-            self.enclosures, x, tolerance=goal if tolerance is None else tolerance
-        )
-        is_solved = judged.meets(goal)
-        best = self.best
-        if best is None or is_solved or (judged.value, judged.cost) < (best.value, best.cost):
-            self.best = judged
-        return is_solved
-
-    def result(self, status: Status) -> LeastSquaresResult:
-        """Return the result of the run with its best point."""
-        if self.best is None or status in (Status.MAX_SECONDS, Status.INTERRUPTED):
-            self._is_certified(self.nearest, np.inf)
-        best: Any = self.best
-        run = self.steps, self.algorithm, self.clock.read(), self.settings.tolerance
-        return LeastSquaresResult.at(best, status, *run)
-
-
-def _require_time() -> None:
-    if is_over():
-        raise OutOfTimeError
+                since, before = k, smallest
+        yield Step(self.nearest, work=0.0, iterations=0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -248,7 +332,7 @@ class LeastSquaresResult(BaseResult):
     nit : int
         Number of steps: of about a product with A and one with Aᵀ, or a point of lstsq, nnls or PIQP.
     algorithm : str
-        "lstsq", "nnls", "piqp", "projected gradients", or "start" if the start is optimal.
+        The methods that ran, in order: "projected gradients", "lstsq", "nnls", "piqp"; "start" if the start is optimal.
     seconds : float
         Wall-clock seconds of the run.
     tolerance : float
@@ -258,6 +342,10 @@ class LeastSquaresResult(BaseResult):
         estimates.
     problem : BoundedLeastSquares
         The data.
+    history : tuple of Sample
+        Samples of a run with ``record=True``.
+    stages : tuple of StageRecord
+        The methods that ran.
     """
 
     x: FloatVector
@@ -273,6 +361,8 @@ class LeastSquaresResult(BaseResult):
     is_proved: bool
     problem: BoundedLeastSquares = field(repr=False)
     _dual: FloatVector = field(repr=False)
+    history: tuple[Sample, ...] = field(default=(), repr=False)
+    stages: tuple[StageRecord, ...] = field(default=(), repr=False)
 
     __setstate__ = restore_state
 
@@ -285,6 +375,8 @@ class LeastSquaresResult(BaseResult):
         algorithm: str,
         seconds: float,
         tolerance: float,
+        history: tuple[Sample, ...] = (),
+        stages: tuple[StageRecord, ...] = (),
     ) -> LeastSquaresResult:
         """Return the result at a measured point."""
         problem, x = judged.enclosures.problem, judged.x
@@ -305,6 +397,8 @@ class LeastSquaresResult(BaseResult):
             is_proved=problem.has_entries,
             problem=problem,
             _dual=judged.dual,
+            history=history,
+            stages=stages,
         )
 
     @cached_property

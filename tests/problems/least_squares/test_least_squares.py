@@ -600,3 +600,45 @@ def test_a_vandermonde_matrix_is_solved() -> None:
     A = np.vander(np.linspace(0.0, 1.0, 120), 12)
     result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
     np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", ["small", "large", "operator"])
+def test_watched_run_is_the_same_run_and_callback_may_end_it(
+    size: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Callback, record and verbose change no bit; the callback receives points within the bounds and ends the run."""
+    A, b, upper, _ = planted(of_condition(*((20, 10) if size == "small" else (1500, 700)), 10.0))
+    problem = BoundedLeastSquares(aslinearoperator(A) if size == "operator" else A, b, upper=upper)
+    plain = solve(problem)
+    seen: list[Any] = []
+    watched = solve(
+        problem, record=True, verbose=True, callback=lambda sample, x: seen.append((sample, x))
+    )
+    assert np.array_equal(plain.x, watched.x)
+    assert (plain.nit, plain.algorithm) == (watched.nit, watched.algorithm)
+    assert [sample.iteration for sample, _ in seen][-1] == watched.nit
+    assert all(((x >= 0.0) & (x <= problem.upper)).all() for _, x in seen)
+    assert np.array_equal(seen[-1][1], watched.x) or size != "small"
+    assert watched.history[-1].iteration == watched.nit
+    assert sum(stage.iterations for stage in watched.stages) == watched.nit
+    assert "SOLVED" in capsys.readouterr().out
+    ended = solve(problem, callback=lambda sample, x: True)
+    assert ended.status is Status.INTERRUPTED
+    assert ended.nit == 0
+    assert np.isfinite(ended.x).all()
+    with pytest.raises(InvalidOption):
+        solve(problem, threads=0)
+
+
+def test_label_names_the_methods_that_ran() -> None:
+    """Projected gradients and then an external solver are both named, with their iterations."""
+    n, rng = 600, np.random.default_rng(0)
+    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    A = sp.csr_array(sp.block_array([[sp.eye_array(n), None], [D, -sp.eye_array(n - 2)]]))
+    b = np.append(rng.standard_normal(n), np.zeros(n - 2))
+    weights = np.append(np.ones(n), np.full(n - 2, 1e4))
+    l1 = np.append(np.zeros(n), np.full(n - 2, 5.0))
+    result = solve(BoundedLeastSquares(A, b, lower=-INF, weights=weights, l1=l1)).require_solved()
+    assert result.algorithm == "projected gradients, piqp"
+    assert [stage.name for stage in result.stages] == ["projected gradients", "piqp"]
+    assert result.nit == sum(stage.iterations for stage in result.stages)

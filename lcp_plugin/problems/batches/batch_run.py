@@ -160,17 +160,17 @@ class BatchRun:
             options = {**self.asked.options, "max_seconds": 0.0}
             found = self._solved(k, self.problems.start(k), options)
             return replace(found, status=self.status[k])
-        z, iterations = self.z[k][: problem.n], int(self.iterations[k])
-        share = self.seconds / len(self.status)
-        if isinstance(problem, LCP):
-            stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
-            return Result.at(problem, read_only(z), stage, self.settings, share)
+        share, iterations = self.seconds / len(self.status), int(self.iterations[k])
         if isinstance(problem, BoundedLeastSquares):
             tolerance = self.settings.tolerance
             with np.errstate(all="ignore"):
                 point = Optimality.of(Enclosures(problem), self.z[k], tolerance=tolerance)
                 found = (Status.SOLVED, iterations, "normal equations", share, tolerance)
                 return LeastSquaresResult.at(point, *found)
+        z = self.z[k][: problem.n]
+        if isinstance(problem, LCP):
+            stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
+            return Result.at(problem, read_only(z), stage, self.settings, share)
         found = self._solved(k, z, self.asked.options)
         return replace(found, iterations=iterations, seconds=share)
 

@@ -187,6 +187,7 @@ class QuadraticProgramBatch:
         made.count, made.sizes = len(made.vectors["c"]), program.matrices.sizes
         made._shared, made._given, made._is_symmetric = program, None, True
         made.P, made.G, made.A = program.P, program.G, program.A
+        made.constant = np.array(program.constant)
         return made
 
     @property

@@ -163,6 +163,9 @@ def test_one_program_takes_an_array_of_costs() -> None:
         assert results.all_solved
         assert np.array_equal(results.x, by_name.x)
         assert np.array_equal(results[5].x, results.x[5])
+    shifted = QuadraticProgram(np.eye(4), C[0], lower=0.0, constant=7.0)
+    alone = [solve(shifted.with_vectors(c)).objective for c in C]
+    np.testing.assert_allclose(solve_batch(shifted, C).objective, alone, rtol=1e-9)
     C[2, 0] = np.nan
     assert set(solve_batch(program, C).errors) == {2}
     with pytest.raises(InvalidProblem, match="give its transpose"):

@@ -13,6 +13,8 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
 - The rounding error of F_i/d_i is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two contradictory rows
   become zero by rounding as x diverges.
 
+A point whose multiplier diverges, as at a cusp of the constraints, passes if all rows are zero up to rounding there.
+
 2⁻⁵² T_i bounds the rounding error of F_i. If this bound is too large, the error is measured: F is evaluated at a few
 points so close to x that its curvature is negligible, and F(x + δ) − F(x) − F′(x) δ is then rounding error.
 """

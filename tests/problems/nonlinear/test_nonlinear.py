@@ -349,14 +349,11 @@ def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobia
 
     result = solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None), x0)
     assert result.status is Status.STALLED
-    for e in (
-        1e-7,
-        1e-9,
-        1e-12,
-    ):  # a limit of the criterion: F is zero here up to 1e-7 of its terms
+    # A limit of the criterion: the point at e = 1e-7 passes, farther out the rounding errors of F are too large.
+    for e, passes in ((1e-7, True), (1e-9, False), (1e-12, False)):
         x = np.array([1 - e, 0.0, 2 * (1 + e) / (3 * e**2)])
-        assert np.abs(np.minimum(x, F(x))).max() <= 1e-6
-        assert solve_nonlinear(NonlinearProblem(F, jacobian), x, max_iterations=0).is_solved
+        found = solve_nonlinear(NonlinearProblem(F, jacobian), x, max_iterations=0)
+        assert found.is_solved is passes
 
 
 @pytest.mark.parametrize("none", [1e20, 9.999999999999999e19, 1e300])

@@ -287,7 +287,7 @@ def solve_lcp(
         found = first_candidate(problem, start, settings.tolerance)
         if found is not None:
             z, label, work = found
-            stage = StageRecord(label, GUESSED, 1, work + 1.0)  # the point is measured
+            stage = StageRecord(label, GUESSED, 1, work)
             return Result.at(problem, z, stage, settings, clock.read())
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate():

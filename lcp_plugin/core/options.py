@@ -3,8 +3,8 @@
 :func:`lcp_plugin.solve` describes the options. Options of a named algorithm, for example ``relaxation``, are in
 `AlgorithmOptions`. An engine, as ``piqp``, takes its own options in addition.
 
->>> sorted(LeastSquaresOptions.__annotations__)[:3]
-['max_iterations', 'max_seconds', 'tolerance']
+>>> sorted(Limits.__annotations__)
+['max_seconds', 'tolerance']
 """
 
 from __future__ import annotations

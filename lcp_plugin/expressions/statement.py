@@ -143,6 +143,8 @@ class Statement:
         Unknowns that are integers.
     """
 
+    other_way = ""  # of the language of the model, to give an unknown a condition
+
     def __init__(
         self,
         compiler: Compiler,
@@ -285,7 +287,7 @@ class Statement:
                 "the equation a free multiplier, a variable in the rows of the pairs"
             )
         elif names:
-            way_out = "; give these a pair or an equation, or list them in over=[…] of an agent"
+            way_out = f"; give these a pair or an equation{self.other_way}"
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         return (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
             f"the model has {format_count(equations, 'equation')}{counted} and "

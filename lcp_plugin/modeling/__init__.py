@@ -100,8 +100,8 @@ make by itself, ``best.dual_value`` has the dual values of the program's constra
 ...     optimal(cp.Problem(cp.Maximize(cp.multiply(10 - x - y, own) - own)), over=[own]) for own in (x, y)
 ... ]
 >>> _ = cp.Problem(cp.Minimize(0), firms).solve(method="LCP")
->>> x.value.round(6), y.value.round(6), max(one.gap() for one in firms) <= 1e-6
-(array(3.), array(3.), True)
+>>> round(float(x.value), 6), round(float(y.value), 6), max(one.gap() for one in firms) <= 1e-6
+(3.0, 3.0, True)
 
 **Convex quadratic and linear programs**: ``solver=lcp_plugin.QPSolver``, or ``method="LCP"``; dual values included.
 

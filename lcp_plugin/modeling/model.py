@@ -116,6 +116,7 @@ class Model:
         # No reference to the model, which is freed at once then: a cycle waits for the collector.
         name = partial(_name_of, self.variables, self.spans)
         self.statement = Statement(self.reader.compiler, first, lower, upper, name)
+        self.statement.other_way = ", or list them in over=[…] of an agent"
         self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
         self.agents: list[Any] = []

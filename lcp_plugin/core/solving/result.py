@@ -152,7 +152,7 @@ class Result(BaseResult):
             certificate=Certificate(problem, z),
             algorithm=f"auto: {stage.name}",
             iterations=stage.iterations,
-            work=stage.work,
+            work=stage.work + 1.0,  # of the measurement
             seconds=seconds,
             setup_seconds=0.0,
             tolerance=settings.tolerance,

@@ -345,7 +345,7 @@ class PyomosOwn(_PyomosForms):  # type: ignore[misc]
         assert campaign.picture(model) == before
 
 
-OPEN = "it needs as many equations as such unknowns"
+OPEN = "it needs as many equations as such unknowns; give these a pair or an equation"
 FORMS = {
     **dict.fromkeys(("t1a", "t1b", "t1c", "t2a", "t2b", "t3a", "t3b", "t11", "t12"), OPEN),
     **dict.fromkeys(("t4a", "t4b", "t4c", "t4d", "t9", "cov2", "cov4", "cov8", "cov9"), "optimal"),

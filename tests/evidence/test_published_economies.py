@@ -98,7 +98,8 @@ def test_a_bearing_whose_oil_thickens_under_pressure() -> None:
     pair = complements(p >= 0, A @ ((1 - cp.exp(-alpha * p)) / alpha) + load >= 0)
     problem = cp.Problem(cp.Minimize(0), [pair])
     p.value = np.zeros(n)
-    problem.solve(method="LCP", tolerance=1e-12)
+    # Rounding errors of F are 1e-12 of the reference: no tolerance below them can be met.
+    problem.solve(method="LCP", tolerance=1e-10)
     assert problem.status == "optimal"
-    np.testing.assert_allclose(p.value, -np.log1p(-alpha * linear.z) / alpha, atol=1e-8)
+    np.testing.assert_allclose(p.value, -np.log1p(-alpha * linear.z) / alpha, atol=1e-10)
     assert 0.2 < np.mean(p.value == 0.0) < 0.7  # cavitation

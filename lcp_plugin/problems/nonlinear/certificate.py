@@ -37,13 +37,14 @@ from ...core.certificates.criterion import (
 )
 from ...core.certificates.residuals import Certificate
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.kernels.floats import EPSILON, NEGLIGIBLE
+from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.settings import Settings
 from .data import NonlinearProblem, UndefinedDerivativeError
 
 # Shares of the step to the projected point: a derivative that is wrong by a half explains no residual.
 NEARBY = 2.0**-6 / np.arange(1, 5)
+ASIDE = 2.0**-30  # of x_i: the least distance; 1 − e⁻ˣ must round differently there, for small x
 PRECISION = 1e-8  # of the reference: smaller rounding errors of F do not count, for any tolerance
 
 
@@ -118,12 +119,12 @@ class NonlinearCertificate(Certificate):
         """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
 
         The estimate is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step to
-        the projected point, or of 2⁻⁴² x if that is larger.
+        the projected point, or of 2⁻³⁰ x if that is larger.
         """
         problem, x = self.problem, self.z
         with np.errstate(all="ignore"):
             step = -scaled_residual(problem, x, self.value)
-            step = np.copysign(np.maximum(np.abs(step), NEGLIGIBLE * np.abs(x)), step)
+            step = np.copysign(np.maximum(np.abs(step), ASIDE * np.abs(x)), step)
             errors = []
             for share in NEARBY:
                 near = np.clip(x + share * step, problem.lower, problem.upper)

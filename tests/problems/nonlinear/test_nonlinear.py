@@ -523,6 +523,19 @@ def test_rounding_in_f_is_a_precision_limit() -> None:
     assert solve_nonlinear(wrong, [3.0], check_jacobian=False).status is not Status.PRECISION_LIMIT
 
 
+def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_limit() -> None:
+    """1 − e⁻ˣ has rounding errors of 2⁻⁵⁴, and x is small: no point has a measured residual of 1e-15."""
+    n = 100
+    A = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    load = -np.sin(np.linspace(0, 2 * np.pi, n + 2)[1:-1]) / 2 / (n + 1) ** 2
+    problem = NonlinearProblem(
+        lambda x: A @ (1 - np.exp(-x)) + load, lambda x: A * np.exp(-x), np.zeros(n)
+    )
+    result = solve_nonlinear(problem, tolerance=1e-15)
+    assert result.status is Status.PRECISION_LIMIT
+    np.testing.assert_allclose(result.z, -np.log1p(-solve(LCP(A, load)).z), atol=1e-8)
+
+
 def test_limits_record_and_callback() -> None:
     """The options max_iterations, max_seconds, callback and record work as in solve."""
     problem, start, _ = models.scarf()

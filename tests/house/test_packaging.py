@@ -178,9 +178,5 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"',
         'python -m pytest --full -n 2 "${strict[@]}"',
-        "python tests/on_other_machines.py --numeric --only Haswell --only Sandybridge --only Prescott "
-        '--only emulated --only "two threads"',
-        "python tests/run_on_cvxpy_versions.py oldest",
-        "python tests/run_on_cvxpy_versions.py --python newest newest",
         "python -m sphinx -q -W -c examples/manual examples site",
     ]

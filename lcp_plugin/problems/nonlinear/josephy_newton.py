@@ -34,9 +34,7 @@ SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal s
 FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of the tolerance of the run: a linearization needs no smaller residual
-PATIENCE = (
-    25  # steps without a residual clearly below the window before it; after a new start, a window
-)
+PATIENCE = 25  # steps without a residual clearly below the residuals of the window before it
 WINDOW, GAIN = 12, 0.95  # a jump of the residual may start a long decrease
 RESTARTS, SMALL = 4, 1000  # starts; unknowns, beyond which a new start is too expensive
 PATHS = 2  # of pivots
@@ -114,8 +112,7 @@ class _NewtonRun:
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
         latest, since = deque([self._progress(self.here)], maxlen=WINDOW), 0
-        patience = WINDOW if self.starts else PATIENCE
-        while since < patience and (following := self._next_point()) is not None:
+        while since < PATIENCE and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
             self.options.points.keep(following)

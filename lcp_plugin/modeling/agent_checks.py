@@ -33,7 +33,7 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
     """
     agents = [one for one in constraints if isinstance(one, Optimal)]
     found = [one for one in constraints if not isinstance(one, Optimal)]
-    if not all(agent.is_checked for agent in agents):
+    if any(agent.checked_for != agent.parameter_values() for agent in agents):
         _check(agents, found)
     shared: set[int] = set()
     for agent in agents:
@@ -58,9 +58,9 @@ def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
     programs = [agent.program for agent in agents]
     rules = Convexity([*others, *programs, *(row for one in programs for row in one.constraints)])
     for agent in agents:
-        if not agent.is_checked:
+        if agent.checked_for != agent.parameter_values():
             _check_program(agent, rules)
-            agent.is_checked = True
+            agent.checked_for = agent.parameter_values()
     for one in {row.id: row for program in programs for row in program.constraints}.values():
         if any(one.id in agent.shared for agent in agents):
             _check_shared(one, agents, rules)

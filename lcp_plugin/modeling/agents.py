@@ -126,7 +126,8 @@ class Optimal(Condition):
         self, program: Any, decisions: Sequence[Any], shared: frozenset[int], check: str
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
-        self.entries, self.is_checked = [entries_of(one) for one in decisions], False
+        self.entries = [entries_of(one) for one in decisions]
+        self.checked_for: list[bytes] | None = None  # parameters with which convexity was checked
         rows = [one for row in program.constraints for one in row.args]
         super().__init__([program.objective.args[0], *rows, *decisions])
 
@@ -142,6 +143,10 @@ class Optimal(Condition):
         """Return the variables of the program, the multipliers and the variables of epigraphs."""
         conditions = [one for pair in self.conditions.pairs for one in pair.variables()]
         return list({one.id: one for one in (*super().variables(), *conditions)}.values())
+
+    def parameter_values(self) -> list[bytes]:
+        """Return the values of the program's parameters, which decide whether it is convex."""
+        return [np.asarray(one.value).tobytes() for one in self.program.parameters()]
 
     @cached_property
     def conditions(self) -> AgentProgram:

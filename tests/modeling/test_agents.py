@@ -671,3 +671,15 @@ def test_cvxpy_names_the_call_that_solves_agents() -> None:
     assert not problem.is_dcp()
     with pytest.raises(cp.error.DCPError, match='method="LCP"'):
         problem.solve()
+
+
+def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve() -> None:
+    """Min c x² + x/10 is convex for c = 1; with c = −1 the same model issues the warning of a new one."""
+    c, x = cp.Parameter(value=1.0), cp.Variable(bounds=[-1, 1])
+    best = optimal(cp.Problem(cp.Minimize(c * cp.square(x) + 0.1 * x)), over=[x])
+    problem = cp.Problem(cp.Minimize(0), [best])
+    problem.solve(method="LCP")
+    assert float(x.value) == pytest.approx(-0.05, abs=1e-6)
+    c.value = -1.0
+    with pytest.warns(ModelWarning, match="only necessary"):
+        problem.solve(method="LCP")

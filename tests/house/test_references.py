@@ -42,7 +42,7 @@ def resolve(target: str) -> object:
             if not target.startswith(str(error.name)):
                 return f"{error.name} is not installed"
             continue
-        except InvalidOption as error:  # the modules of MPI ranks say so when mpi4py is missing
+        except InvalidOption as error:  # MPI ranks without mpi4py
             return str(error)
         for name in parts[count:]:
             fields = getattr(found, "__dataclass_fields__", {})

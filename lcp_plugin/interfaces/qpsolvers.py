@@ -47,7 +47,9 @@ def register_with_qpsolvers() -> None:
     """
     try:
         from qpsolvers import available_solvers, dense_solvers, sparse_solvers
-        from qpsolvers.solvers import solve_function
+
+        # The table that solve_problem reads: up to qpsolvers 4.9, not the table of qpsolvers.solvers.
+        from qpsolvers.solve_problem import solve_function
     except ImportError as error:
         raise ImportError(
             "register_with_qpsolvers needs qpsolvers; install it with: pip install '.[qpsolvers]'"

@@ -10,6 +10,7 @@ import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,8 @@ def in_folder(source: Path) -> str:
 def opened(source: Path, kind: str) -> Iterator[Any]:
     """Open a file of that format; an exception of its decoders is reported as a corrupt file.
 
-    An error of this package and a warning that is raised as an error do not concern the file: they pass.
+    An error of this package, a mistake in its own code and a warning that is raised as an error do not concern the
+    file: they pass.
     """
     try:
         with source.open("rb") as file:
@@ -49,6 +51,10 @@ def opened(source: Path, kind: str) -> Iterator[Any]:
             f"cannot read {source}: more memory is required than is free ({error}); check the sizes in the file"
         ) from error
     except Exception as error:
+        *_, (frame, _) = walk_tb(error.__traceback__)
+        is_ours = frame.f_globals.get("__name__", "").startswith("lcp_plugin.")
+        if is_ours and isinstance(error, (TypeError, AttributeError, NameError)):
+            raise
         raise UnreadableFile(
             f"cannot read {source}: it is damaged or no {kind} ({error})"
         ) from error

@@ -447,3 +447,16 @@ def test_an_error_without_relation_to_the_file_is_not_reported_as_damage(
         monkeypatch.setattr(module, name, fail)
     with pytest.raises(expected, match=words):
         LCP.load(target)
+
+
+def test_a_mistake_in_a_reader_is_not_reported_as_a_corrupt_file(
+    tmp_path: Path, monkeypatch: Any
+) -> None:
+    """A TypeError in a line of this package passes; one that a decoder raises is a corrupt file."""
+    PROBLEM.save(tmp_path)
+    monkeypatch.setattr(scipy.io, "mminfo", lambda _: (3, 3, None, "array", "real", "general"))
+    with pytest.raises(TypeError, match="NoneType"):  # compared with the size of the file
+        LCP.load(tmp_path)
+    monkeypatch.setattr(scipy.io, "mminfo", lambda _: None + 1)
+    with pytest.raises(UnreadableFile, match=r"cannot read .* \(unsupported"):
+        LCP.load(tmp_path)

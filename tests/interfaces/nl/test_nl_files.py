@@ -277,14 +277,18 @@ def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
 
 def read_by_pyomo(path: Path, x: object, y: object, options: tuple[int, ...]) -> None:
     pytest.importorskip("pyomo")
-    from pyomo.contrib.solver.solvers.asl_sol_reader import parse_asl_sol_file
     from pyomo.opt.plugins.sol import ResultsReader_sol
 
-    with path.open() as file:
-        new = parse_asl_sol_file(file)
-    assert (new.solve_code, "residual 1e-9" in new.message) == (200, True)
     values, duals = ([] if part is None else list(part) for part in (x, y))
-    assert (list(new.primals or []), list(new.duals or [])) == (values, duals)
+    try:
+        from pyomo.contrib.solver.solvers.asl_sol_reader import parse_asl_sol_file
+    except ImportError:  # before Pyomo 6.10 this reader needs the model
+        pass
+    else:
+        with path.open() as file:
+            new = parse_asl_sol_file(file)
+        assert (new.solve_code, "residual 1e-9" in new.message) == (200, True)
+        assert (list(new.primals or []), list(new.duals or [])) == (values, duals)
     if options[0] == 3:  # the older reader takes any five options for three and a tolerance
         old = ResultsReader_sol()(str(path), suffixes=["dual"])
         assert old.solver.id == 200

@@ -229,7 +229,7 @@ def test_pairs_without_a_solution_are_proved_so_beside_integers() -> None:
 
 
 def test_a_solution_far_beyond_the_data_leaves_zero_unproved() -> None:
-    """The solution with z₂ = 4.8e16 is better than z = 0, also where numpy raises at overflow and underflow."""
+    """The solution with z₂ = 4.8e16 is better than z = 0, which is not proved, also where numpy raises at underflow."""
     M = [
         [9.000000000000001e-09, -3.0000000000000004e-09, -3.0000000000000004e-09],
         [-3.0, 10.0, 1.0],
@@ -241,5 +241,6 @@ def test_a_solution_far_beyond_the_data_leaves_zero_unproved() -> None:
     )
     with np.errstate(all="raise"):
         result = solve(problem, prove=True)
-        assert not result.is_solved
-        assert not result.verify()
+        assert result.is_solved == result.verify()
+    # PIQP 0.6 finds a point whose rows hold within 1e-9 of their terms.
+    assert not result.is_solved or result.value < -1e16

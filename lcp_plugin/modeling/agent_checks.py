@@ -11,7 +11,7 @@ import cvxpy as cp
 import numpy as np
 
 from ..core.errors import ModelWarning, UnsupportedModel
-from ..expressions.rows import Rows, added
+from ..expressions.rows import as_matrix
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
 from ._compat import name_of
@@ -93,8 +93,8 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
 
 def _check_shared(constraint: Any, agents: Sequence[Optimal], rules: Convexity) -> None:
     """Raise UnsupportedModel unless all agents of a shared constraint share it, and it is jointly convex."""
-    inside = {one.id for one in constraint.variables()}
-    involved = [one for one in agents if not inside.isdisjoint(v.id for v, _ in one.entries)]
+    inside = rules.unknowns_in(StandardRows.of(constraint).expression)
+    involved = [one for one in agents if not inside.isdisjoint(rules.unknowns_of(one.entries))]
     if others := [one for one in involved if constraint.id not in one.shared]:
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} holds decisions of {others[0]!r}, which does not share it; "
@@ -149,33 +149,54 @@ class Convexity:
         """
         change = with_data(entries, self.data)
         held = rewritten(row.expression, change)
-        if held.is_affine() or (held.is_convex() and not row.is_equation):
-            return True
-        quadratic = []
+        if held.is_affine() or row.is_equation or held.is_convex():
+            return bool(held.is_affine() or not row.is_equation)
+        columns, quadratic = self.unknowns_of(entries), []
         for factor, term in _terms(row.expression, 1.0):
-            try:
-                rows = self.model.reader.rows(term).scaled(factor)
-                quadratic.append(rows if None not in self._hessians(rows) else None)
-            except UnsupportedModel:
-                quadratic.append(None)
-            if quadratic[-1] is None and not (factor * rewritten(term, change)).is_convex():
+            if (hessians := self._hessians(term, row.expression.shape, columns)) is not None:
+                quadratic.append([factor * one for one in hessians])
+            elif not (factor * rewritten(term, change)).is_convex():
                 return False
-        columns = [
-            self.model.spans[v.id].start + own for v, own in entries if v.id in self.model.spans
-        ]
-        parts = [one for one in quadratic if one is not None]
-        return not row.is_equation and all(
-            QuadraticProgram(P, np.zeros(P.shape[0])).matrices.is_nearly_semidefinite
-            for P in self._hessians(added(parts, row.expression.shape), np.concatenate(columns))
+        return all(
+            QuadraticProgram(sum(parts), np.zeros(len(columns))).matrices.is_nearly_semidefinite
+            for parts in zip(*quadratic, strict=True)
         )
 
-    def _hessians(self, rows: Rows, columns: Any = slice(None)) -> list[Any]:
-        """Return the Hessian of each row in some unknowns, None of a row that is not quadratic."""
-        found = [
+    def unknowns_of(self, entries: Sequence[Any]) -> list[int]:
+        """Return the numbers of entries of variables."""
+        spans = self.model.spans
+        columns = [spans[v.id].start + own for v, own in entries if v.id in spans]
+        return list(map(int, np.concatenate(columns)))
+
+    def unknowns_in(self, expression: Any) -> set[int]:
+        """Return the numbers of the unknowns on which an expression depends."""
+        try:
+            found = [self.model.reader.rows(expression)]
+        except UnsupportedModel:  # its kinks are functions of its arguments
+            return set().union(*map(self.unknowns_in, expression.args))
+        unknowns: set[int] = set()
+        while found:
+            rows = found.pop()
+            for key, block in rows.blocks.items():
+                if key in self.model.spans:
+                    matrix = as_matrix(block, rows.size)
+                    used = matrix.indices[matrix.data != 0.0]
+                    unknowns.update((self.model.spans[key].start + used).tolist())
+                else:
+                    found.extend(self.model.reader.compiler.groups[-1 - key][2])
+        return unknowns
+
+    def _hessians(self, term: Any, shape: Any, columns: Any) -> list[Any] | None:
+        """Return the Hessian of each row in some unknowns; None if a row is not quadratic."""
+        try:
+            rows = self.model.reader.rows(term).spread(shape)
+        except UnsupportedModel:
+            return None
+        found: list[Any] = [
             self.model.statement.quadratic(rows.taken(one))
             for one in np.arange(rows.size)[:, np.newaxis]
         ]
-        return [one and one[0][columns][:, columns] for one in found]
+        return None if None in found else [one[0][columns][:, columns] for one in found]
 
 
 def _terms(node: Any, factor: float) -> Iterator[tuple[float, Any]]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from cvxpy.atoms.affine.add_expr import AddExpression
 
 from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
@@ -20,6 +21,7 @@ from ._compat import (
     attribute_bounds,
     attribute_expressions,
     by_columns,
+    dense,
     name_of,
     postorder,
 )
@@ -28,9 +30,18 @@ from .model import spans_of
 from .reading import Reader, rewritten
 from .stated_terms import EQUATIONS, expression_of, sense_of
 
+
+def _huber(node: Any, arguments: list[Any]) -> tuple[Any, list[Any]]:
+    """Return min (x − s)² + 2 M |s| over s, which is huber(x, M), and its inequalities."""
+    s, t = cp.Variable(node.shape), cp.Variable(node.shape)
+    return cp.square(arguments[0] - s) + 2 * node.M * t, [s <= t, -s <= t]
+
+
+#: Atoms with kinks, and functions that return their epigraphs: a value, and inequalities.
+GRAPHS = {**KINKS, cp.huber: _huber}
 #: Key of the first subexpression that the agent does not influence: larger than any id of a variable.
 FIRST_KEY = 2**61
-NO_BOUND = 1e30  # stands for ∞ in bounds with parameters, where constants must be finite
+NO_BOUND = 1e30  # stands for ∞ in bounds, where constants must be finite
 #: The atom of an elementary function, and its derivatives by its arguments; r is its value.
 FUNCTIONS: dict[str, tuple[Any, Any]] = {
     functions.SAME.name: (lambda u: u, lambda r, u: [np.ones(u.shape)]),
@@ -87,10 +98,18 @@ class StandardRows(NamedTuple):
     @classmethod
     def of(cls, constraint: Any, change: Any = lambda node: node) -> StandardRows:
         """Return the rows of a cvxpy constraint, each node of its expression changed."""
-        expression = rewritten(expression_of(constraint), change)
+        is_bound = not isinstance(constraint, EQUATIONS) and expression_of(constraint).is_affine()
+        expression = rewritten(expression_of(constraint), _finite if is_bound else change)
         if isinstance(constraint, cp.constraints.NonNeg):
             expression = -expression
         return cls(constraint, expression, isinstance(constraint, EQUATIONS))
+
+
+def _finite(node: Any) -> Any:
+    """Return a constant with NO_BOUND instead of ∞, and every other node unchanged."""
+    if not isinstance(node, cp.Constant) or not np.isinf(values := dense(node.value)).any():
+        return node
+    return cp.Constant(np.clip(values, -NO_BOUND, NO_BOUND))
 
 
 class AgentProgram:
@@ -122,7 +141,7 @@ class AgentProgram:
         known, epigraphs, new = {one.id for one in program.variables()}, [], {}
 
         def change(node: Any) -> Any:
-            graph = KINKS.get(type(node))
+            graph = GRAPHS.get(type(node))
             is_smooth = graph is None and not isinstance(node, NONSMOOTH)
             if is_smooth or self.own.isdisjoint(one.id for one in node.variables()):
                 return node
@@ -159,6 +178,9 @@ class AgentProgram:
         self.reader.hold(self.sources)
         self.sources |= {one.id: one for one, _ in self.entries}
         self.rows: dict[int, tuple[Complements, Any]] = {}
+        #: Sources as vectors, and the arguments of functions, by their keys.
+        self.vectors: dict[int, Any] = {}
+        self.values: dict[int, list[Any]] = {}
         self.bounds: list[SimpleBound] = []
         self._state()
 
@@ -203,8 +225,8 @@ class AgentProgram:
             distribute(rows, weights)
         for _, function, arguments, key in reversed(groups):
             if found.get(key):
-                values = [self._expression(rows) for rows in arguments]
-                slopes = function_of(function.name)[1](self._source(key), *values)
+                result, values = self._source(key), self.values[key]
+                slopes = function_of(function.name)[1](result, *values)
                 for rows, slope in zip(arguments, slopes, strict=True):
                     distribute(rows, cp.multiply(sum(found[key]), slope))
         zeros = {one.id: cp.Constant(np.zeros(one.size)) for one, _ in self.entries}
@@ -278,24 +300,30 @@ class AgentProgram:
     # --- expressions of cvxpy ---
 
     def _expression(self, rows: Rows) -> Any:
-        """Return rows as a vector of cvxpy: one product of a sparse matrix with the sources, and a constant."""
-        if not rows.blocks:
-            return cp.Constant(rows.offset)
-        parts = [self._source(key) for key in rows.blocks]
-        if rows.is_source:
-            return vector_of(parts[0])
-        ends = np.cumsum([0, *(part.size for part in parts)])
-        first = dict(zip(rows.blocks, ends.tolist(), strict=False))
-        matrix, offset = assembled([rows], first, int(ends[-1]))
-        return cp.Constant(sp.csc_array(matrix)) @ joined(parts) + offset
+        """Return rows as a vector of cvxpy: a sum of multiples of sources and a constant."""
+        parts = [cp.Constant(rows.offset)] if rows.offset.any() or not rows.blocks else []
+        for key, block in rows.blocks.items():
+            source = self._vector(key)
+            if not isinstance(block, float):
+                source = cp.Constant(sp.csc_array(block)) @ source
+            elif block != 1.0:
+                source = -source if block == -1.0 else block * source
+            parts.append(source)
+        return AddExpression(parts) if len(parts) > 1 else parts[0]
 
     def _source(self, key: int) -> Any:
         """Return the expression of a source; a function becomes the atom of cvxpy, once."""
         if key not in self.sources:
             _, function, arguments, _ = self.reader.compiler.groups[-1 - key]
-            values = [self._expression(rows) for rows in arguments]
-            self.sources[key] = function_of(function.name)[0](*values)
+            self.values[key] = [self._expression(rows) for rows in arguments]
+            self.sources[key] = function_of(function.name)[0](*self.values[key])
         return self.sources[key]
+
+    def _vector(self, key: int) -> Any:
+        """Return the expression of a source as a vector, always the same one."""
+        if key not in self.vectors:
+            self.vectors[key] = vector_of(self._source(key))
+        return self.vectors[key]
 
 
 def vector_of(expression: Any) -> Any:

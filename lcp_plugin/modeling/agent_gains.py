@@ -76,8 +76,14 @@ def _best_value(problem: Any) -> tuple[float, str]:
         finally:
             for variable, value in before:
                 variable.save_value(value)
-    run: Any = solve_program if is_quadratic else minimize_over_solutions
-    result = run(program.program if is_quadratic else program, max_seconds=MAX_SECONDS)
-    if not result.is_solved:
-        return (-np.inf if result.status is Status.UNBOUNDED else np.nan), result.advice
-    return (result.objective if is_quadratic else result.value), ""
+    if is_quadratic:
+        result: Any = solve_program(program.program, max_seconds=MAX_SECONDS)
+        value = result.objective
+    else:
+        result = minimize_over_solutions(program, max_seconds=MAX_SECONDS)
+        value = result.value
+        if result.status is Status.STALLED and np.isfinite(result.lower_bound):
+            return result.lower_bound, ""  # the gain is not larger
+    if result.is_solved:
+        return value, ""
+    return (-np.inf if result.status is Status.UNBOUNDED else np.nan), result.advice

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
+from cvxpy.constraints.constraint import Constraint
 
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..expressions.rows import Indices, as_matrix, is_definition
@@ -18,18 +20,16 @@ from .reading import Reader, restricting_attribute
 from .stated_terms import EQUATIONS, INEQUALITIES, expression_of
 
 
-def optimal(
-    program: Any, over: Any, *, shared: Iterable[Any] = (), check: str = "convex"
-) -> Optimal:
+def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex") -> Optimal:
     """Return the constraint that variables solve a program, given all other variables.
 
     Parameters
     ----------
     program : cvxpy.Problem
-        The program of one agent, with affine equations and convex inequalities.
+        The program of one agent, with affine equations and convex inequalities. Infinite bounds are left out.
     over : list of cvxpy.Variable, or of entries of variables
         The agent's decisions, for example ``[x]`` or ``[x[0]]``. Other variables of the program are data of it.
-    shared : iterable of cvxpy constraints
+    shared : cvxpy constraint, or list of them
         Constraints of the program that other agents list also: all of them use one multiplier.
     check : str
         If "convex", a program that is not known to be convex in the agent's decisions causes a ModelWarning. With
@@ -46,7 +46,7 @@ def optimal(
         If `check` is another value.
     UnsupportedModel
         If the program has an integer decision or a constraint other than equations and inequalities, or `over` is not
-        a list of entries of its variables.
+        a list of different entries of its variables.
 
     Examples
     --------
@@ -74,10 +74,14 @@ def optimal(
                 "a second-order cone as cp.sum_squares(x) <= t**2 with a constant t, and conditions of other agents "
                 "outside of the program"
             )
-    decisions = [over] if isinstance(over, cp.Expression) else list(over)
-    if not decisions or not all(isinstance(one, cp.Expression) for one in decisions):
+    decisions, listed = _listed(over, cp.Expression), _listed(shared, Constraint)
+    if not decisions:
         raise UnsupportedModel(f"over must be a list of variables of the program, got {over!r}")
-    known, listed = {one.id for one in program.variables()}, list(shared)
+    if listed is None:
+        raise UnsupportedModel(
+            f"shared must be a list of constraints of the program, got {shared!r}; leave it out if there is none"
+        )
+    known = {one.id for one in program.variables()}
     for variable in (variable for one in decisions for variable in one.variables()):
         if variable.id not in known:
             raise UnsupportedModel(
@@ -94,6 +98,12 @@ def optimal(
                 f"shared has {name_of(one)}, which is not a constraint of the program; list the same object in both"
             )
     return Optimal(program, decisions, frozenset(one.id for one in listed), check)
+
+
+def _listed(given: Any, kind: type) -> list[Any] | None:
+    """Return one object of a type, or several, as a list; None if it is something else."""
+    found = [given] if isinstance(given, kind) or not isinstance(given, Iterable) else list(given)
+    return found if all(isinstance(one, kind) for one in found) else None
 
 
 def entries_of(expression: Any) -> tuple[Any, Indices]:
@@ -127,6 +137,11 @@ class Optimal(Condition):
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.entries = [entries_of(one) for one in decisions]
+        chosen = Counter((one.id, k) for one, columns in self.entries for k in columns.tolist())
+        if len(chosen) < chosen.total():
+            raise UnsupportedModel(
+                f"over=[{', '.join(map(str, decisions))}] lists an entry twice; list each decision once"
+            )
         self.checked_for: list[bytes] | None = None  # parameters with which convexity was checked
         rows = [one for row in program.constraints for one in row.args]
         super().__init__([program.objective.args[0], *rows, *decisions])

@@ -196,6 +196,55 @@ def test_an_agent_of_a_shared_constraint_must_share_it() -> None:
         cp.Problem(cp.Minimize(0), [first, second]).solve(method="LCP")
 
 
+SHARED_BY_TWO = {
+    "entries": lambda x: x[0] + x[1] <= 4,
+    "a matrix": lambda x: np.array([1.0, 1.0, 0.0]) @ x <= 4,
+    "kinks": lambda x: cp.norm1(x[:2]) <= 4,
+    "products": lambda x: cp.square(x[0] + x[1]) <= 16,
+}
+
+
+@pytest.mark.parametrize("form", SHARED_BY_TWO)
+def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(form: str) -> None:
+    """Two of three agents share x₀ + x₁ ≤ 4; the third one has no entry in it, and its own minimum."""
+    x = cp.Variable(3, value=np.ones(3))
+    row, goals = (
+        SHARED_BY_TWO[form](x),
+        [x[0] ** 2 - 8 * x[0], x[1] ** 2 - 6 * x[1], (x[2] - 2) ** 2],
+    )
+    agents = [
+        optimal(cp.Problem(cp.Minimize(goals[i]), [row]), over=[x[i]], shared=row) for i in (0, 1)
+    ]
+    agents.append(optimal(cp.Problem(cp.Minimize(goals[2])), over=[x[2]]))
+    solved(agents)
+    np.testing.assert_allclose(x.value, [2.5, 1.5, 2.0], atol=1e-6)
+    third = optimal(cp.Problem(cp.Minimize(goals[1])), over=[x[1]])
+    with pytest.raises(UnsupportedModel, match="does not share it"):
+        cp.Problem(cp.Minimize(0), [agents[0], third]).solve(method="LCP")
+
+
+@pytest.mark.parametrize("cap", [np.inf, np.array([1.0, np.inf])], ids=["number", "array"])
+def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
+    """The minimum of ‖x − 3‖² with x ≤ cap is min(3, cap); the dual value of an infinite bound is 0."""
+    x = cp.Variable(2)
+    program = cp.Problem(cp.Minimize(cp.sum_squares(x - 3)), [x <= cap, 2 * x >= -np.inf])
+    best = optimal(program, over=[x])
+    solved([best])
+    expected = np.minimum(3.0, cap + np.zeros(2))
+    np.testing.assert_allclose(x.value, expected)
+    np.testing.assert_allclose(best.dual_value, [2 * (3 - expected), np.zeros(2)])
+
+
+def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_is_zero() -> None:
+    """(x² − y)² at (3, 4) is 25, and 0 at (2, 4)."""
+    x, y = cp.Variable(value=3.0), cp.Variable(value=4.0)
+    goal = cp.Minimize(cp.square(cp.square(x) - y))
+    best = optimal(cp.Problem(goal), over=[x], check="local")
+    for value, gain in ((3.0, 25.0), (2.0, 0.0)):
+        x.value = value
+        assert best.gap() == pytest.approx(gain, abs=1e-6)
+
+
 def test_a_shared_constraint_must_be_jointly_convex() -> None:
     """The row x y ≤ 4 is affine for each agent, and not convex for both."""
     x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
@@ -232,6 +281,7 @@ def _one_agent(kind: str, y: Any) -> tuple[Any, Any]:
         "powers": (quadratic + cp.quad_over_lin(x, 2.0) + cp.power(x[1] + 4, -0.5), [x[1] >= -3]),
         "logarithm": (quadratic - cp.sum(cp.log(x + 2)) - cp.log1p(x[0]) + cp.kl_div(x[2], 2), []),
         "means": (quadratic - cp.geo_mean(x + 3), [x >= -2]),
+        "huber": (quadratic + cp.sum(cp.huber(2 * x - y, 1.5)), [cp.huber(x[0] + 3) <= 8]),
     }[kind]
     return cp.Problem(cp.Minimize(goal), rows), x
 
@@ -248,7 +298,7 @@ KINDS = (
         "exponential",
         "logistic",
     ),
-    *("powers", "logarithm", "means"),
+    *("powers", "logarithm", "means", "huber"),
 )
 
 
@@ -606,6 +656,18 @@ REFUSED: dict[str, Any] = {
             over=[x],
         ),
         "neither an equation nor an inequality",
+    ),
+    "over is None": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=None),
+        "list of variables",
+    ),
+    "shared is None": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x], shared=None),
+        "list of constraints",
+    ),
+    "a decision twice": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x, x]),
+        "list each decision once",
     ),
     "a foreign shared constraint": (
         lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[x], shared=[x >= 0]),

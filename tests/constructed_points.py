@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-from exact import exact_rows
 
 
 class Case(NamedTuple):
@@ -26,20 +24,10 @@ class Case(NamedTuple):
     right: Any
 
     def judge(self, z: Any, *, is_solved: bool) -> None:
-        """Fail if a point is SOLVED and is not the solution; further entries of z are not compared.
-
-        Without a solution, no row may be violated by more than 2⁻⁴² of its terms, the rounding level of README.
-        """
-        if is_solved and self.right is not None:
+        """Fail if a point is SOLVED and is not the solution; further entries of z are not compared."""
+        if is_solved:
+            assert self.right is not None, f"no solution, but {z} is SOLVED"
             np.testing.assert_allclose(z[: self.q.size], self.right, rtol=1e-4, atol=1e-3)
-        elif is_solved:
-            rows = exact_rows(self.M)
-            x, q = ([Fraction(float(value)) for value in one] for one in (z[: self.q.size], self.q))
-            for i, (row, constant) in enumerate(zip(rows, q, strict=True)):
-                products = [m * value for m, value in zip(row, x, strict=True)]
-                w, terms = sum(products) + constant, sum(map(abs, products)) + abs(constant)
-                violation = -w if x[i] == self.lower[i] else abs(w)
-                assert violation <= Fraction(2) ** -42 * terms, f"no solution, but {z} is SOLVED"
 
 
 TINY = 2.0**-17
@@ -63,6 +51,30 @@ TABLE: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or N
         [-1, 0, -(2.0**27)],
         [2.0**20, 2.0**20, 2.0**27 - 2.0**20],
         None,
+    ),
+    "a contradiction at the rounding level": (
+        [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
+        [-1, 0, -(2.0**44)],
+        [2.0**43, 2.0**43, 2.0**43],
+        None,
+    ),
+    "a contradiction below the rounding level": (
+        [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
+        [-1, 0, -(2.0**52)],
+        [2.0**50, 2.0**50, 3 * 2.0**50],
+        None,
+    ),
+    "a small row next to one twice as large": (
+        [[1, -1, 0], [-1, 1.5, 0], [1, 0, 1]],
+        [-1, 0, -(2.0**43)],
+        [1, 0, 2.0**43 - 1],
+        [3, 2, 2.0**43 - 3],
+    ),
+    "a small row next to a row in large units": (
+        [[2.0**20, -(2.0**20), 0], [-1, 1.5, 0], [1, 0, 1]],
+        [-(2.0**20), 0, -(2.0**43)],
+        [1, 0, 2.0**43 - 1],
+        [3, 2, 2.0**43 - 3],
     ),
     "a row next to a large one": (
         [[1, 1, 0], [0, 1, -2], [0, 0, 1]],

@@ -118,6 +118,10 @@ class RowDataOnRanks(RowData):
         """Return all small rows of a component with one in `is_led`: a chain over ranks is not followed."""
         return is_small & (self.largest(is_led.astype(np.float64)) > 0.0)
 
+    def is_infeasible(self, k: Any, z: FloatVector, rows: Any) -> bool:
+        """Return False, because no rank has all rows."""
+        return False
+
     def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
         """Return an upper bound of every |r_i(z)|, by sums in twice the precision if rounding decides."""
         high = self.residual_ends(z, at.w, at.rounding)[1]

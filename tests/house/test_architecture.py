@@ -50,6 +50,10 @@ LEADS_ON = {  # imports inside a function from a layer above: importing file, ta
         },
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
+    "core.certificates.criterion": (
+        {"proofs"},
+        "a row that passes only by its rounding level: is the problem proved infeasible?",
+    ),
     "core.solving.result": (
         {"proofs"},
         "explain() says what may mislead, guarantee what is proved",

@@ -17,8 +17,11 @@ rounding errors included, and if every row i satisfies the componentwise test
 - The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
   the largest T_k of rows that are off their bounds or violated. Such rows are at rounding level, as in the far field of
   a grid. A small row (T_i ≤ 2⁻⁴² u_i) is not tolerated if a chain of small rows leads to a small row with q_k ≠ 0, or
-  with an unknown at a bound other than 0: this row sets the unit of the chain. Two rows of a chain share an unknown
-  z_j ≠ 0, or one contains the unknown of the other. A v_i that underflow explains is also tolerated.
+  with an unknown at a bound other than 0: this row sets the unit of the chain, and counts as small up to
+  T_k ≤ 2⁻³² d_k ‖z_P‖∞. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other. A v_i
+  that underflow explains is also tolerated.
+- A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then a proof that no z has
+  permitted signs of w is searched for first, in components of up to 300 rows; with a proof, z does not pass.
 
 If the active set is known, after a linear solve, the exponent 1 replaces 3/4. A run first moves each z_i to a bound
 whose distance is at most the step −w_i/d_i (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
@@ -41,12 +44,14 @@ from ..matrix.matrix import Matrix, fact, largest_in_rows
 from ..matrix.row_sums import BLOCK
 from ..matrix.structure import connected_components
 from ..rounding import compensated_product
+from ..tuning import SEARCHED_UP_TO
 from .measured import Measured
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
+LEADING = 2.0**-32  # of ‖z_P‖: a row with q_k ≠ 0 up to this size sets the unit of its neighbors
 
 
 class RowsAtPoint(NamedTuple):
@@ -104,6 +109,7 @@ class RowData:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
         self.start: FloatVector = np.minimum(np.maximum(0.0, lower), upper)  # z°
+        self._are_infeasible: dict[tuple[int, ...], bool] = {}  # by number of the problem
         # Number of entries of each row, at most.
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
@@ -149,6 +155,8 @@ class RowData:
         relative = self.worst(np.where(high == 0.0, 0.0, high / limit))
         terms = self.worst(self.term_residuals(moved, at, power))
         passes = (relative <= tolerance) & (terms <= tolerance)
+        if np.any(passes):
+            passes &= ~self.are_refuted(moved, at, tolerance, passes)
         return Measured(moved, relative, passes, terms=terms, rows=at)
 
     def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
@@ -253,6 +261,36 @@ class RowData:
         least = np.where(is_open, np.maximum(least, of_demand), 0.0)
         return np.where(np.isfinite(least), least, np.inf)
 
+    def are_refuted(self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any) -> Any:
+        """Return a mask of the problems that pass only by the rounding level of a row, but have no solution."""
+        is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
+        if not (self.start.any() or self.anywhere(is_doubtful)):
+            return np.False_
+        demand = self.demand
+        is_doubtful = (at.violation > tolerance**DEMAND_POWER * demand) & (demand > 0.0)
+        if not self.anywhere(is_doubtful):
+            return np.False_
+        rows = self.largest(is_doubtful.astype(np.float64)) > 0.0  # of their components
+        found = np.array(passes & is_doubtful.any(-1))
+        for k in map(tuple, np.argwhere(found).tolist()):
+            if k not in self._are_infeasible:
+                self._are_infeasible[k] = self.is_infeasible(k, z[k], rows[k])
+            found[k] = self._are_infeasible[k]
+        return found
+
+    def is_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: Any) -> bool:
+        """Return whether a proof excludes every solution of problem k, of which z is a candidate; from these rows."""
+        from ...proofs.no_solution.infeasibility import is_proved_infeasible
+
+        whole, rows = self.q.shape, np.flatnonzero(np.broadcast_to(rows, z.shape))
+        if rows.size > SEARCHED_UP_TO:
+            return False
+        M = self.M[min(*k, len(self.M) - 1)] if self.M.ndim > 2 else self.M
+        q, lower, upper = (
+            np.broadcast_to(one, whole)[k][rows] for one in (self.q, self.lower, self.upper)
+        )
+        return is_proved_infeasible(LCP(M[rows][:, rows], q, lower=lower, upper=upper), z[rows])
+
     def _is_excused(self, z: FloatVector, at: RowsAtPoint) -> Any:
         """Return the rows with q_i = 0 that are at the rounding level of their component, bool."""
         is_candidate = self.q == 0.0
@@ -264,7 +302,8 @@ class RowData:
         is_small = at.terms <= NEGLIGIBLE * unit
         is_at_bound = (z != 0.0) & ((z == self.lower) | (z == self.upper))
         has_unit = ~is_candidate | is_at_bound | (times(self.absolute, is_at_bound) > 0.0)
-        is_led = self.follow_chains(is_small & has_unit, is_small, z)
+        leads = has_unit & (is_small | (at.terms <= LEADING * of_z))
+        is_led = self.follow_chains(leads, is_small, z)
         return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
 
     def follow_chains(self, is_led: Any, is_small: Any, z: FloatVector) -> Any:

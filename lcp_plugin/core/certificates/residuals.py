@@ -166,7 +166,11 @@ class Certificate:
         of_rows = self.term_residuals ** (POWER / power)
         if least:  # rows within the absolute tolerance
             of_rows = np.where(self.residual_ends[1] > goal * least, of_rows, 0.0)
-        return bool(of_rows.max(initial=0.0) <= goal)
+        if not of_rows.max(initial=0.0) <= goal:
+            return False
+        with np.errstate(all="ignore"):
+            data = row_data(self.problem)
+            return bool(least or not data.are_refuted(self.z, self._rows, goal, np.True_))
 
     def relative_above(
         self, least: float, solved: BoolVector | None = None, goal: float = np.inf

@@ -102,6 +102,11 @@ class ConeRows(RowData):
         found: FloatVector = self.largest(demand) if self.stack.has_friction else self._norm(demand)
         return found
 
+    def is_infeasible(self, k: Any, z: FloatVector, rows: Any) -> bool:
+        """Return whether a proof excludes every solution of problem k, if it is an LCP: rows between bounds only."""
+        is_lcp = not (self.has_cones or self.stack.has_friction)
+        return is_lcp and super().is_infeasible(k, z, rows)
+
     def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
         """Return the values of all laws at z, with its slack w if that is known."""
         at = super().rows(z, w)
@@ -246,7 +251,10 @@ class Measures:
         self._is_rounding = find_rounding_rows(ends[0], rows.rounding_floor(at.terms))
         self._has_reference = reference > 0.0
         self.residual = np.atleast_1d(relative.max(-1, initial=0.0))
-        self.passes = np.atleast_1d((do_pass & np.isfinite(at.w)).all(-1))
+        passes = (do_pass & np.isfinite(at.w)).all(-1)
+        if not absolute and np.any(passes):
+            passes &= ~rows.are_refuted(x, at, tolerance, passes)
+        self.passes = np.atleast_1d(passes)
 
     def of_blocks(self, name: str) -> Array:
         """Return the largest "sizes", "relative", "terms" or "fails" in the rows of each block, shape (B, k)."""

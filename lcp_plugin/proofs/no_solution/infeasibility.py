@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import reference_residual
+from ...core.certificates.criterion import reference_residual, row_data
+from ...core.checks import FloatVector
 from ...core.lcp import LCP
+from ...systems.free_systems import FreeSystem
 from ..exact.rational import Rational
 from .linear_constraints import DECISIVE, LinearConstraints
 from .proof import Choices, Infeasibility, Margins, NoSolutionProof, row_choices
@@ -54,6 +56,29 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
         return row
     proof = _by_linear_program(problem, effort) if effort else None
     return row if proof is None or (row is not None and proof.margin < row.margin) else proof
+
+
+def is_proved_infeasible(problem: LCP, z: FloatVector) -> bool:
+    """Return whether :func:`find_infeasibility` has a proof; it is not called if a point near z is feasible."""
+    return not _is_feasible_near(problem, z) and find_infeasibility(problem) is not None
+
+
+@np.errstate(all="ignore")
+def _is_feasible_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether w has its signs for certain where the active rows are raised by 4 times their rounding error."""
+    data, needs_rise, needs_fall = (
+        row_data(problem),
+        problem.upper == np.inf,
+        problem.lower == -np.inf,
+    )
+    sign, at = needs_rise * 1.0 - needs_fall, data.rows(z)
+    if (needs_rise & needs_fall).any():
+        return False  # an equation
+    step = FreeSystem(problem.matrix, at.is_active).solve(4.0 * sign * at.rounding - at.w)
+    if step is None:
+        return False
+    after = data.rows(np.clip(z + step, problem.lower, problem.upper))
+    return bool(((sign == 0.0) | (sign * after.w >= after.rounding)).all())
 
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:

@@ -61,10 +61,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture
-def draws(pytestconfig: pytest.Config) -> Callable[[int], range]:
-    """So many problems of a campaign are drawn in the full suite, an eighth of them in the quick one."""
+def draws(pytestconfig: pytest.Config) -> Callable[..., range]:
+    """So many problems of a campaign are drawn in the full suite, an eighth (a part) of them in the quick one."""
     is_full = bool(pytestconfig.getoption("--full"))
-    return lambda count: range(count if is_full else count // 8)
+    return lambda count, part=8: range(count if is_full else count // part)
 
 
 def pytest_runtest_teardown() -> None:

@@ -37,9 +37,9 @@ def test_the_status_is_true(n: int, draws: Callable[[int], range]) -> None:
 
 
 @pytest.mark.parametrize("n", [3, 6, 8, 12])
-def test_planted_problems_are_never_infeasible(n: int) -> None:
+def test_planted_problems_are_never_infeasible(n: int, draws: Callable[[int], range]) -> None:
     """Integer data, a solution with active, inactive and degenerate rows: solved, with a look for proofs or without."""
-    for seed in range(40):
+    for seed in draws(80):
         rng = np.random.default_rng([32, seed, n])
         M = rng.integers(-4, 5, (n, n)).astype(float)
         z = np.where(rng.random(n) < 0.5, rng.integers(1, 4, n), 0).astype(float)
@@ -51,10 +51,10 @@ def test_planted_problems_are_never_infeasible(n: int) -> None:
             assert result.infeasibility is None
 
 
-def test_random_problems_are_decided(draws: Callable[[int], range]) -> None:
+def test_random_problems_are_decided(draws: Callable[..., range]) -> None:
     """Standard normal problems with n = 8 are SOLVED or proved to have no solution, and every proof verifies."""
     rng = np.random.default_rng(7)
-    count = len(draws(200))
+    count = len(draws(200, 16))
     batch = solve_batch(rng.standard_normal((count, 8, 8)), rng.standard_normal((count, 8)))
     assert set(batch.status) <= {Status.SOLVED, *PROVEN}
     assert all(batch[k].infeasibility.verify() for k in range(count) if batch.status[k] in PROVEN)
@@ -75,10 +75,10 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("prove_infeasibility", [True, False])
 def test_a_batch_answers_as_solve_does(
-    prove_infeasibility: bool, draws: Callable[[int], range]
+    prove_infeasibility: bool, draws: Callable[..., range]
 ) -> None:
     """The same status, of boxes and warm starts too."""
-    rng, count = np.random.default_rng(5), len(draws(80))
+    rng, count = np.random.default_rng(5), len(draws(80, 16))
     M, q, upper, z0 = (
         *(rng.standard_normal(s) for s in ((count, 5, 5), (count, 5))),
         rng.random((count, 5)),

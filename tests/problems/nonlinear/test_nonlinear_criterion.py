@@ -58,13 +58,13 @@ def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_random_small_problems_have_no_false_solution(
-    shape: str, draws: Callable[[int], range]
+    shape: str, draws: Callable[..., range]
 ) -> None:
     """No problem with known solutions is SOLVED at a point that is not near a solution."""
     found: Counter[str] = Counter()
     texts = []
     for what, text in attacks(
-        np.random.default_rng([91, SHAPES.index(shape)]), len(draws(200)), shape
+        np.random.default_rng([91, SHAPES.index(shape)]), len(draws(200, 16)), shape
     ):
         found[what] += 1
         if what == "false":

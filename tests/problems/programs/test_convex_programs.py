@@ -182,7 +182,7 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize(("seed", "largest", "case"), [(1, 1000, 12), (1, 1000, 42)])
+@pytest.mark.parametrize(("seed", "largest", "case"), [(5, 300, 15), (1, 1000, 12), (1, 1000, 42)])
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     seed: int, largest: int, case: int
 ) -> None:

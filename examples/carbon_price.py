@@ -1,8 +1,8 @@
-"""A carbon price set by a leader, when firms in two places answer, joined by a line with a limit.
+"""A carbon price set by a leader, when firms in two places answer, joined by a line with a capacity.
 
-A plant in place 1 burns coal at cost 2 + s/2 and emits .9 a unit, one in place 2 gas at 5 + s/2 and .4. Demand is
-12 − p in both places; a trader carries up to 2 units wherever prices differ. The leader sets the carbon price τ so that
-welfare less 3 · emissions is largest, and anticipates only the answer of firms and trader.
+A plant in place 1 burns coal at the marginal cost 2 + s/2 (EUR/MWh, for s MWh) and emits 0.9 t per MWh; a plant in
+place 2 burns gas at 5 + s/2 and emits 0.4 t. Demand is 12 − p MWh in both places at the price p; a trader carries up
+to 2 MWh if prices differ. The leader sets the carbon price τ, so that welfare minus a damage of 3 EUR per t is largest.
 
 The same is found by a fine grid of carbon prices, the market solved at each.
 """
@@ -58,7 +58,7 @@ def main(out: Path = Path()) -> None:
         figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
         axes.plot(grid, values, ".-", label="market solved at each price")
         axes.plot([float(tax.value)], [best], "o", label="found")
-        axes.set(xlabel="carbon price", ylabel="welfare less damage")
+        axes.set(xlabel="carbon price (EUR/t)", ylabel="welfare less damage (EUR)")
         axes.legend()
         figure.savefig(out / "carbon_price.png", dpi=150)
         plt.close(figure)

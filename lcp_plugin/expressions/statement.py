@@ -27,7 +27,9 @@ from .program import Program
 from .rows import Compiler, Indices, Rows, added, as_matrix, assembled, is_definition
 from .substitution import Elimination, eliminate_definitions, matched_for_monotony
 
-BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
+BEGUN = (
+    "started from the values of the variables, which are the last solution unless others were set"
+)
 MOST_NAMES = 5
 DISAGREEMENT = 1e-9  # relative to the terms of a row
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond

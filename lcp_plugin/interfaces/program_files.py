@@ -237,7 +237,7 @@ def _built(source: Path, layout: str, found: Mapping[str, Any]) -> Any:
         given = [name for name in choices if name in found]
         if len(given) > 1:
             raise UnreadableFile(
-                f"{source} holds {' and '.join(given)}, which say the same; leave one of them out"
+                f"{source} holds {' and '.join(given)}, which are two names for one thing; leave one of them out"
             )
         if given:
             content[argument] = found[given[0]]

@@ -87,7 +87,7 @@ def direct_methods(
         unfit.add("lemke")
     row = contradictory_row(problem) if prove_infeasibility else None
     if row is not None and row.excludes(EPSILON):
-        yield Stage(FeasibilityCheck(), "one row contradicts its bounds by itself")
+        yield Stage(FeasibilityCheck(), "one row is inconsistent with its bounds")
     elif (
         "newton" not in unfit
         and has_positive_diagonal(problem.matrix).all()

@@ -47,8 +47,8 @@ def refused(node: Any) -> UnsupportedModel:
     """Return the error that names an atom without a rule, and a remedy."""
     if isinstance(node, atoms.NONSMOOTH):
         return UnsupportedModel(
-            f"{name_of(node)} is not smooth, so that no derivative tells how it goes on; give its kink a variable "
-            "and a complementarity of its own: complements(s >= 0, x + s >= 0) makes s = max(−x, 0) and x + 2 s = |x|"
+            f"{name_of(node)} is not smooth, so it has no derivative at its kink; replace the kink by a variable "
+            "and a pair: complements(s >= 0, x + s >= 0) makes s = max(−x, 0) and x + 2 s = |x|"
         )
     return UnsupportedModel(
         f"{name_of(node)} is not affine, and of the atom {type(node).__name__} no derivative is known here; write it "

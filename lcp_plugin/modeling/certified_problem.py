@@ -63,14 +63,15 @@ def _check(problem: Any) -> None:
             "problem.is_dcp() must be True"
         )
     if not problem.variables():
-        raise UnsupportedModel("the problem has no variables: there is no answer to certify")
+        raise UnsupportedModel("the problem has no variables, so there is no solution to certify")
     if reasons := why_not(problem):
         raise UnsupportedModel(
-            f"certify takes convex quadratic and linear programs, what cvxpy can write so; here {'; '.join(reasons)}"
+            "certify supports convex quadratic and linear programs, and problems that cvxpy compiles to them; "
+            f"here {'; '.join(reasons)}"
         )
     if problem.status in (None, settings.SOLVER_ERROR, settings.INFEASIBLE_OR_UNBOUNDED):
         raise InvalidProblem(
-            f"nothing to certify: the status is {problem.status}; call problem.solve() with a solver that settles it"
+            f"the status is {problem.status}, which cannot be certified; call problem.solve() with another solver"
         )
     if problem.status in CLAIMED:
         return

@@ -72,8 +72,8 @@ def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
     rows = found.problem
     if not isinstance(rows, LCP):
         raise UnsupportedModel(
-            "cones stand beside affine sides only, and this model has nonlinear ones; write them as affine ones, or "
-            "solve the nonlinear part by itself"
+            "cones can be combined with affine sides only, and this model has nonlinear ones; write them as affine "
+            "expressions, or solve the nonlinear part separately"
         )
     kept = found.elimination.kept
     place = np.full(found.elimination.offset.size, -1)
@@ -95,8 +95,8 @@ def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
         what = [name(column) for column in kept[others][:5].tolist()]
         what = what or ["cones of another kind"]
         raise UnsupportedModel(
-            f"friction_cone stands beside other unknowns ({', '.join(what)}), and contact with friction has impulses "
-            "alone; write the velocities as u = W @ r + b, or as a chain of definitions"
+            f"a model with friction_cone has impulses as its only unknowns, and this one has also {', '.join(what)}; "
+            "write the velocities as u = W @ r + b, or as a chain of definitions"
         )
     else:
         problem = FrictionalContact(M, q, np.concatenate(with_friction), dimension=pairs[0].rows)

@@ -191,7 +191,7 @@ class Model:
         is_new = columns is None or bool(self.statement.is_paired[columns].any())
         if columns is None and other.kind == "value" and side.kind in ("nonnegative", "value"):
             raise UnsupportedModel(
-                f"{side} is no variable, and {other} states no sign; write {other} >= 0 or <= 0, or give one side a "
+                f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
                 "variable of its own: y == side in the list, and y in its place in the pair"
             )
         is_bounded, remarks = bool((np.isfinite(low) | np.isfinite(high)).any()), []
@@ -200,7 +200,7 @@ class Model:
         elif side.kind == other.kind == "value" and not is_bounded and not states_bounds(side):
             remarks.append(
                 f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
-                "nonneg=True, or write F == 0 if that is what is meant"
+                "nonneg=True, or write F == 0 if you mean an equation"
             )
         expression, scale, offset = side.expression, weights, shift
         if is_new:
@@ -292,8 +292,8 @@ class Model:
         lower[first] = np.where(lower[first] == 0.0, -np.inf, lower[first])
         if (np.isfinite(lower[columns]) | np.isfinite(upper[columns])).any():
             raise UnsupportedModel(
-                f"{side} holds variables with bounds of their own, and their partner says what gives way at the cone, "
-                "not at bounds; drop the bounds, or give them a pair of their own"
+                f"{side} holds variables with bounds, which the pair of a cone does not state; drop the bounds, or "
+                "state them in another pair"
             )
 
     # --- the complementarity problem ---
@@ -344,8 +344,8 @@ class Model:
         for column in self.square.dropped[:1].tolist():
             entry = self.statement.name_of(column)
             raise UnsupportedModel(
-                f"{entry} has bounds that no pair implies, and {purpose} takes none beside pairs; drop them, or make "
-                f"it the variable of a pair, as in complements({entry}, F)"
+                f"{entry} has bounds that no pair implies, and {purpose} supports no further bounds; drop them, or "
+                f"make it the variable of a pair, as in complements({entry}, F)"
             )
         return problem
 
@@ -355,7 +355,7 @@ class Model:
         for column in dropped[self.statement.is_outside(unknowns, dropped)][:1].tolist():
             entry = self.statement.name_of(column)
             raise NotSquare(
-                f"{entry} has bounds that the rest of the model does not imply, and no pair says what gives way at "
+                f"{entry} has bounds that the rest of the model does not imply, and no pair states the slack at "
                 f"them; drop them, or make it the variable of a pair, as in complements({entry}, F)"
             )
 

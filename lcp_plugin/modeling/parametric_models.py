@@ -50,7 +50,7 @@ class ModelPath(Path):
         found = [self._values(one) for one in np.ravel(np.asarray(theta, float)).tolist()]
         if any(variable.id not in values for values in found):
             raise UnsupportedModel(
-                f"{name_of(variable)} is no variable of the problem; ask for one of its own"
+                f"{name_of(variable)} is not a variable of the problem; pass one of its variables"
             )
         return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
 
@@ -109,7 +109,9 @@ def parameter_lines(problem: Any, along: Any) -> Lines:
         )
     known = {one.id for one in problem.parameters()}
     if strange := [one for one in lines if one.id not in known]:
-        raise InvalidOption(f"{name_of(strange[0])} is no parameter of the problem")
+        raise InvalidOption(
+            f"{name_of(strange[0])} is not a parameter of the problem; pass one of its parameters"
+        )
     return lines
 
 
@@ -123,7 +125,7 @@ def moved_to(lines: Lines, theta: float) -> Iterator[None]:
                 one.value = base + theta * step
             except ValueError as error:
                 raise InvalidOption(
-                    f"{name_of(one)} cannot be what it is at {theta:.6g}: {error}"
+                    f"{name_of(one)} does not accept its value at θ = {theta:.6g}: {error}"
                 ) from error
         yield
     finally:
@@ -181,8 +183,8 @@ def _line(
                 remedy = "where it multiplies the quadratic term, divide the objective by it"
                 remedy = remedy if name == "P" else "let it multiply no variable of a constraint"
                 raise UnsupportedModel(
-                    f"the parameter stands in the matrix {name} of what cvxpy makes of the problem, so that the path "
-                    f"is not piecewise affine; {remedy}"
+                    f"the parameter enters the matrix {name} of the program that cvxpy compiles, so the path is not "
+                    f"piecewise affine; {remedy}"
                 )
     begin, end, between = values
     base, directions = {}, {}
@@ -197,8 +199,8 @@ def _line(
             moves | is_fixed
         ).all():
             raise UnsupportedModel(
-                f"{name} of what cvxpy makes of the problem is not affine in the parameter between {begin:.6g} and "
-                f"{end:.6g}; make the expression that bends a parameter of its own"
+                f"{name} of the program that cvxpy compiles is not affine in the parameter between {begin:.6g} and "
+                f"{end:.6g}; make the nonlinear expression a parameter"
             )
         base[name] = np.where(moves, here - begin * slope, one)
         if slope.any():

@@ -19,7 +19,7 @@ from ..problems.programs.solving import QuadraticProgramResult, solve_program
 from ._compat import CVXPY_STATUS, name_of, solver_errors, statistics
 from .stated_terms import dense_value
 
-BEGUN = "begun from the last answer; warm_start=False begins anew"
+BEGUN = "started from the last solution; warm_start=False starts from zero"
 PROGRAM = "lcp_plugin.program"  # the key of the last program in the solver cache
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
 DIGITS = 0.005  # of which the last of three digits is at least a tenth
@@ -185,5 +185,5 @@ def conflicting_constraints(problem: Any, proof: QPInfeasibility) -> str:
     left = f"; and {len(weights) - MOST_NAMED} more" if len(weights) > MOST_NAMED else ""
     if not named:
         return ""
-    what = "contradict one another" if len(weights) > 1 else "cannot hold"
+    what = "are inconsistent" if len(weights) > 1 else "cannot hold"
     return f"{named}{left} {what}: every point violates a constraint by {_rounded_down(proof.least_violation)} or more"

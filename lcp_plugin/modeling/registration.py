@@ -159,7 +159,7 @@ def solve_model(
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"
             raise UnsupportedModel(
-                f'{what} means nothing to method="LCP"; leave it out. Use algorithm=… to choose a method, and '
+                f'method="LCP" has no option {what}; leave it out. Use algorithm=… to choose a method, and '
                 "lcp_plugin.derivative(problem) after the solve for derivatives"
             )
         if not is_complementarity_problem(problem):
@@ -196,7 +196,7 @@ def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     if found is not None and (wrong := model.consistency_error(result.z, result.w)):
         problem._clear_solution()
         raise SolverError(
-            f"the problem contradicts its own answer: {wrong}; write the expression in another way"
+            f"cvxpy evaluates the model at the solution to other values: {wrong}; write the expression in another way"
         )
     if status in settings.INACCURATE:
         warnings.warn(

@@ -67,8 +67,8 @@ def refusal(problem: Any) -> UnsolvableModel | None:
     if not (reasons := why_not(problem)):
         return None
     return UnsolvableModel(
-        'QPSolver and method="LCP" take programs with a convex quadratic objective and linear constraints, and what '
-        f"can be written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
+        'QPSolver and method="LCP" support convex quadratic programs, and problems that cvxpy compiles to them; '
+        f"here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
         "or cp.HIGHS"
     )
 

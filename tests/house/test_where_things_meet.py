@@ -738,7 +738,7 @@ def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
         assert result.is_solved
         assert float(result.x[0]) == pytest.approx(np.exp(-1.0))
         assert (
-            "begun at the point of the bounds nearest to 1: F or its derivative is not finite"
+            "started at the point of the bounds nearest to 1: F or its derivative is not finite"
             in str(result)
         )
 

@@ -615,7 +615,7 @@ def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme() -> None
         model(pair)
         assert x.value == pytest.approx(1.0)
         assert pair.violation() <= 1e-9
-    with pytest.raises(UnsupportedModel, match="states no sign"):
+    with pytest.raises(UnsupportedModel, match="has no sign"):
         model(complements(cp.sum(x) + 2 * cp.square(x) >= 0, x - 3))
 
 

@@ -71,7 +71,7 @@ def test_several_cones_beside_boxes_and_equations_make_one_cone_problem(axis: in
     np.testing.assert_allclose(pairs[0].dual_value, F.value, atol=1e-8)
     assert pairs[0].residual.shape == (3, 3)
     problem.solve(method="LCP")
-    assert "begun from the values" in problem.solver_stats.extra_stats.begun
+    assert "started from the values" in problem.solver_stats.extra_stats.begun
 
 
 def test_two_cones_of_expressions_complement_each_other() -> None:
@@ -145,11 +145,11 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "a smooth pair beside": (
         lambda: solved(complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)),
-        "beside affine sides only",
+        "with affine sides only",
     ),
     "friction beside a pair": (
         lambda: solved(complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)),
-        "contact with friction has impulses alone",
+        "has impulses as its only unknowns",
     ),
     "negative friction": (
         lambda: solved(complements(friction_cone(y, -1.0), y - 1)), "not be negative"

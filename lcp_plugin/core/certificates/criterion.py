@@ -8,10 +8,10 @@ rounding errors included, and if every row i satisfies the componentwise test
 
     v_i ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)).
 
-- T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds (a row is *active* if
-  it is off its bounds or violated).
-- ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the active rows of P, z° the point of the bounds
-  nearest to 0. So an inactive row with a large q_i does not relax the test of other rows.
+- T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds (a row *counts* if
+  z_i is strictly between its bounds or the row is violated).
+- ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the rows of P that count, z° the point of the bounds
+  nearest to 0. So a row at a bound with a large q_i does not relax the test of other rows.
 - a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its neighbors. If w_j(z°) is at its rounding
   level, it counts as 0, and a_i = 0 is omitted. Terms that cancel make T_i large, but not a_i.
 - The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
@@ -68,7 +68,7 @@ class RowsAtPoint(NamedTuple):
     violation : array, shape (…, n)
         The violations v_i, as the docstring of this module defines them.
     is_active : array of bool, shape (…, n)
-        The active rows: off their bounds or violated.
+        The rows that count: z_i strictly between its bounds, or the row is violated.
     """
 
     w: FloatVector
@@ -221,7 +221,7 @@ class RowData:
         return low, high
 
     def active_reference(self, at: RowsAtPoint) -> Any:
-        """Return, for each row, the largest T_k/d_k of the active rows of its component, rounding included."""
+        """Return, for each row, the largest T_k/d_k of the rows of its component that count, rounding included."""
         may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
         return self.largest(np.where(may_be_active, at.terms / self.scale * rounding, 0.0))

@@ -1,4 +1,4 @@
-"""The loop of a run: stages propose points, each is measured, and the first reason to end ends it.
+"""The loop of a run: methods propose points, each point is measured, and the run ends at the first reason to do so.
 
 One loop serves every problem class. A class derives its run from :class:`Run`, defines `measure` and `result`, and
 yields the stages of its plan.
@@ -42,9 +42,10 @@ class Run:
     Attributes
     ----------
     best : Measured or None
-        The first point that passes, or the point of the smallest residual.
+        The point that the run would return now: the first point that satisfies the stopping criterion, or else the
+        measured point with the smallest residual. None before the first measurement.
     proof : object or None
-        The proof of the largest margin that the problem has no solution.
+        A verified proof that the problem has no solution. If several were found, the one with the largest margin.
     """
 
     def __init__(self, progress: Progress) -> None:
@@ -64,7 +65,7 @@ class Run:
         return None
 
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
-        """Return the reason why the run ends with this stage; one of FAILED if the next stage follows.
+        """Return why a stage ended; the run continues with the next stage if this reason is one of FAILED.
 
         A class that measures its best point only here replaces this function.
         """
@@ -79,7 +80,7 @@ class Run:
         return iter(stage.steps)
 
     def shown(self, step: Step) -> Any:
-        """Return the point of a step as a callback receives it, read-only."""
+        """Return the point z of a step that is passed to the user's callback; it cannot be modified."""
         return read_only(step.z)
 
     def result(self, end: TerminationReason) -> Any:
@@ -105,7 +106,7 @@ class Run:
             return self.result(TerminationReason.INTERRUPTED)
 
     def follow_all(self, plan: Iterable[Stage]) -> TerminationReason:
-        """Follow the stages until a stage ends the run, within the remaining time; return the reason for the end.
+        """Run the stages one after the other, until one of them ends the run or the time is over; return the reason.
 
         Ctrl-C ends it with KeyboardInterrupt, because it also ends the runs around this one.
         """
@@ -164,7 +165,7 @@ class Run:
         return end
 
     def residual_of(self, step: Step) -> float:
-        """Return the residual of a step that was not measured, for a sample."""
+        """Return the residual that a method reports with its step, for the history; the step was not measured."""
         return math.nan if step.residual is None else step.residual
 
     def keep(self, found: Any) -> None:
@@ -174,7 +175,7 @@ class Run:
             self.residual = math.inf if math.isnan(found.residual) else float(found.residual)
 
     def end_of_proof(self, proof: Any) -> TerminationReason | None:
-        """Keep a proof that verifies; return NO_SOLUTION if it excludes the tolerance."""
+        """Store a verified proof; return NO_SOLUTION if it shows that no point can satisfy the tolerance, else None."""
         if not proof.verify():
             return None
         excludes = proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance)

@@ -240,7 +240,8 @@ def _archive(source: Path) -> Iterator[Any]:
                 raise
             raise UnreadableFile(
                 f"cannot read {source}: it holds pickled objects, which are never read; LCP.save writes a sparse M, a "
-                "program's sparse P is saved as P_data, P_indices, P_indptr, P_shape, and what is None left out"
+                "program's sparse P is saved as P_data, P_indices, P_indptr, P_shape, and arrays that are None are "
+                "left out"
             ) from error
 
 

@@ -164,5 +164,5 @@ def _checked(matrix: Any, name: str, source: Path) -> Any:
         return columns
     except (ValueError, IndexError, OverflowError) as error:
         raise UnreadableFile(
-            f"cannot read {source}: {name} is no sparse matrix ({error}); write it again"
+            f"cannot read {source}: {name} is not a sparse matrix ({error}); write it again"
         ) from error

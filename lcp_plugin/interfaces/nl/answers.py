@@ -392,7 +392,7 @@ def _of_search(options: dict[str, Any]) -> dict[str, Any]:
         wishes["max_nodes"] = wishes.pop("max_iterations")
     for name in wishes.keys() - {*OPTIONS}:
         raise InvalidOption(
-            f"an objective beside complementarities is minimised by SCIP or branch and bound, which takes no {name}, "
-            f"got {wishes[name]!r}; leave it out; taken are {', '.join(OPTIONS)}"
+            f"an objective with complementarities is minimized by SCIP or branch and bound, which has no option "
+            f"{name}, got {wishes[name]!r}; leave it out; the options are {', '.join(OPTIONS)}"
         )
     return wishes

@@ -22,7 +22,7 @@ from .reading import read_content
 
 KINDS = {
     "QuadraticProgram": "a quadratic program",
-    "EquilibriumProgram": "an objective beside complementarities",
+    "EquilibriumProgram": "an objective with complementarities",
 }
 ROUNDING = 2.0**-40  # of the terms of a row without unknowns
 
@@ -193,9 +193,8 @@ class FileStatement:
         if not self.is_affine.all():
             row = content.row(np.flatnonzero(~self.is_affine)[0])
             raise UnsupportedModel(
-                f"{row} is nonlinear: rows of an optimisation without complementarities, and inequalities, must be "
-                "affine; nonlinear are complementarities, rows beside these and an objective, and equations, as many "
-                "as variables without a complementarity"
+                f"{row} is nonlinear: inequalities, and rows of a program without complementarities, must be affine; "
+                "write it as a complementarity, add an objective, or state one equation per variable without a pair"
             )
         if problem.smooth is not None:
             raise UnsupportedModel(

@@ -152,7 +152,7 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
         count = -1
     if not 0 <= count <= MOST_OPTIONS:
         raise NLSyntaxError(
-            0, f"behind its letter stand up to {MOST_OPTIONS} integers, and how many"
+            0, f"its letter is followed by up to {MOST_OPTIONS} integers, and how many"
         )
     return (count, *given, *[0] * (count - len(given))), tolerance
 
@@ -279,11 +279,11 @@ class _Reader:
             return kind, value, 0
         if kind is Token.VARIABLE:
             (number,) = source.behind("i")
-            self._require_below(number, variables, "a variable that may stand here")
+            self._require_below(number, variables, "a variable that is allowed here")
             return kind, number, 0
         (number,) = source.behind("i")
         if number not in ARITY:
-            source.fail("there is no operator of this number")
+            source.fail("this operator number is unknown")
         count = ARITY[number]
         if count in (NARY, PIECEWISE):
             (given,) = source.row("i")
@@ -337,7 +337,7 @@ class _Reader:
         source, n = self.source, self.header.variables
         if letter == "b" or not 0 <= finite < 4 or not 1 <= variable <= n:
             what = f"which bounds are finite (0 to 3), and a variable from 1 to {n}"
-            source.fail(f"5 stands in the bounds of rows, behind it {what}")
+            source.fail(f"the bounds of rows have the code 5, followed by {what}")
         if variable in earlier:
             source.fail(
                 f"variable {variable} is complementary to an earlier row as well; one is possible"
@@ -407,7 +407,7 @@ class _Reader:
         rows, indices = (np.array(one, dtype=kind) for one in places)
         matrix = sp.coo_array((np.array(values), (rows, indices)), shape=(height, width)).tocsr()
         if matrix.nnz < len(values):
-            what = f"an index stands in two places of a row in the segments {letter}"
+            what = f"an index occurs twice in a row in the segments {letter}"
             raise NLSyntaxError(self.header.places[8], what)
         matrix.sort_indices()
         return matrix

@@ -71,8 +71,8 @@ def _content_of(problem: Any) -> NLContent:
             ", whose F is written in Python" if type(problem).__name__ == "NonlinearProblem" else ""
         )
         raise InvalidProblem(
-            "an .nl file is written of an LCP, a QuadraticProgram, a Pyomo model, or of what read_content and read_nl "
-            f"return, got {type(problem).__name__}{why}"
+            "an .nl file can be written of an LCP, a QuadraticProgram, a Pyomo model, or a result of read_content or "
+            f"read_nl, got {type(problem).__name__}{why}"
         )
     return content
 

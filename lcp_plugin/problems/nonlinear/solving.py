@@ -160,7 +160,7 @@ def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, s
     for near in (0.0, 1.0):
         point = read_only(np.clip(np.full(start.size, near), lower, upper))
         if points.at(point).is_defined:
-            return point, f"begun at the point of the bounds nearest to {near:g}: {ELSEWHERE}"
+            return point, f"started at the point of the bounds nearest to {near:g}: {ELSEWHERE}"
     return start, ""
 
 
@@ -178,7 +178,7 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
     if x0 is None:
         if problem.n is None:
             raise InvalidOption(
-                "x0 is needed because nothing else says how many unknowns there are; give x0, or bounds as arrays"
+                "x0 is needed because the number of unknowns is not known; pass x0, or bounds as arrays"
             )
         return np.zeros(problem.n)
     try:
@@ -194,8 +194,8 @@ WORDS = {
         "points nearby; next: accept z, or scale F"
     ),
     Status.STALLED: (
-        "no step reduces the residual further; z is a stationary point that is no solution, or F has none, is not "
-        "smooth here, or its jacobian is wrong; next: try another start x0"
+        "no step reduces the residual further; z may be a local minimum of the residual, F may have no solution or no "
+        "slope here, or its jacobian may be wrong; next: try another start x0"
     ),
     Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
@@ -316,6 +316,6 @@ def jacobian_warning(point: Linearization) -> str:
         return ""
     i = int(np.argmax(wrong))
     return (
-        f"jacobian contradicts F at the start: along one direction row {i} of jacobian(x0) gives {slope[i]:.6g}, and "
-        f"differences of F give {quotients[0][i]:.6g}; correct it, or leave it out"
+        f"jacobian disagrees with F at the start: along one direction row {i} of jacobian(x0) gives {slope[i]:.6g}, "
+        f"and differences of F give {quotients[0][i]:.6g}; correct it, or leave it out"
     )

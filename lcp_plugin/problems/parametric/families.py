@@ -159,7 +159,9 @@ class Family:
         settings = Settings(tolerance=self.TOLERANCE if tolerance is None else tolerance)
         self.problem, self.settings, self.ends = problem, settings, ends
         if not isinstance(along, Mapping) or not along:
-            raise InvalidOption(f'along must say what moves, as {{"q": direction}}, got {along!r}')
+            raise InvalidOption(
+                f'along must name the data that move, for example {{"q": direction}}, got {along!r}'
+            )
         self.directions = {
             str(name): self._check_change(name, change) for name, change in along.items()
         }
@@ -171,7 +173,7 @@ class Family:
             raise InvalidOption(f"vectors of {kind} may move, not {name}: {self.FIXED[name]}")
         if name not in self.MOVES:
             raise InvalidOption(
-                f"along={{{name!r}: …}} names nothing that moves in {kind}"
+                f"along={{{name!r}: …}} is not a vector of {kind}"
                 f"{did_you_mean(name, self.MOVES)}; {', '.join(self.MOVES)} may move"
             )
         now: FloatVector = getattr(self.problem, name)

@@ -623,5 +623,5 @@ def multiplier_error(
     )
     if not (price <= most * np.maximum(size, own)).all():
         i = int(price.argmax())
-        return f"a multiplier {y[i]:.3g} stands where there is {slack[i]:.3g} of slack"
+        return f"a multiplier {y[i]:.3g} belongs to a row with {slack[i]:.3g} of slack"
     return ""

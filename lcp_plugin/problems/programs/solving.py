@@ -138,7 +138,7 @@ class QuadraticProgramResult(BaseResult):
             words.append(
                 "P has a negative eigenvalue, at rounding level or of fixed unknowns"
                 if self.is_solved
-                else "P has a negative eigenvalue, and if it is no rounding error the program is not convex"
+                else "P has a negative eigenvalue, so the program is not convex, unless this is a rounding error"
             )
         return "; ".join(words) + begins + to_do
 

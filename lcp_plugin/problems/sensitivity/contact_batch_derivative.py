@@ -133,7 +133,7 @@ class ContactBatchDerivative(ManyDerivatives):
             "several impulses for one motion: dz is the least change, that of the motion is the same for all": (
                 self.is_singular
             ),
-            "no derivative: errors says why": ~self._is_solved,
+            "no derivative: see errors": ~self._is_solved,
         }
         return "; ".join(
             f"{which.sum()} of {len(self)} worlds ({_named(which)}) have {words}"

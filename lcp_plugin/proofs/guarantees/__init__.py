@@ -201,4 +201,4 @@ def _remedy(problem: LCP, facts: IterationFacts) -> str:
     report = analyze(problem)
     if report.is_symmetric and report.is_positive_definite:
         return 'algorithm="psor": M is symmetric positive definite'
-    return 'nothing here is proven for this M; algorithm="auto" tries more than one'
+    return 'no theorem covers this M; algorithm="auto" tries several methods'

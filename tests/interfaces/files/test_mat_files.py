@@ -93,7 +93,7 @@ def test_command_solves_a_mat_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ({"M": 1j * M, "q": np.ones(3)}, "M is complex; save real numbers"),
         (
             {"M": M, "q": np.ones(3), "lb": np.zeros(3), "lower": np.zeros(3)},
-            "lower and lb, which say the same",
+            "lower and lb, which are two names for one thing",
         ),
     ],
     ids=range(6),

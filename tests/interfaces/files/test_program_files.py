@@ -137,7 +137,7 @@ def test_kinds_are_told_by_what_is_in_a_file(tmp_path: Path) -> None:
 
 REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (dict(P=P), UnreadableFile, r"lacks the keys \['c'\]; a program holds P, q, A, l, u"),
-    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q, which say the same"),
+    (dict(P=P, q=c, c=c), UnreadableFile, "holds c and q, which are two names for one thing"),
     (
         dict(H=P, c=c),
         UnreadableFile,
@@ -152,7 +152,7 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (
         dict(P=None, q=c),
         UnreadableFile,
-        "pickled objects, which are never read.*what is None left out",
+        "pickled objects, which are never read.*arrays that are None are left out",
     ),
     (dict(P_data=[1.0], q=c), UnreadableFile, r"lacks the keys .*a sparse P is P_data, P_indices"),
     (

@@ -273,7 +273,7 @@ def test_no_solution_is_said_honestly() -> None:
     result = solve_nonlinear(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), [3.0])
     assert result.status is Status.STALLED
     assert "another start" in result.explain()
-    with pytest.raises(NotConverged, match="stationary"):
+    with pytest.raises(NotConverged, match="local minimum of the residual"):
         result.require_solved()
 
 
@@ -638,7 +638,7 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: solve(NP(np.sin)),
         InvalidOption,
-        "x0 is needed because nothing else says how many unknowns there are",
+        "x0 is needed because the number of unknowns is not known",
     ),
     (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
     (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
@@ -674,7 +674,7 @@ def test_a_wrong_jacobian_is_named() -> None:
         return J.tocsr()
 
     mistaken = NonlinearProblem(problem.F, wrong, problem.lower)
-    words = "jacobian contradicts F at the start: along one direction row 37 of"
+    words = "jacobian disagrees with F at the start: along one direction row 37 of"
     assert words in solve_nonlinear(mistaken, np.zeros(100)).explain()
     unchecked = solve_nonlinear(mistaken, np.zeros(100), check_jacobian=False)
     assert words not in unchecked.explain()

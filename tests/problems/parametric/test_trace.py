@@ -228,7 +228,7 @@ BENT = QuadraticProgram([[-1]], [1], lower=0, upper=1)
 REFUSED = [
     (TWO, {"M": 1}, 1, InvalidOption, "not M: z is not piecewise affine in M"),
     (TWO, {"Q": 1}, 1, InvalidOption, "did you mean 'q'"),
-    (TWO, {}, 1, InvalidOption, "along must say what moves"),
+    (TWO, {}, 1, InvalidOption, "along must name the data that move"),
     (TWO, {"q": 1}, INF, InvalidOption, "stop must be a finite number, got inf"),
     (TWO, {"upper": [1, 0]}, 1, InvalidOption, r"upper\[0\] is inf and cannot move"),
     (QuadraticProgram([[1]], [1]), {"P": 1}, 1, InvalidOption, "divide the objective by it"),

@@ -14,6 +14,7 @@ from .core.errors import UnreadableFile as UnreadableFile
 from .core.errors import UnsuitableMatrix as UnsuitableMatrix
 from .core.errors import UnsuitableProblem as UnsuitableProblem
 from .core.errors import UnsupportedModel as UnsupportedModel
+from .core.errors import WorkerLost as WorkerLost
 from .core.lcp import LCP as LCP
 from .core.settings import Status as Status
 from .core.solving.result import Result as Result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
+from typing import Any
 
 LONG_LIST = 20  # longer lists of names are not printed next to a guess
 CLOSE = 0.6  # of 1, which is the same word
@@ -47,6 +48,18 @@ class UnreadableFile(LCPError, OSError):
 
 class NotConverged(LCPError, RuntimeError):
     """The run ended without a solution, and the caller required one."""
+
+
+class WorkerLost(LCPError, RuntimeError):
+    """Workers of an executor were lost, each job twice, or the executor with them.
+
+    Attributes
+    ----------
+    finished : BatchAnswers or Study
+        The results that arrived; other problems of a batch are INTERRUPTED.
+    """
+
+    finished: Any = None
 
 
 class ModelWarning(UserWarning):

@@ -61,6 +61,15 @@ class LCPOptions(Watching, AlgorithmOptions, total=False):
     prove_infeasibility: bool
 
 
+class BatchOptions(Limits, total=False):
+    """Options of `solve_batch` for each problem, and of the batch."""
+
+    max_iterations: int | None
+    absolute_tolerance: float
+    prove_infeasibility: bool
+    threads: int | None
+
+
 class NonlinearOptions(Watching, total=False):
     """Options for a NonlinearProblem."""
 

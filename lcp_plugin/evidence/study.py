@@ -8,9 +8,11 @@ import os
 import platform
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,15 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
+from ..core.errors import (
+    InvalidOption,
+    LCPError,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    WorkerLost,
+    did_you_mean,
+)
+from ..core.executors import run_on
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of, refusal
 from ..core.settings import Settings
@@ -299,6 +309,7 @@ def study(
     references: Sequence[str] = (),
     out: str | PathLike[str] | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Study:
     """Return measurements of methods on problems of several sizes.
 
@@ -324,7 +335,10 @@ def study(
     out : path, optional
         A CSV file, to which each measurement is appended when it is there; an existing file is replaced.
     progress : callable, optional
-        Called with a line of text before each measurement.
+        Called with a line of text before each measurement; not with an executor.
+    executor : concurrent.futures.Executor, optional
+        Measures each problem and size on one of its workers, as for :func:`lcp_plugin.solve_batch`; seconds are then
+        seconds of the worker.
 
     Returns
     -------
@@ -362,25 +376,49 @@ def study(
     file = None if out is None else checked_path(out)
     if file is not None:
         write_whole({file: lambda f: f.write(csv_text([COLUMNS]).encode("utf-8"))})
-    rows: list[Measurement] = []
+    jobs = [
+        (Measurement(label, size, 0, 0, "", "", "", "", tolerance), given)
+        for label, given in built.items()
+        for size in wanted
+    ]
+    measure = partial(
+        _measurements,
+        methods=entrants,
+        references=solvers,
+        repeats=repeats,
+        max_seconds=max_seconds,
+    )
+    work = partial(_measured_job, measure)
+    here = ((k, measure(*job, progress or _say_nothing)) for k, job in enumerate(jobs))
+    rows: list[list[Measurement]] = [[] for _ in jobs]
     notes: dict[str, None] = {}
     is_complete = False
     try:
-        for label, given in built.items():
-            for size in wanted:
-                blank = Measurement(label, size, 0, 0, "", "", "", "", tolerance)
-                say = progress or (lambda _: None)
-                for row in _measurements(
-                    blank, given, entrants, solvers, repeats, max_seconds, say, notes
-                ):
-                    rows.append(row)
-                    if file is not None:
-                        with file.open("a", encoding="utf-8", newline="") as f:
-                            f.write(csv_text(_lines(row)))
+        for k, some in here if executor is None else run_on(executor, work, jobs):
+            for row in some:
+                if isinstance(row, str):
+                    notes[row] = None
+                    continue
+                rows[k].append(row)
+                if file is not None:
+                    with file.open("a", encoding="utf-8", newline="") as f:
+                        f.write(csv_text(_lines(row)))
         is_complete = True
     except KeyboardInterrupt:
         notes["interrupted: the rows above are complete"] = None
-    return Study(tuple(rows), tuple(notes), is_complete)
+    except WorkerLost as lost:
+        lost.finished = Study(tuple(chain(*rows)), tuple(notes), is_complete)
+        raise
+    return Study(tuple(chain(*rows)), tuple(notes), is_complete)
+
+
+def _say_nothing(_: str) -> None:
+    """Print nothing."""
+
+
+def _measured_job(measure: Any, job: Any) -> list[Measurement | str]:
+    """Return the rows and notes of one problem of one size, on a worker."""
+    return [*measure(*job, _say_nothing)]
 
 
 def error_against_time(
@@ -425,14 +463,13 @@ def error_against_time(
 def _measurements(
     blank: Measurement,
     given: Any,
+    say: Progress,
     methods: Sequence[Method],
     references: Sequence[str],
     repeats: int,
     max_seconds: float,
-    say: Progress,
-    notes: dict[str, None],
-) -> Iterator[Measurement]:
-    """Yield a row per method and reference; an exception in code of the user is a row."""
+) -> Iterator[Measurement | str]:
+    """Yield a row per method and reference, and notes; an exception in code of the user is a row."""
     label = blank.problem
     try:
         scene = _build_problem(given, label, blank.size)
@@ -444,7 +481,8 @@ def _measurements(
     say(f"{label}: kind of the error")
     kind, measure, reason = error_measure(scene, max_seconds)
     blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)
-    notes |= {f"{label}: {reason}": None} if reason else {}
+    if reason:
+        yield f"{label}: {reason}"
     limits = {"tolerance": blank.tolerance, "max_seconds": max_seconds}
     for method in methods:
         say(f"{label}, n = {scene.n}: {method.label}")
@@ -461,7 +499,7 @@ def _measurements(
 
     convex = ReferenceProgram.of(scene.problem)
     if convex.kind != PLAIN:
-        notes[f"{label}: no convex solver, {convex.evidence}"] = None
+        yield f"{label}: no convex solver, {convex.evidence}"
         return
     for name in references:
         say(f"{label}, n = {scene.n}: {name}")

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from concurrent.futures import Executor
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...auto import method_of
 from ...core.algorithm import Algorithm
-from ...core.errors import InvalidOption, InvalidProblem
+from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
+from ...core.options import BatchOptions
 from ...core.problem_classes import class_of, refusal, takes
-from ...core.settings import checked_threads
+from ...core.settings import DEFAULTS, Settings, checked_threads
 from ...methods.banded import banded_passes
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContactBatch
@@ -26,7 +28,7 @@ from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.solving import programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
-from .batch_run import Asked, BatchAnswers, BatchRun
+from .batch_run import BatchAnswers, BatchRun
 from .program_batch import ProgramBatchRun
 from .stated import Listed, RightSides, Stacked
 from .worlds import Worlds
@@ -95,13 +97,9 @@ def solve_batch(
     upper: ArrayLike | None = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
-    tolerance: float | None = None,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
     callback: Any = None,
+    executor: Executor | None = None,
+    **options: Unpack[BatchOptions],
 ) -> BatchAnswers:
     """Return the results of many problems; small ones are solved as stacks.
 
@@ -123,16 +121,22 @@ def solve_batch(
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; for a list of LCPs a list of vectors or None.
-    algorithm, tolerance, max_iterations, absolute_tolerance, prove_infeasibility
-        Options of each problem, as in :func:`lcp_plugin.solve`.
+    algorithm : str or Algorithm
+    callback : callable, optional
+        Called as ``callback(finished, count)``, numbers of problems, after each stack or chunk, and after each problem
+        that is solved by itself. A truthy return value ends the batch: the remaining problems are INTERRUPTED.
+    executor : concurrent.futures.Executor, optional
+        Solves chunks of the problems on its workers: a ProcessPoolExecutor, mpi4py's MPIPoolExecutor, or
+        ``client.get_executor()`` of dask. Each worker uses one thread, unless `threads` is passed. A chunk whose worker
+        is lost is solved again.
+    **options
+        tolerance, max_iterations, absolute_tolerance, prove_infeasibility: options of each problem, see
+        :func:`lcp_plugin.solve`; the two options below belong to the entire batch.
     max_seconds : float, optional
         Wall-clock limit in seconds for the entire batch. Unsolved problems then end with MAX_SECONDS.
     threads : int, optional
         Number of threads that solve stacks; by default all threads available to the process. Results are bit-identical
         for any number.
-    callback : callable, optional
-        Called as ``callback(finished, count)``, numbers of problems, after each stack and after each problem that is
-        solved by itself. A truthy return value ends the batch: the remaining problems are INTERRUPTED.
 
     Returns
     -------
@@ -149,6 +153,8 @@ def solve_batch(
         If shapes do not fit together, or an item of the sequence is not a problem.
     UnknownAlgorithm, InvalidOption
         See :func:`lcp_plugin.solve`.
+    WorkerLost
+        If a chunk was lost twice, or the executor with it; its attribute `finished` has the results that arrived.
 
     Examples
     --------
@@ -177,25 +183,27 @@ def solve_batch(
     >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
-    options: dict[str, Any] = {"tolerance": tolerance, "max_iterations": max_iterations}
-    options = {name: value for name, value in options.items() if value is not None}
-    if not isinstance(absolute_tolerance, float) or absolute_tolerance:
-        options["absolute_tolerance"] = absolute_tolerance
-    if prove_infeasibility is not True:
-        options["prove_infeasibility"] = prove_infeasibility
-    asked = Asked(algorithm, options, max_seconds, threads)
+    if unknown := [name for name in options if name not in BatchOptions.__annotations__]:
+        known = ("lower", "upper", "z0", "algorithm", "callback", "executor")
+        hint = did_you_mean(unknown[0], (*known, *BatchOptions.__annotations__))
+        raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
+    given = {name: value for name, value in options.items() if value is not None}
+    Settings(**given)
+    for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
+        if name in given and given[name] == DEFAULTS[name]:
+            del given[name]
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
-        if z0 is not None or absolute_tolerance != 0.0:
+        if z0 is not None or "absolute_tolerance" in given:
             raise InvalidOption(
                 "a batch of programs takes no z0 or absolute_tolerance; leave them out"
             )
-        options.setdefault("tolerance", PROGRAM_TOLERANCE)
-        return ProgramBatchRun(programs, asked).run(callback)
+        given.setdefault("tolerance", PROGRAM_TOLERANCE)
+        return ProgramBatchRun(programs, algorithm, given).run(callback, executor)
     stated = _problems_of(M, q, lower, upper, z0)
     if stated.are_lcps:
         method_of(algorithm, {})
-    return BatchRun(stated, asked).run(callback)
+    return BatchRun(stated, algorithm, given).run(callback, executor)
 
 
 def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:

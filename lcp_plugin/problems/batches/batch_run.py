@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
-from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
+from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm, WorkerLost
+from ...core.executors import MOST_JOBS, run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...core.solving.base_result import BaseResult
@@ -23,18 +24,10 @@ from ..least_squares.enclosures import Enclosures
 from ..least_squares.solving import LeastSquaresResult
 from ..many.answers import AnswerSequence
 from ..many.chunks import run_in_chunks
+from .stated import Listed
 
 MOST_ITERATIONS = 200  # of a stack
 REPORTING = Lock()  # threads call the callback one after another
-
-
-class Asked(NamedTuple):
-    """Arguments of solve_batch except the problems; `options` has the non-default options of each problem."""
-
-    algorithm: Any
-    options: dict[str, Any]
-    max_seconds: Any
-    threads: Any
 
 
 class BatchRun:
@@ -47,14 +40,17 @@ class BatchRun:
         ``problems.errors``: the error of problem k, if its data are invalid,
         ``problems.stacks(tolerance, has_time)``: pairs of item numbers and a function that returns z, residual,
         iterations and is_solved of these.
-    asked : Asked
+    algorithm : str or Algorithm
+    options : dict
+        Options of solve_batch other than defaults.
     """
 
-    def __init__(self, problems: Any, asked: Asked) -> None:
-        self.problems, self.asked, count = problems, asked, len(problems)
+    def __init__(self, problems: Any, algorithm: Any, options: dict[str, Any]) -> None:
+        self.problems, self.algorithm, count = problems, algorithm, len(problems)
         self.item = getattr(problems, "item", "problem")
-        self.settings = Settings(max_seconds=asked.max_seconds, **asked.options)
-        self.threads = checked_threads(asked.threads)
+        self.settings, self.threads = Settings(**options), checked_threads(options.get("threads"))
+        self.given = options
+        self.options = {name: options[name] for name in options.keys() - {"max_seconds", "threads"}}
         self.errors, self.z = {**getattr(problems, "errors", {})}, problems.points
         for k in self.errors if isinstance(self.z, np.ndarray) else ():
             self.z[k] = np.nan
@@ -78,11 +74,15 @@ class BatchRun:
                 self.is_interrupted |= bool(self.callback(count - int(self.is_open.sum()), count))
 
     @np.errstate(under="ignore")
-    def run(self, callback: Any = None) -> BatchAnswers:
+    def run(self, callback: Any = None, executor: Any = None) -> BatchAnswers:
         """Solve all problems, until the clock runs out, Ctrl-C, or the callback ends the batch."""
         self.callback = checked_callback(callback)
+        lost: WorkerLost | None = None
         try:
-            self.solve_at_once()
+            if executor is not None:
+                self._solve_on(executor)
+            else:
+                self.solve_at_once()
             for k in np.flatnonzero(self.is_open).tolist():
                 if not self.has_time:
                     break
@@ -90,16 +90,60 @@ class BatchRun:
                 self.report()
         except KeyboardInterrupt:
             self.is_interrupted = True
+        except WorkerLost as error:
+            lost = error
+            self.is_interrupted = True
         self.callback = None  # which need not be picklable
         end = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
         self.status[self.is_open] = end
         self.seconds = self.clock.read()
-        return BatchAnswers(self)
+        answers = BatchAnswers(self)
+        if lost is not None:
+            lost.finished = answers
+            raise lost
+        return answers
+
+    def _solve_on(self, executor: Any) -> None:
+        """Solve chunks of the problems on an executor, with one thread each."""
+        options: dict[str, Any] = {"threads": 1, **self.given}
+        if (limit := self.settings.max_seconds) < np.inf:
+            options["max_seconds"] = max(limit - self.clock.read(), 0.0)
+        problems = {}
+        for k in np.flatnonzero(self.is_open).tolist():
+            try:
+                problems[k] = self.problems[k]
+            except LCPError as error:
+                self._keep_error(k, error)
+        jobs = []
+        for part in np.array_split([*problems], max(min(MOST_JOBS, len(problems)), 1)):
+            chosen = [problems[k] for k in part.tolist()]
+            starts = [self.problems.start(k) for k in part.tolist()]
+            jobs.append((part, type(self), chosen, starts, self.algorithm, options))
+        for _, (part, run) in run_on(executor, _run_part, jobs, lambda: limit - self.clock.read()):
+            self.take(part, run)
+            self.report()
+            if not self.has_time:
+                return
+
+    @classmethod
+    def of(cls, problems: list[Any], starts: list[Any], *given: Any) -> BatchRun:
+        """Return the run of a list of problems with their starts, or None without a start."""
+        return cls(Listed(problems, None if starts[:1] == [None] else starts), *given)
+
+    def take(self, items: Any, run: BatchRun) -> None:
+        """Take the results of the run of these problems; the others stay open."""
+        for i, k in enumerate(items.tolist()):
+            self._set_point(k, run.z[i])
+        for name in ("status", "residual", "iterations", "is_open"):
+            getattr(self, name)[items] = getattr(run, name)
+        for i, found in run.results.items():
+            self.keep(items[i], found)
+        self.errors |= {int(items[i]): error for i, error in run.errors.items()}
 
     def solve_at_once(self) -> None:
         """Solve small problems in stacks, on the threads, while there is time; a stack replaces only `auto`."""
         few = self.settings.max_iterations < MOST_ITERATIONS
-        if self.asked.algorithm != "auto" or self.settings.absolute_tolerance or few:
+        if self.algorithm != "auto" or self.settings.absolute_tolerance or few:
             return
         stacks = [*self.problems.stacks(self.settings.tolerance, lambda: self.has_time)]
 
@@ -114,7 +158,7 @@ class BatchRun:
                     self.z[at] = z[good]
                 else:
                     for k, i in zip(at.tolist(), good.tolist(), strict=True):
-                        self.z[k] = read_only(z[i])
+                        self._set_point(k, z[i])
                 self.residual[at], self.iterations[at] = residual[good], iterations[good]
                 self.status[at], self.is_open[at] = Status.SOLVED, False
                 self.report()
@@ -122,7 +166,7 @@ class BatchRun:
         run_in_chunks(take, len(stacks), self.threads)
 
     def _solve_or_keep_error(self, k: int) -> None:
-        options = dict(self.asked.options)
+        options = dict(self.options)
         if self.settings.max_seconds < np.inf:
             options["max_seconds"] = max(self.settings.max_seconds - self.clock.read(), 0.0)
         try:
@@ -130,23 +174,35 @@ class BatchRun:
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
-            self.errors[k], self.is_open[k] = error, False
+            self._keep_error(k, error)
+
+    def _keep_error(self, k: int, error: LCPError) -> None:
+        self.errors[k], self.is_open[k] = error, False
+        if isinstance(self.z, np.ndarray):
+            self.z[k] = np.nan
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
         """Solve problem k by itself."""
-        found = self.results[k] = self._solved(k, self.problems.start(k), options)
-        if isinstance(self.z, np.ndarray):
-            self.z[k], self.z[k, : found.x.size] = 0.0, found.x
-        else:
-            self.z[k] = np.empty(0) if found.x is None else found.x
+        self.keep(k, self._solved(k, self.problems.start(k), options))
+
+    def keep(self, k: int, found: Any) -> None:
+        """Keep the result of problem k."""
+        self.results[k] = found
+        self._set_point(k, np.empty(0) if found.x is None else found.x)
         if isinstance(found, Result):
             self.residual[k] = found.certificate.relative_residual
         self.status[k], self.iterations[k], self.is_open[k] = found.status, found.iterations, False
         self.is_interrupted |= found.status is Status.INTERRUPTED
 
+    def _set_point(self, k: int, x: Any) -> None:
+        if isinstance(self.z, np.ndarray):
+            self.z[k], self.z[k, : x.size] = 0.0, x
+        else:
+            self.z[k] = read_only(x)
+
     def _solved(self, k: int, start: Any, options: dict[str, Any]) -> Any:
         given = {} if start is None else {"z0": start}
-        named = {} if self.asked.algorithm == "auto" else {"algorithm": self.asked.algorithm}
+        named = {} if self.algorithm == "auto" else {"algorithm": self.algorithm}
         return solve(self.problems[k], **given, **named, **options)
 
     def result_of(self, k: int) -> Any:
@@ -157,7 +213,7 @@ class BatchRun:
 
     def _result_at(self, k: int, problem: Any) -> Any:
         if self.status[k] is not Status.SOLVED:
-            options = {**self.asked.options, "max_seconds": 0.0}
+            options = {**self.options, "max_seconds": 0.0}
             found = self._solved(k, self.problems.start(k), options)
             return replace(found, status=self.status[k])
         share, iterations = self.seconds / len(self.status), int(self.iterations[k])
@@ -171,7 +227,7 @@ class BatchRun:
         if isinstance(problem, LCP):
             stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
             return Result.at(problem, read_only(z), stage, self.settings, share)
-        found = self._solved(k, z, self.asked.options)
+        found = self._solved(k, z, self.options)
         return replace(found, iterations=iterations, seconds=share)
 
     def tables(self) -> dict[str, Any]:
@@ -192,6 +248,15 @@ class BatchRun:
         for k, found in self.results.items():
             values[k] = np.nan if found.objective is None else found.objective
         return values
+
+
+def _run_part(job: Any) -> tuple[Any, BatchRun]:
+    """Return the numbers of some problems and their finished run, without the problems, which the caller has."""
+    part, kind, *given = job
+    run: BatchRun = kind.of(*given)
+    run.run()
+    del run.problems
+    return part, run
 
 
 class BatchAnswers(AnswerSequence[Any]):

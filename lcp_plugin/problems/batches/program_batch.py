@@ -19,7 +19,7 @@ from ..programs.program_matrices import may_be_small
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
 from ..programs.stacked_programs import QuadraticProgramBatch, block_matrices
-from .batch_run import Asked, BatchRun
+from .batch_run import BatchRun
 
 ENGINE = "daqp"
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
@@ -34,13 +34,16 @@ class ProgramBatchRun(BatchRun):
     Parameters
     ----------
     programs : QuadraticProgramBatch
-    asked : Asked
+    algorithm, options
+        As for BatchRun.
     """
 
-    def __init__(self, programs: QuadraticProgramBatch, asked: Asked) -> None:
-        if not (isinstance(asked.algorithm, str) and asked.algorithm in ENGINES):
-            method_of(asked.algorithm, {})
-        super().__init__(programs, asked)
+    def __init__(
+        self, programs: QuadraticProgramBatch, algorithm: Any, options: dict[str, Any]
+    ) -> None:
+        if not (isinstance(algorithm, str) and algorithm in ENGINES):
+            method_of(algorithm, {})
+        super().__init__(programs, algorithm, options)
         programs.refuse_nonconvex()
         count, (m, p, n, _) = len(programs), programs.sizes
         self.y, self.at_bounds = np.full((count, m + p), np.nan), np.full((2, count, n), np.nan)
@@ -49,7 +52,7 @@ class ProgramBatchRun(BatchRun):
     def solve_at_once(self) -> None:
         """Run the engine on small programs, in blocks, if the algorithm is auto or this engine."""
         m, p, n, _ = self.problems.sizes
-        is_asked = self.asked.algorithm in ("auto", ENGINE)
+        is_asked = self.algorithm in ("auto", ENGINE)
         if not (is_asked and may_be_small(n, m + p, [n * (n + m + p)])):
             return
         data, engine = self.problems.arrays, engine_class(ENGINE)(**PROXIMAL)
@@ -103,16 +106,31 @@ class ProgramBatchRun(BatchRun):
 
     def solve_alone(self, k: int, options: dict[str, Any]) -> None:
         """Solve program k by itself, from the previous solution if all have the same matrices."""
-        self.z[k] = np.nan
-        result = solve_program(self.problems[k], self.asked.algorithm, z0=self.begun, **options)
-        found, self.results[k] = result.solution, result
+        result = solve_program(self.problems[k], self.algorithm, z0=self.begun, **options)
         if result.is_solved and self.problems.has_one_matrix:
             self.begun = result.z
-        self.z[k], self.iterations[k] = found.x, result.iterations
-        self.y[k] = np.concatenate([found.inequality, found.equality])
-        self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), found.error
-        self.status[k], self.is_open[k] = result.status, False
-        self.is_interrupted |= result.status is Status.INTERRUPTED
+        self.keep(k, result)
+
+    def keep(self, k: int, found: QuadraticProgramResult) -> None:
+        """Keep the result of program k."""
+        point, self.results[k] = found.solution, found
+        self.z[k], self.iterations[k] = point.x, found.iterations
+        self.y[k] = np.concatenate([point.inequality, point.equality])
+        self.at_bounds[:, k], self.residual[k] = (point.lower, point.upper), point.error
+        self.status[k], self.is_open[k] = found.status, False
+        self.is_interrupted |= found.status is Status.INTERRUPTED
+
+    @classmethod
+    def of(cls, problems: list[Any], starts: list[Any], *given: Any) -> BatchRun:
+        """Return the run of a list of programs, one by one where a batch would take too much memory."""
+        together = QuadraticProgramBatch.of(problems, problems[0]) if problems else None
+        return BatchRun.of(problems, starts, *given) if together is None else cls(together, *given)
+
+    def take(self, items: Any, run: BatchRun) -> None:
+        """Take the results of the run of these programs."""
+        super().take(items, run)
+        if isinstance(run, ProgramBatchRun):
+            self.y[items], self.at_bounds[:, items] = run.y, run.at_bounds
 
     def result_of(self, k: int) -> QuadraticProgramResult:
         """Return the result of program k, which has no error."""
@@ -121,7 +139,7 @@ class ProgramBatchRun(BatchRun):
             return found
         multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
         solution = QPSolution.of_rows(self.problems[k], self.z[k], multipliers)
-        by = f"auto: {ENGINE}" if self.asked.algorithm == "auto" else ENGINE
+        by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
         share, steps = self.seconds / len(self.status), int(self.iterations[k])
         return QuadraticProgramResult(
             self.status[k], solution, by, steps, share, self.settings.tolerance

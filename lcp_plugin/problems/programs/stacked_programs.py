@@ -190,6 +190,9 @@ class QuadraticProgramBatch:
         made.constant = np.array(program.constant)
         return made
 
+    def start(self, k: int) -> None:
+        """Return None: external solvers need no start."""
+
     @property
     def n(self) -> int:
         """Number of variables of each."""

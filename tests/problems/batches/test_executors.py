@@ -1,0 +1,238 @@
+"""Batches and studies on an executor give the results of one process, in order."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    FrictionalContact,
+    InvalidOption,
+    QuadraticProgram,
+    Status,
+    solve,
+    solve_batch,
+    study,
+)
+from lcp_plugin.algorithms import algorithm_class
+from lcp_plugin.core.errors import InvalidProblem, WorkerLost
+
+RNG = np.random.default_rng(7)
+A = RNG.normal(size=(40, 4, 4))
+M = A @ A.transpose(0, 2, 1) + np.eye(4)
+Q = RNG.normal(size=(40, 4))
+FIT = BoundedLeastSquares(RNG.normal(size=(7, 3)), np.zeros(7))
+PROGRAM = QuadraticProgram(np.eye(3), np.zeros(3), G=[[1, 1, 1]], h=[1], lower=0, constant=2.0)
+SLIDING = FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)
+
+
+class Here(Executor):
+    """An executor of this process, which loses the jobs whose numbers are in `losses`, and may break with them."""
+
+    def __init__(self, losses: tuple[int, ...] = (), *, breaks: bool = False) -> None:
+        self.losses, self.breaks, self.count = losses, breaks, 0
+
+    def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
+        """Run the job, or lose it."""
+        if self.breaks and any(k < self.count for k in self.losses):
+            raise BrokenProcessPool("no worker is left")
+        future: Future[Any] = Future()
+        self.count += 1
+        if self.count - 1 in self.losses:
+            future.set_exception(BrokenProcessPool("a worker died"))
+        else:
+            future.set_result(function(*given, **named))
+        return future
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[ProcessPoolExecutor]:
+    """Two fresh processes, which find the modules of this folder."""
+    paths = os.environ.get("PYTHONPATH", "")
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), paths])
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as made:
+        yield made
+    os.environ["PYTHONPATH"] = paths
+
+
+BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
+    "arrays": ((M, Q), {}),
+    "arrays with starts": ((M, Q), {"z0": np.ones(4)}),
+    "one matrix": ((LCP(M[0], Q[0]), Q), {"upper": 1.0}),
+    "a list": (([LCP(M[k], Q[k]) for k in range(9)] + [LCP([[2.0]], [-1.0])],), {}),
+    "a named algorithm": ((M, Q), {"algorithm": "lemke"}),
+    "least squares": ((FIT, RNG.normal(size=(30, 7))), {}),
+    "programs": ((PROGRAM, RNG.normal(size=(30, 3))), {}),
+    "contacts": (
+        (
+            FrictionalContact.worlds(
+                np.eye(6), RNG.normal(size=(20, 6)), 0.5, contacts=np.arange(20) % 3
+            ),
+        ),
+        {},
+    ),
+    "all classes": (
+        (
+            [
+                SLIDING,
+                FIT,
+                PROGRAM,
+                LCP(M[0], Q[0]),
+                LCP([[1.0]], [-2.0]),
+            ],
+        ),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_a_batch_on_an_executor_has_the_results_of_one_process(name: str) -> None:
+    """Points, statuses, objectives and single results agree with the batch without an executor."""
+    given, options = BATCHES[name]
+    here, there = solve_batch(*given, **options), solve_batch(*given, executor=Here(), **options)
+    assert list(there.status) == list(here.status)
+    assert there.all_solved
+    for one, other in zip(there.x, here.x, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(there.objective, here.objective, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(there[1].x, here[1].x, rtol=1e-6, atol=1e-7)
+
+
+def test_processes_solve_a_batch_and_use_one_thread(pool: ProcessPoolExecutor) -> None:
+    """Two spawned processes return the points of this one; the progress is reported in numbers of problems."""
+    seen: list[tuple[int, int]] = []
+    found = solve_batch(M, Q, executor=pool, callback=lambda *counts: seen.append(counts))
+    np.testing.assert_allclose(found.x, solve_batch(M, Q).x, atol=1e-9)
+    assert seen[-1] == (40, 40)
+    assert len(seen) > 1
+    [limits] = [pool.submit(blas_threads).result()]
+    assert limits in ([], [1])
+
+
+def blas_threads() -> list[int]:
+    """Return the numbers of BLAS threads inside a job, without repetition."""
+    from lcp_plugin.core.executors import _one_blas_thread
+
+    try:
+        from threadpoolctl import threadpool_info
+    except ImportError:
+        return []
+    with _one_blas_thread():
+        return sorted({one["num_threads"] for one in threadpool_info()})
+
+
+def test_a_lost_worker_ends_a_pool_and_the_finished_results_stay(
+    pool: ProcessPoolExecutor,
+) -> None:
+    """A process that dies breaks a ProcessPoolExecutor; the error has the batch with INTERRUPTED problems."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as short:
+        short.submit(os._exit, 1)
+        with pytest.raises(WorkerLost, match="were lost") as lost:
+            solve_batch(M, Q, executor=short)
+    assert {*lost.value.finished.status} <= {Status.SOLVED, Status.INTERRUPTED}
+    assert Status.INTERRUPTED in lost.value.finished.status
+
+
+@pytest.mark.parametrize("losses", [(0,), (3, 4)])
+def test_a_lost_chunk_is_solved_once_more(losses: tuple[int, ...]) -> None:
+    """An executor that survives the loss of a worker gets the chunk again."""
+    executor = Here(losses)
+    found = solve_batch(M, Q, executor=executor)
+    assert found.all_solved
+    assert executor.count == len(Q) + len(losses)
+
+
+def test_a_chunk_that_is_lost_twice_is_an_error_with_the_other_results() -> None:
+    """All other problems keep their solutions."""
+    with pytest.raises(WorkerLost, match="1 of 40 jobs") as lost:
+        solve_batch(M, Q, executor=Here((5, 40)))
+    status = lost.value.finished.status
+    assert status[5] is Status.INTERRUPTED
+    assert sum(one is Status.SOLVED for one in status) == 39
+    np.testing.assert_allclose(lost.value.finished[6].x, solve(LCP(M[6], Q[6])).x, atol=1e-9)
+
+
+def test_a_broken_executor_is_an_error_with_the_results_before() -> None:
+    """Nothing is submitted to an executor that rejects jobs."""
+    with pytest.raises(WorkerLost, match="no worker is left") as lost:
+        solve_batch(M, Q, executor=Here((2,), breaks=True))
+    assert [one is Status.SOLVED for one in lost.value.finished.status] == [True] * 2 + [False] * 38
+
+
+def test_an_invalid_problem_raises_its_own_error_only_when_it_is_read() -> None:
+    """A NaN, an infeasible problem and an invalid program do not affect the others."""
+    q = Q.copy()
+    q[3] = np.nan
+    found = solve_batch(M, q, executor=Here())
+    assert found.status[3] is None
+    assert np.isnan(found.x[3]).all()
+    c = np.zeros((4, 3))
+    c[1] = np.inf
+    programs = solve_batch(PROGRAM, c, executor=Here())
+    assert [one is Status.SOLVED for one in programs.status] == [True, False, True, True]
+    with pytest.raises(InvalidProblem):
+        _ = programs[1]
+
+
+def test_functions_that_do_not_pickle_are_refused_with_advice() -> None:
+    """A local class cannot be sent to another process."""
+
+    class Own(algorithm_class("npgs")):
+        """An algorithm of a module that no worker can import."""
+
+    with pytest.raises(InvalidOption, match="at the top of a module"):
+        solve_batch(M, Q, algorithm=Own(), executor=Here())
+    with pytest.raises(InvalidOption, match=r"client\.get_executor"):
+        solve_batch(M, Q, executor=4)
+
+
+def test_a_wrong_option_and_an_error_of_the_solver_are_raised_as_without_an_executor() -> None:
+    """An error inside a job is not a lost worker."""
+    with pytest.raises(InvalidOption, match="did you mean 'tolerance'"):
+        solve_batch(M, Q, tolerence=1e-9, executor=Here())  # type: ignore[call-arg]
+    with pytest.raises(InvalidOption, match="no algorithm for a"):
+        solve_batch([FIT, FIT], algorithm="npgs", executor=Here())
+
+
+def test_a_time_limit_and_a_callback_end_a_batch_on_an_executor() -> None:
+    """Problems without a result are MAX_SECONDS, or INTERRUPTED after the callback."""
+    late = solve_batch(M, Q, max_seconds=0.0, executor=Here())
+    assert {*late.status} <= {Status.MAX_SECONDS, Status.SOLVED}
+    ended = solve_batch(M, Q, executor=Here(), callback=lambda *_: True)
+    assert {*ended.status} == {Status.INTERRUPTED, Status.SOLVED}
+
+
+def test_a_study_on_an_executor_has_the_rows_of_one_process_in_order(tmp_path: Path) -> None:
+    """All columns but the seconds agree, in the file as well."""
+    named: dict[str, Any] = {"sizes": [100, 196], "repeats": 1}
+    here = study("half_active", ["npsor", "psor"], **named)
+    file = tmp_path / "rows.csv"
+    there = study("half_active", ["npsor", "psor"], executor=Here(), out=file, **named)
+    assert [(row.n, row.method, row.status) for row in there.rows] == [
+        (row.n, row.method, row.status) for row in here.rows
+    ]
+    assert file.read_text().count("half_active") >= 4
+    with pytest.raises(InvalidOption, match="do not pickle"):
+        study(lambda size: LCP(np.eye(size), np.ones(size)), sizes=[3], executor=Here())
+    with pytest.raises(WorkerLost) as lost:
+        study("half_active", ["npsor"], executor=Here((1, 2)), **named)
+    assert [row.n for row in lost.value.finished.rows] == [100]
+
+
+def test_an_executor_of_dask_gives_the_same_results() -> None:
+    """Two workers of a local cluster; tests/distributed has MPI."""
+    dask = pytest.importorskip("dask.distributed", reason="dask is not installed")
+    with dask.Client(n_workers=2, threads_per_worker=1) as client:
+        found = solve_batch(M, Q, executor=client.get_executor())
+    np.testing.assert_allclose(found.x, solve_batch(M, Q).x, atol=1e-9)

@@ -118,7 +118,7 @@ def exact_relative_residual(problem: Any, z: Any) -> Any:
 
 
 def exact_residuals(problem: Any, z: Any) -> list[Any]:
-    """‖R_k(z)‖ of each block, with 60 digits."""
+    """‖R_k(z)‖ of each block, with 60 digits; of a contact the larger residual of its two laws."""
     mp.dps = 60
     scale = ConeStack.of(problem).d[0]
     M = problem.rows.csr
@@ -139,13 +139,12 @@ def exact_residuals(problem: Any, z: Any) -> list[Any]:
             low, high = (mpf(float(bound[first])) for bound in (problem.lower, problem.upper))
             sizes.append(abs(at[0] - min(max(at[0] - own[0] / d, low), high)))
             continue
-        if (
-            problem.has_friction and not any(at) and own[0] >= 0
-        ):  # û_N ≥ μ‖u_T‖ says u_N ≥ 0, exactly
-            sizes.append(mpf(0))
+        if problem.has_friction:  # two laws: Signorini's of the normal row, Coulomb's of the others
+            radius, ways = mu * at[0], [a - b / d for a, b in zip(at[1:], own[1:], strict=True)]
+            share = min(mpf(1), radius / mp.norm(ways)) if any(ways) else mpf(1)
+            of_friction = mp.norm([a - share * b for a, b in zip(at[1:], ways, strict=True)])
+            sizes.append(max(abs(min(at[0], own[0] / d)), of_friction))
             continue
-        if problem.has_friction:
-            own = [own[0] + mu * mp.norm(own[1:]), *own[1:]]
         x = [a - b / d for a, b in zip(at, own, strict=True)]
         tangent = mp.norm(x[1:])
         if tangent > mu * x[0]:

@@ -52,6 +52,12 @@ TABLE: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or N
         [2.0**20, 2.0**20, 2.0**27 - 2.0**20],
         None,
     ),
+    "a contradiction next to 2^40": (
+        [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
+        [-1, 0, -(2.0**40)],
+        [2.0**20, 2.0**20, 2.0**40],
+        None,
+    ),
     "a contradiction at the rounding level": (
         [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
         [-1, 0, -(2.0**44)],

@@ -145,10 +145,11 @@ def _relative(value: Any, name: str) -> float:
 
 
 def _count(value: Any, name: str) -> int:
-    return _whole_number(value, name, 0)
+    return whole_number(value, name, 0)
 
 
-def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
+def whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
+    """Return an integer of at least `least`; raise InvalidOption for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InvalidOption(f"{name} must be an integer ≥ {least}{otherwise}, got {value!r}")
     return min(int(value), MOST)
@@ -169,7 +170,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
         If `threads` is not an integer ≥ 1.
     """
     otherwise = ", or None for all that may be used"
-    return usable_threads() if threads is None else _whole_number(threads, name, 1, otherwise)
+    return usable_threads() if threads is None else whole_number(threads, name, 1, otherwise)
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {

@@ -25,6 +25,8 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.settings import Settings
+from lcp_plugin.core.solving.advice import advice_of_run
 
 CONTACT = falling_bodies(10)
 TRAPPED = scaling_trap().problem  # an H₊-matrix on which unscaled steps run into a cycle
@@ -131,6 +133,15 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert calls_in(result.advice) == []
     assert "try another start z0" in result.advice
     assert solve(problem, z0=z + 1e-6).is_solved
+
+
+def test_a_matrix_with_the_wrong_sign_is_named() -> None:
+    """The advice for a stalled LCP(−L, q) of a Laplacian L names −M, which is solved."""
+    L = gallery.obstacle_2d(size=8).problem.csr
+    wrong = LCP(-L, -np.ones(L.shape[0]))
+    advice = advice_of_run(wrong, "auto", Settings())[Status.STALLED]
+    assert "every m_ii is negative: is −M meant" in advice
+    assert solve(LCP(L, -np.ones(L.shape[0]))).is_solved
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])

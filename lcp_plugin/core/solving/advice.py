@@ -36,7 +36,9 @@ def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status,
             said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
     tried = "auto has tried all methods that suit this matrix; next: try another start z0"
     end = f"next: try {other}" if other else tried
-    if (negative := (problem.diagonal < 0.0)).any():
+    if (negative := (problem.diagonal < 0.0)).all() and negative.size:
+        end = f"every m_ii is negative: is −M meant, as for a Laplacian with the other sign? {end}"
+    elif negative.any():
         end = f"M is not monotone (m_ii < 0 for i = {int(negative.argmax())}); {end}"
     for status in WITHOUT_END:
         said[status] += f"; {end}"

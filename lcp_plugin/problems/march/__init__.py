@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from ...api import solve
 from ...auto import parse_call, plan, run_on, solve_lcp
 from ...core.algorithm import Algorithm
-from ...core.checks import FloatVector, check_kind, checked_start, is_number, real_array
+from ...core.checks import FloatVector, check_kind, checked_start, is_number, read_only, real_array
 from ...core.deadline import Clock
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
@@ -34,12 +34,15 @@ class March(AnswerSequence[Result]):
     Parameters
     ----------
     problem, forcing, propagator, z0 : problem, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
-        The arguments of :func:`march`.
+    keep : int
+        The arguments of :func:`march`; keep 0 means the last step only.
 
     Attributes
     ----------
     z : list of arrays, shape (n,)
-        The solution of each step.
+        The solution of each kept step.
+    steps : list of int
+        Number of each kept step, from 0; `taken` is the number of steps that were taken.
     all_solved : bool
         True if every step that was taken is SOLVED, and none was rejected or interrupted.
     error : LCPError or None
@@ -52,9 +55,15 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self, problem: Any, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector
+        self,
+        problem: Any,
+        forcing: FloatVector,
+        propagator: sp.csr_array,
+        z0: FloatVector,
+        keep: int = 1,
     ) -> None:
         self.problem, self.forcing, self.propagator, self.z0 = problem, forcing, propagator, z0
+        self.keep, self.steps, self.taken = keep, list[int](), 0
         self.seconds = 0.0
         self.error: LCPError | None = None
         self.is_interrupted = False
@@ -87,7 +96,7 @@ class March(AnswerSequence[Result]):
         return "\n".join(filter(None, [*self._summary(), last]))
 
     def _summary(self) -> list[str]:
-        steps = f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        steps = f"{self.taken} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
         return [steps, *([f"ended by {self.error}"] if self.error else [])]
 
     def __repr__(self) -> str:
@@ -98,9 +107,13 @@ class March(AnswerSequence[Result]):
         return {**self.__dict__, "_results": [self.at(k) for k in range(len(self))]}
 
     def take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
-        """Add one step."""
+        """Add one step; the step before it is dropped if it is not one of every `keep`."""
+        if self.taken and (self.taken % self.keep if self.keep else True):
+            del self.steps[-1], self.z[-1], self._results[-1]
+        self.steps.append(self.taken)
         self.z.append(z)
         self._results.append(result)
+        self.taken += 1
 
 
 def take_steps_on_band(
@@ -123,11 +136,12 @@ def take_steps_on_band(
     ):
         return
     steps, state = BandSteps(problem, band, done.propagator, settings.tolerance), done.z0
-    while len(done) < len(done.forcing) and clock.read() < limit:
-        forcing = done.forcing[len(done) : len(done) + BLOCK]
+    while done.taken < len(done.forcing) and clock.read() < limit:
+        forcing = done.forcing[done.taken : done.taken + BLOCK]
         solved = steps.solve(forcing, state)
         for q, state in zip(*solved, strict=True):
-            done.take(state, partial(_result_at, problem, q, state, settings))
+            row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
+            done.take(z, partial(_result_at, problem, row, z, settings))  # without its block
         if len(solved[0]) < len(forcing):
             break
     done.seconds += clock.read()
@@ -147,8 +161,8 @@ def take_steps(
     is_lcp, clock = isinstance(problem, LCP), Clock()
     state = done.z[-1] if done.z else done.z0
     begin: str | None = None  # the iteration that finished the step before
-    while len(done) < total and done.all_solved:
-        step = len(done)
+    while done.taken < total and done.all_solved:
+        step = done.taken
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected by name
                 stated = problem.with_q(done.forcing[step] + propagator @ state)
@@ -203,7 +217,7 @@ def checked_rows(
         raise InvalidProblem(
             f"{need}, but {name}{at.tolist()} = {rows[tuple(at)]}; repair that entry"
         )
-    return np.ascontiguousarray(rows)
+    return rows
 
 
 def checked_propagator(propagator: Any, n: int) -> sp.csr_array:

@@ -504,7 +504,12 @@ def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVec
 
 
 def _require_all_steps(march: March) -> None:
-    """Raise UnsuitableProblem for a march that was not solved to its last step."""
+    """Raise UnsuitableProblem for a march that was not solved to its last step, or did not keep all steps."""
+    if march.keep != 1:
+        raise UnsuitableProblem(
+            f"the derivative of a march needs all its steps, and keep={march.keep or 'last'} dropped some; "
+            "leave out keep"
+        )
     if march.all_solved and len(march) == len(march.forcing):
         return
     last = len(march) - 1

@@ -16,14 +16,14 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import class_of, refusal, takes
-from ...core.settings import OF_SOLVE, Settings
+from ...core.settings import OF_SOLVE, Settings, whole_number
 from ..cones.data import Blocks
 from ..many.data import length_of_all, rows_of_a_batch
 from . import March, checked_propagator, checked_rows, take_steps, take_steps_on_band
 
 BOUNDS = "lower", "upper"
 # options of `march`, not of `solve`
-OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm"
+OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"
 
 
 @np.errstate(under="ignore")
@@ -37,6 +37,7 @@ def march(
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None,
+    keep: int | str = 1,
     **wishes: Any,
 ) -> Any:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
@@ -59,6 +60,9 @@ def march(
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
         Wall-clock limit in seconds for all marches together. The current step is then the last step.
+    keep : int or "last"
+        Steps that the result contains: every k-th step and the last, or the last only. Other steps are dropped as soon
+        as the next step is taken, which saves memory; the derivative of a march needs all steps.
     algorithm, **wishes
         Other options of :func:`lcp_plugin.solve`, for each step.
 
@@ -79,7 +83,7 @@ def march(
     `auto` uses `banded`, all steps run in one compiled loop, certificates included. Otherwise `auto` chooses in the
     first two steps; later steps start with the method that finished the previous step. If few rows have a bound,
     as in contact, the others are eliminated by one factorization for all steps, if that is cheaper. A march of 1000
-    steps and 10⁴ unknowns takes 80 MB; split longer ones, each with ``z0=done.z[-1]`` of the previous part.
+    steps and 10⁴ unknowns takes 80 MB; for longer ones set `keep`.
 
     A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
     propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
@@ -118,7 +122,9 @@ def march(
     given = zip((*BOUNDS, "z0"), of_states, strict=True)
     states = {name: values for name, values in given if values is not None}
     marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
+    every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, one in enumerate(marches):
+        one.keep = every
         take_steps_on_band(one, algorithm, wishes, limit - clock.read())
         take_steps(one, algorithm, wishes, max(limit - clock.read(), 0.0))
         if one.is_interrupted:

@@ -35,6 +35,31 @@ def heated(n: int, k: int, seed: int = 0, **options: Any) -> March:
     return march(problem, rng.normal(scale=2.0, size=(k, n)), z0=rng.normal(size=n), **options)
 
 
+@pytest.mark.parametrize("algorithm", ["auto", "npsor"])
+@pytest.mark.parametrize(("keep", "steps"), [(1, range(10)), (4, [3, 7, 9]), ("last", [9])])
+def test_keep_leaves_every_kth_step_and_the_last(keep: Any, steps: Any, algorithm: str) -> None:
+    """The kept steps are steps of the whole march, also if the march has several blocks of a band."""
+    whole, some = (heated(5, 10, algorithm=algorithm, keep=one) for one in (1, keep))
+    assert some.steps == [*steps]
+    np.testing.assert_array_equal(some.z, [whole.z[k] for k in steps])
+    np.testing.assert_array_equal(some[-1].certificate.problem.q, whole[-1].certificate.problem.q)
+    assert some.taken == 10
+    assert some.all_solved
+    assert "10 of 10 steps" in some.explain()
+    long = heated(5, 150, algorithm=algorithm, keep=50)
+    np.testing.assert_array_equal(long.z[1], heated(5, 150, algorithm=algorithm).z[99])
+    if keep != 1:
+        with pytest.raises(UnsuitableProblem, match="leave out keep"):
+            derivative(some)
+
+
+def test_keep_is_a_number_of_steps_or_last() -> None:
+    """Another value is an error before the first step."""
+    for wrong in (0, "first", 2.5):
+        with pytest.raises(InvalidOption, match='keep must be an integer ≥ 1, or "last"'):
+            heated(5, 3, keep=wrong)
+
+
 # --- Derivatives ----------------------------------------------------------------------------------------------
 
 INF = np.inf

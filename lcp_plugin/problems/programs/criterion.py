@@ -27,6 +27,10 @@ Sizes:
   of them; for slacks and blur_j, at least 1e-8 of Σ |y_i| (Σ |c_ij x_j| + |d_i|).
 - The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
   (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the fitted scale of a row, a proof of infeasibility is searched first.
+
+Limits: a row may be violated by 9e-10 of its terms although a coefficient of 1e11 in another row makes this violation
+expensive. A program may be unbounded although a program within 1e-10 of it has a minimum. An objective below 1e-14 of
+the terms of the rows, weighted with their multipliers, counts as 0.
 """
 
 from __future__ import annotations

@@ -180,11 +180,13 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     name = class_of(problem)
     if name is None:
         raise InvalidOption(refusal("solve", problem))
-    if isinstance(algorithm, (np.ndarray, list, tuple)):
-        raise UnknownAlgorithm(
-            f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
-        )
-    if not isinstance(algorithm, str) or algorithm != "auto":
+    if not isinstance(algorithm, str):
+        if isinstance(algorithm, (np.ndarray, list, tuple)):
+            raise UnknownAlgorithm(
+                f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
+            )
+        options["algorithm"] = algorithm
+    elif algorithm != "auto":
         options["algorithm"] = algorithm
     known = options_of(name)
     if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x

@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike
 
 from .algorithms import create, refusal_of_engine
 from .core.algorithm import Algorithm, count_driven_sweeps
-from .core.checks import FloatVector, checked_start
+from .core.checks import FloatVector, checked_start, read_only
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kernels.threads import threads_for
@@ -222,6 +222,16 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
     UnknownAlgorithm, InvalidOption
         If the name or an option does not exist.
     """
+    if isinstance(algorithm, str):
+        if algorithm != "auto":
+            return create(algorithm, options)
+        if options:
+            hint = did_you_mean(next(iter(options)), (), OF_SOLVE)
+            name_one = "" if "did you mean" in hint else "; name an algorithm as well"
+            raise InvalidOption(
+                f'algorithm="auto" has no options, got {sorted(options)}{name_one}{hint}'
+            )
+        return None
     if isinstance(algorithm, Algorithm):
         if options:
             raise InvalidOption(
@@ -233,29 +243,16 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
                 f'{type(algorithm).__name__} has no name; write name = "…" in the class'
             )
         return algorithm
-    if isinstance(algorithm, str) and algorithm == "auto":
-        if options:
-            hint = did_you_mean(next(iter(options)), (), OF_SOLVE)
-            name_one = "" if "did you mean" in hint else "; name an algorithm as well"
-            raise InvalidOption(
-                f'algorithm="auto" has no options, got {sorted(options)}{name_one}{hint}'
-            )
-        return None
-    if isinstance(algorithm, type):
-        name = algorithm.__name__
-        raise UnknownAlgorithm(
-            f"algorithm must be a name or an object, got the class {name}; write {name}()"
-        )
     if isinstance(algorithm, Engine):
         raise refusal_of_engine(algorithm.name)
-    if not isinstance(algorithm, str):
-        raise UnknownAlgorithm(
-            f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
-        )
-    return create(algorithm, options)
+    if isinstance(algorithm, type):
+        got = f"the class {algorithm.__name__}; write {algorithm.__name__}()"
+        raise UnknownAlgorithm(f"algorithm must be a name or an object, got {got}")
+    raise UnknownAlgorithm(
+        f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
+    )
 
 
-@np.errstate(under="ignore")
 def solve_lcp(
     problem: LCP,
     algorithm: str | Algorithm = "auto",
@@ -286,11 +283,13 @@ def solve_lcp(
     if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
         found = first_candidate(problem, start, settings.tolerance)
         if found is not None:
-            z, label, work = found
+            point, label, work = found
             stage = StageRecord(label, GUESSED, 1, work)
-            return Result.at(problem, z, stage, settings, clock.read())
+            rows = point.rows if problem.is_dense else None  # of M as it is stored
+            z = read_only(point.z)
+            return Result.at(problem, z, stage, settings, clock.read(), rows)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate():
+    with np.errstate(under="ignore"):
         return run_on(problem, method, settings, start, clock, callback)
 
 

@@ -64,8 +64,8 @@ def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -
     return freeze_csr(matrix)
 
 
-def checked_matrix(M: Any) -> Any:
-    """Return the square matrix as a CSR array, or as an ndarray if it is small and dense."""
+def checked_matrix(M: Any) -> tuple[Any, int]:
+    """Return the square matrix as a CSR array, or as an ndarray if it is small and dense; and its nonzero entries."""
     is_sparse = sp.issparse(M)
     if is_sparse:
         check_kind(M.dtype, "M must hold real numbers")
@@ -74,13 +74,16 @@ def checked_matrix(M: Any) -> Any:
         hint = "" if len(matrix.shape) == 2 else "; the matrix comes first: LCP(M, q)"
         raise InvalidProblem(f"M must be a square matrix (n×n), got shape {matrix.shape}{hint}")
     if is_sparse:
-        return canonical_csr(matrix, "M")
+        compressed = canonical_csr(matrix, "M")
+        return compressed, int(compressed.nnz)
     if not np.isfinite(matrix).all():
         raise _not_finite_entry(matrix, "M")
-    n = matrix.shape[0]
-    if n <= DENSE_UP_TO_SIZE and np.count_nonzero(matrix) > DENSE_ABOVE_DENSITY * n * n:
-        return read_only(np.array(matrix, order="C"))  # the caller may change the original
-    return freeze_csr(sp.csr_array(matrix))
+    n, nonzeros = matrix.shape[0], int(np.count_nonzero(matrix))
+    if n <= DENSE_UP_TO_SIZE and nonzeros > DENSE_ABOVE_DENSITY * n * n:
+        return read_only(
+            np.array(matrix, order="C")
+        ), nonzeros  # the caller may change the original
+    return freeze_csr(sp.csr_array(matrix)), nonzeros
 
 
 def rectangular_matrix(
@@ -171,7 +174,9 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
         M = sp.coo_array((M.data, (M.row, M.col)), shape=M.shape)
     elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
         raise ValueError("each row must have as many values as columns")  # scipy reads beyond them
-    with np.errstate(over="ignore"):  # entries beyond double precision become infinite
+    with np.errstate(
+        over="ignore", under="ignore"
+    ):  # entries beyond double precision become infinite
         matrix = sp.csr_array(M.astype(np.float64, copy=False), copy=is_copied)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()
@@ -221,7 +226,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
-    with np.errstate(over="ignore"):  # an overflow becomes infinite, which is rejected
+    with np.errstate(over="ignore", under="ignore"):  # an overflow becomes infinite: rejected
         return array.astype(np.float64)
 
 

@@ -65,18 +65,18 @@ class LCP:
         lower: FloatVector
         upper: FloatVector
         origin: Any
+        _facts: dict[Any, Any]
 
-    @np.errstate(under="ignore")
     def __init__(
         self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
     ) -> None:
-        given = vars(self)
+        given = self.__dict__
         given["matrix"] = matrix = M if isinstance(M, Matrix) else Matrix(M)
         given["n"] = n = matrix.n
         need = f"q must be a finite vector of length {n} (M is {n}×{n})"
         given["q"] = checked_vector(q, "q", n, need=need)
         given["lower"], given["upper"] = checked_bounds(lower, upper, n)
-        given["origin"] = None
+        given["origin"], given["_facts"] = None, {}
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise AttributeError, because facts about the problem are cached."""
@@ -128,10 +128,6 @@ class LCP:
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
-
-    @cached_property
-    def _facts(self) -> dict[Any, Any]:
-        return {}
 
     @property
     def _lock(self) -> threading.RLock:
@@ -194,6 +190,7 @@ class LCP:
             upper=self.upper,
             nearest_to_zero=self.nearest_to_zero,
             origin=None,
+            _facts={},
         )
         return other
 
@@ -385,6 +382,7 @@ class LCP:
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without cached properties."""
         computed = {name for name, value in vars(LCP).items() if isinstance(value, cached_property)}
-        return {name: value for name, value in self.__dict__.items() if name not in computed}
+        state = {name: value for name, value in self.__dict__.items() if name not in computed}
+        return state | {"_facts": {}}
 
     __setstate__ = restore_state

@@ -94,6 +94,8 @@ class RowData:
         `scale` is d.
     labels : array of int, shape (n,) or (B, n), or None
         Connected component of each row, all different in a stack; None if each problem is connected.
+    start : array, shape (n,) or (B, n), optional
+        z°, if it is computed already.
     """
 
     def __init__(
@@ -105,10 +107,11 @@ class RowData:
         upper: FloatVector,
         scale: FloatVector,
         labels: Any = None,
+        start: FloatVector | None = None,
     ) -> None:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
-        self.start: FloatVector = np.minimum(np.maximum(0.0, lower), upper)  # z°
+        self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
         self._are_infeasible: dict[tuple[int, ...], bool] = {}  # by number of the problem
         # Number of entries of each row, at most.
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
@@ -375,6 +378,7 @@ def row_data(problem: LCP) -> RowData:
         problem.upper,
         problem.matrix.residual_scale,
         None if several is None else several.labels,
+        problem.nearest_to_zero,
     )
 
 

@@ -86,10 +86,9 @@ class Matrix:
     """
 
     def __init__(self, M: Any) -> None:
-        self.array: Any = checked_matrix(M)
+        self.array, self.nonzeros = checked_matrix(M)
         self.n: int = self.array.shape[0]
         self.is_dense = isinstance(self.array, np.ndarray)
-        self.nonzeros = int(np.count_nonzero(self.array) if self.is_dense else self.array.nnz)
         self._facts: dict[Hashable, Any] = {}
         self._lock = threading.RLock()
 
@@ -97,6 +96,10 @@ class Matrix:
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
         return csr_of_dense(self.array) if self.is_dense else self.array
+
+    def toarray(self) -> FloatVector:
+        """Return M as an ndarray, shape (n, n), not copied if it is stored as one."""
+        return self.array if self.is_dense else self.array.toarray()  # type: ignore[no-any-return]
 
     @property
     @fact

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ..certificates.criterion import RowsAtPoint
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, read_only, restore_state
 from ..errors import UnsuitableMatrix
@@ -128,7 +129,7 @@ class Result(BaseResult):
         stage: StageRecord,
         settings: Settings,
         seconds: float = 0.0,
-        **others: Any,
+        rows: RowsAtPoint | None = None,
     ) -> Result:
         """Return the result at a point that is measured as SOLVED, without another solve or measurement.
 
@@ -142,14 +143,17 @@ class Result(BaseResult):
         settings : Settings
         seconds : float
             Seconds of the computation of z.
-        **others
-            Further fields of the result.
+        rows : RowsAtPoint, optional
+            The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
         """
+        certificate = Certificate(problem, z)
+        if rows is not None:
+            certificate.__dict__["_rows"] = rows
         return cls(
             z=z,
-            w=read_only(problem.slack(z)),
+            w=read_only(rows.w) if rows else certificate.w,
             status=Status.SOLVED,
-            certificate=Certificate(problem, z),
+            certificate=certificate,
             algorithm=f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work + 1.0,  # of the measurement
@@ -158,7 +162,6 @@ class Result(BaseResult):
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
             stages=(stage,),
-            **others,
         )
 
     @property

@@ -9,7 +9,6 @@ from ...core.checks import FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.matrix import fact
 from ...core.tuning import PIVOTS_FIRST_UP_TO
-from ..small.rounds import as_dense
 
 
 @fact
@@ -24,7 +23,7 @@ def is_game(problem: LCP) -> bool:
     if not (problem.is_dense or problem.n <= PIVOTS_FIRST_UP_TO) or problem.diagonal.any():
         return False
     is_cone = not problem.lower.any() and bool((problem.upper == np.inf).all())
-    return is_cone and bimatrix_players(as_dense(problem.matrix)[0], problem.q) is not None
+    return is_cone and bimatrix_players(problem.matrix.toarray(), problem.q) is not None
 
 
 def bimatrix_players(M: NDArray[np.float64], q: FloatVector) -> NDArray[np.bool_] | None:

@@ -21,12 +21,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import RowData, times
+from ...core.algorithm import Algorithm, Step, without_warnings
+from ...core.certificates.criterion import RowData, row_data, times
 from ...core.certificates.measured import Measured
-from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.matrix import Matrix, residual_scales
+from ...core.matrix.matrix import residual_scales
 
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
@@ -51,42 +51,33 @@ class Rounds(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, the point at which the rounds end, and the ends of the paths."""
+        return without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
-        unit = max(problem.nonzeros, 1)
-        with np.errstate(all="ignore"):
-            stack = stack_of(problem.matrix, problem.q, problem.lower, problem.upper)
-        points = candidates(stack, z0[None])
-        while True:
-            with np.errstate(all="ignore"):
-                found = next(points, None)
-            if found is None:
-                return
-            label, z, entries = found
+        data, unit = dense_data(problem), max(problem.nonzeros, 1)
+        for label, z, entries in candidates(data, z0):
             if np.isfinite(z).all():
-                with np.errstate(all="ignore"):
-                    z = measure(stack, z[None], 0.0).z[0]
-                yield Step(z, work=entries / unit, label=label)
+                found = measure(data, z, 0.0)
+                yield Step(found.z, work=entries / unit, label=label, measured=found)
 
 
 def first_candidate(
     problem: LCP, z0: FloatVector, tolerance: float
-) -> tuple[FloatVector, str, float] | None:
+) -> tuple[Measured, str, float] | None:
     """Return the first point of :func:`candidates`, its method and its work; None unless the point is a solution.
 
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     with np.errstate(all="ignore"):
-        stack = stack_of(problem.matrix, problem.q, problem.lower, problem.upper)
-        if not stack.reference.all():
+        data = dense_data(problem)
+        if not data.reference.all() or (
+            z0 is not data.start and measure(data, z0, tolerance).passes
+        ):
             return None
-        is_cold = z0 is problem.nearest_to_zero
-        if not is_cold and measure(stack, z0[None], tolerance).passes[0]:
-            return None
-        label, z, entries = next(candidates(stack, z0[None]))
-        found = measure(stack, z[None], tolerance)
-    if not found.passes[0]:
-        return None
-    return read_only(found.z[0]), label, entries / max(problem.matrix.nonzeros, 1)
+        label, z, entries = next(candidates(data, z0))
+        found = measure(data, z, tolerance)
+    return (found, label, entries / max(problem.matrix.nonzeros, 1)) if found.passes else None
 
 
 def is_small(problem: LCP) -> bool:
@@ -94,25 +85,24 @@ def is_small(problem: LCP) -> bool:
     return 0 < problem.n <= (SMALL_DENSE if problem.matrix.is_dense else SMALL_SPARSE)
 
 
-def as_dense(matrix: Matrix) -> FloatVector:
-    """Return M as an ndarray with an axis in front, shape (1, n, n)."""
-    M: FloatVector = matrix.array if matrix.is_dense else matrix.csr.toarray()
-    return M[None]
+def dense_data(problem: LCP) -> RowData:
+    """Return the data of the criterion of a problem, M dense."""
+    data = row_data(problem)
+    if not problem.matrix.is_dense:
+        M, bounds = data.M.toarray(), (data.lower, data.upper)
+        data = RowData(M, np.abs(M), data.q, *bounds, data.scale, data.labels, data.start)
+    return data
 
 
 # --- stacks --------------------------------------------------------------------------------------------------
 
 
 def stack_of(M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
-    """Return problems of one size as data of the criterion; an axis of length 1, or none, means shared data.
+    """Return problems of one size as data of the criterion; an axis of length 1 means shared data.
 
     One matrix for all stays one matrix, M of shape (1, n, n).
     """
-    M = as_dense(M) if isinstance(M, Matrix) else M
-    if q.ndim == 1 == len(M):
-        q, lower, upper = q[None], lower[None], upper[None]
-    else:
-        q, lower, upper = np.broadcast_arrays(M[:, 0], q, lower, upper)[1:]
+    q, lower, upper = np.broadcast_arrays(M[:, 0], q, lower, upper)[1:]
     count, sizes = len(q), np.abs(M)
     scale = residual_scales(M.diagonal(axis1=-2, axis2=-1), sizes.max(-1, initial=0.0))
     labels = None
@@ -149,16 +139,12 @@ def select_problems(stack: RowData, items: Any) -> RowData:
     return RowData(**parts, labels=labels)
 
 
-def clean(stack: RowData, z: FloatVector) -> FloatVector:
-    """Return z within its bounds, and 0 for values whose products would underflow."""
+def measure(data: RowData, z: FloatVector, tolerance: float) -> Measured:
+    """Measure points at the ends of linear solves, within their bounds, without values whose products underflow."""
     size = np.abs(z)
     least = SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0)
-    return np.minimum(np.maximum(np.where(size > least, z, 0.0), stack.lower), stack.upper)
-
-
-def measure(stack: RowData, z: FloatVector, tolerance: float) -> Measured:
-    """Measure the clean points of a stack, at the ends of linear solves."""
-    return stack.measure(clean(stack, z), tolerance, power=1.0)
+    z = np.minimum(np.maximum(np.where(size > least, z, 0.0), data.lower), data.upper)
+    return data.measure(z, tolerance, power=1.0)
 
 
 def solve_stack(
@@ -180,7 +166,8 @@ def solve_stack(
     with np.errstate(all="ignore"):
         stack = stack_of(M, q, lower, upper)
         first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
-        found = measure(stack, stack.start if first is None else rounds(stack, first), tolerance)
+        ends = stack.start if first is None else rounds_of_stack(stack, first)
+        found = measure(stack, ends, tolerance)
         has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
         items = np.flatnonzero(~found.passes & ~has_free)
         if items.size:
@@ -207,13 +194,13 @@ def guess(stack: RowData) -> FloatVector | None:
         step = (times(stack.M, z) + stack.q) / stack.scale
         change = np.minimum(np.maximum(step, z - stack.upper), z - stack.lower) * (2.0 / pivot)
         new = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
-        more = times(stack.M[:, half:, :half], new[:, :half] - z[:, :half])
-        change[:, half:] += more / (pivot * stack.scale[:, half:])
+        more = times(stack.M[..., half:, :half], new[..., :half] - z[..., :half])
+        change[..., half:] += more / (pivot * stack.scale[..., half:])
         z = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
     return z
 
 
-def rounds(stack: RowData, z: FloatVector) -> FloatVector:
+def rounds_of_stack(stack: RowData, z: FloatVector) -> FloatVector:
     """Return the final points of active-set iterations, which begin with the active sets of z."""
     z, items, side = z.copy(), np.arange(len(z)), np.full(z.shape, -1)
     fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
@@ -401,17 +388,14 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 }
 
 
-def candidates(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
+def candidates(data: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
-    n = z0.shape[1]
-    entries = float(n**3)
-    is_cold = bool((z0 == stack.start).all())
-    first = guess(stack) if is_cold else z0  # a start names an active set
+    entries = float(z0.size**3)
+    is_cold = z0 is data.start or bool((z0 == data.start).all())
+    first = guess(data) if is_cold else z0  # a start names an active set
     if first is not None:
-        yield "rounds", rounds(stack, first)[0], entries
-    M, q, width, back = _canonical(
-        *(one[0] for one in (stack.M, stack.q, stack.lower, stack.upper))
-    )
+        yield "rounds", rounds(data, first), entries
+    M, q, width, back = _canonical(data.M, data.q, data.lower, data.upper)
     game = (
         _rows_of_first_player(M, q) if q.size and not M[0, 0] and np.isposinf(width).all() else None
     )
@@ -419,11 +403,27 @@ def candidates(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVect
         yield "game", back(path(M, q, width, game=game)), 3.0 * entries
     for name, covering in COVERINGS.items():
         z = back(path(M, q, width, covering(q)) if q.size else q)
-        yield name, np.clip(z, stack.lower[0], stack.upper[0]), 3.0 * entries
+        yield name, np.clip(z, data.lower, data.upper), 3.0 * entries
         if np.isfinite(z).all():
-            yield "rounds", rounds(stack, z[None])[0], entries
-    if guess(stack) is None:
-        yield "rounds", rounds(stack, stack.start)[0], entries
+            yield "rounds", rounds(data, z), entries
+    if guess(data) is None:
+        yield "rounds", rounds(data, data.start), entries
+
+
+def rounds(data: RowData, z: FloatVector) -> FloatVector:
+    """Return the final point of active-set iterations on one problem, as :func:`rounds_of_stack` does."""
+    M, q, lower, upper, scale = data.M, data.q, data.lower, data.upper, data.scale
+    before, fewest, idle = None, z.size + 1, 0
+    for _ in range(ROUNDS):
+        step = (M @ z + q) / scale
+        side = np.where(step >= z - lower, LOW, FREE + (step <= z - upper))
+        changes = z.size if before is None else np.count_nonzero(side != before)
+        idle, fewest = (idle + 1, fewest) if changes >= fewest else (0, changes)
+        if not changes or idle > IDLE or not step @ step >= 0.0:  # NaN: a singular block
+            break
+        before = side
+        z = _solve_active_set(M, q, lower, upper, side)
+    return z
 
 
 def _exchange(T: FloatVector, factor: FloatVector, row: int, column: int) -> None:

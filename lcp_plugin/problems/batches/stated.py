@@ -13,7 +13,7 @@ from ...auto import takes_rounds
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
-from ...methods.small.rounds import CHUNK, SMALL_DENSE, as_dense, is_small, solve_stack
+from ...methods.small.rounds import CHUNK, SMALL_DENSE, is_small, solve_stack
 from ...systems.graph import outer_on_pattern
 from ...systems.least_norm import products
 from ..cones.data import Blocks
@@ -125,7 +125,7 @@ class Listed:
         for items in by_size.values():
             chosen = [self.problems[k] for k in items]
             are_one = all(one.matrix is chosen[0].matrix for one in chosen)
-            M = np.concatenate([as_dense(one.matrix) for one in chosen[: 1 if are_one else None]])
+            M = np.array([one.matrix.toarray() for one in chosen[: 1 if are_one else None]])
             names = ("q", "lower", "upper")
             vectors = (np.array([getattr(one, name) for one in chosen]) for name in names)
             yield Group(np.array(items), *map(read_only, (M, *vectors, np.empty((1, 0)))))
@@ -298,7 +298,7 @@ class Stacked(Rows):
         is_suited = 0 < n <= SMALL_DENSE if self.base is None else suits(self.base)
         if not is_suited or not items.size:
             return
-        M = np.ascontiguousarray(self.M) if self.base is None else as_dense(self.base.matrix)
+        M = np.ascontiguousarray(self.M) if self.base is None else self.base.matrix.toarray()[None]
         vectors = [self.rows[name] for name in ("q", "lower", "upper")]
         starts = np.empty((1, 0))
         if "z0" in self.rows:

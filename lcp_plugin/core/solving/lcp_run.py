@@ -18,7 +18,7 @@ from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
 from ..settings import Settings, Status
-from .advice import NOTHING_TO_DO, advice_of_run
+from .advice import advice_of_run
 from .progress import Callback, Progress
 from .result import Result
 from .run import STATUS_OF, Run
@@ -30,7 +30,7 @@ Polish = Callable[[LCP, FloatVector, float], Any]
 
 
 class LCPRun(Run):
-    """Run of an LCP, or of a nonlinear problem by its linearizations.
+    """Run of an LCP.
 
     Parameters
     ----------
@@ -43,9 +43,6 @@ class LCPRun(Run):
         Running.
     start : ndarray, shape (n,)
         Within the bounds.
-    test : TerminationTest, optional
-        Stopping test of the user's problem if it differs from the problem of the methods: a nonlinear problem, for
-        which the methods take the linearization at the start.
     header : callable, optional
         The lines on M that ``verbose=True`` prints.
     polish : callable, optional
@@ -60,14 +57,13 @@ class LCPRun(Run):
         callback: Callback | None,
         clock: Clock,
         start: FloatVector,
-        test: TerminationTest | None = None,
         header: Header | None = None,
         polish: Polish | None = None,
     ) -> None:
         self.problem, self.chosen = problem, chosen
-        self.test, self.polish = test or TerminationTest(problem, settings), polish
+        self.test, self.polish = TerminationTest(problem, settings), polish
         with clock.pause():
-            log = RunLog(self.test.user_problem, header) if settings.verbose else None
+            log = RunLog(problem, header) if settings.verbose else None
         super().__init__(Progress(settings, callback, clock, log))
         if self.test.solved_rows is not None:  # no point but z° can be measured there
             start = np.where(self.test.solved_rows, problem.nearest_to_zero, start)
@@ -97,6 +93,11 @@ class LCPRun(Run):
     def measure(self, stage: Stage, step: Step) -> Measured | None:
         """Return the residual of a step if it is known or due, proved if it may be small enough."""
         test, progress, self.unmeasured = self.test, self.progress, step.z
+        found = step.measured
+        if found is not None and max(found.residual, found.terms) <= self.settings.tolerance:
+            progress.work += 1.0
+            stage.record(float(found.residual))
+            return Measured(step.z, stage.residuals[-1][1], passes=True)
         change = step.residual if step.increment is None else step.increment
         increment = None if change is None else ratio(change, test.reference)
         known = step.residual if test.is_uniform else None
@@ -174,46 +175,28 @@ class LCPRun(Run):
 
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
-        settings, progress = self.settings, self.progress
+        settings = self.settings
         self._measure_last()
         certificate = self._final(self.z, end)
         status = self._status(certificate, end)
-        stages = progress.records()
-        if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
-            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
         name = self.chosen if isinstance(self.chosen, str) else self.chosen.name
-        chain = [stage.name for stage in stages]
-        is_linear = not certificate.is_linearised
-        result = Result(
-            z=certificate.z,
-            w=certificate.w,
-            status=status,
-            certificate=certificate,
-            tolerance=settings.tolerance,
-            absolute_tolerance=settings.absolute_tolerance,
+        chain = [stage.name for stage in self.progress.records()]
+        is_solved = status is Status.SOLVED
+        return self.result_at(
+            certificate,
+            status,
             algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
-            iterations=max(progress.iteration, 0),
-            work=progress.work,
-            seconds=progress.clock.read(),
-            setup_seconds=progress.setup_seconds,
-            history=tuple(progress.samples),
-            stages=stages,
             infeasibility=self.proof,
             _asked=self.chosen,
-            _wants_bound=settings.error_bound and bool(stages),
-            _advice=advice_of_run(self.problem, self.chosen, settings)
-            if is_linear and status is not Status.SOLVED
-            else dict(self.test.words),
+            _wants_bound=settings.error_bound and bool(chain),
+            _advice={} if is_solved else advice_of_run(self.problem, self.chosen, settings),
         )
-        if progress.log is not None:
-            progress.log.end(result)
-        return result
 
     def _final(self, z: FloatVector, end: TerminationReason) -> Certificate:
         """Return the certificate of z, or of z after a last step of the method or on its active set if no worse."""
         test, settings = self.test, self.settings
         certificate = test.certificate_of(z)
-        if not (certificate.is_linearised or certificate.meets(settings)):
+        if not certificate.meets(settings):
             # The best iterate itself; SOLVED refers to the projected point.
             plain = Certificate.of(self.problem, z)
             certificate = certificate if plain.meets(settings) else plain
@@ -226,8 +209,8 @@ class LCPRun(Run):
             finished = last.algorithm.finish(self.problem, z)
             if finished is not z:
                 certificate = test.better_of(certificate, test.certificate_of(finished))
-        may_polish = not (certificate.is_linearised or last.algorithm.ends_on_active_set)
-        return self._polish(certificate, last, end) if may_polish else certificate
+        is_exact = last.algorithm.ends_on_active_set
+        return certificate if is_exact else self._polish(certificate, last, end)
 
     def _polish(self, certificate: Certificate, last: Stage, end: TerminationReason) -> Certificate:
         """Return the certificate of the solution of the linear system on the active set of z, if it is no worse.

@@ -15,7 +15,9 @@ from ..algorithm import Step
 from ..checks import read_only
 from ..deadline import OutOfTimeError, time_limit
 from ..settings import Status
+from .advice import NOTHING_TO_DO
 from .progress import Callback, Progress
+from .result import Result
 from .stage import Stage
 from .termination import FAILED, TerminationReason
 
@@ -86,6 +88,30 @@ class Run:
     def result(self, end: TerminationReason) -> Any:
         """Return the result of the run."""
         raise NotImplementedError
+
+    def result_at(self, certificate: Any, status: Status, **others: Any) -> Result:
+        """Return the result of a run that ends with this certificate; `others` are further fields of the result."""
+        progress, settings, stages = self.progress, self.settings, self.progress.records()
+        if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
+            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+        result = Result(
+            z=certificate.z,
+            w=certificate.w,
+            status=status,
+            certificate=certificate,
+            tolerance=settings.tolerance,
+            absolute_tolerance=settings.absolute_tolerance,
+            iterations=max(progress.iteration, 0),
+            work=progress.work,
+            seconds=progress.clock.read(),
+            setup_seconds=progress.setup_seconds,
+            history=tuple(progress.samples),
+            stages=stages,
+            **others,
+        )
+        if progress.log is not None:
+            progress.log.end(result)
+        return result
 
     # --- the loop -----------------------------------------------------------------------------------------
 

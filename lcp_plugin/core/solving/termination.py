@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from enum import Enum
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +18,7 @@ from ..certificates.criterion import (
 from ..certificates.residuals import GAINED, Certificate, divide_nonnegative, ratio
 from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
-from ..settings import Settings, Status
+from ..settings import Settings
 
 
 class TerminationReason(Enum):
@@ -50,14 +47,9 @@ FAILED = (
 class TerminationTest:
     """Residuals and certificates of the points of a run on an LCP; the test of the criterion.
 
-    For a nonlinear problem a subclass defines `certificate_of` and `measure`, and sets the attributes.
-
     Attributes
     ----------
-    user_problem : LCP or NonlinearProblem
-        The problem to be solved; for a nonlinear problem, `problem` is the linearization at the start.
     problem : LCP
-        The problem of the methods.
     goal : float
         The relative residual below which a point may pass.
     reference : float
@@ -66,18 +58,14 @@ class TerminationTest:
         Whether all rows have that reference, so that the residual of an algorithm needs no other measurement.
     solved_rows : array of bool, shape (n,), or None
         Rows of components that z° solves.
-    words : mapping from Status to str
-        Meaning of a status if it differs from the default text; the run adds the advice.
     """
 
-    words: Mapping[Status, str] = MappingProxyType({})
     solved_rows: BoolVector | None = None
     is_uniform = True
     _latest: tuple[FloatVector, Certificate] | None = None
     _failed_at, _next_test = math.inf, 0  # residual and iteration
 
     def __init__(self, problem: LCP, settings: Settings) -> None:
-        self.user_problem: Any = problem
         self.problem, self.settings = problem, settings
         solved = rows_solved_at_start(problem)
         self.solved_rows = solved if solved.any() else None

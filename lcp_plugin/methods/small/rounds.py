@@ -417,7 +417,7 @@ def rounds(data: RowData, z: FloatVector) -> FloatVector:
     for _ in range(ROUNDS):
         step = (M @ z + q) / scale
         side = np.where(step >= z - lower, LOW, FREE + (step <= z - upper))
-        changes = z.size if before is None else np.count_nonzero(side != before)
+        changes = z.size if before is None else int(np.count_nonzero(side != before))
         idle, fewest = (idle + 1, fewest) if changes >= fewest else (0, changes)
         if not changes or idle > IDLE or not step @ step >= 0.0:  # NaN: a singular block
             break

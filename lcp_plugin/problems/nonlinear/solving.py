@@ -18,7 +18,6 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result
 from ...core.solving.run import Run
@@ -253,38 +252,16 @@ class NonlinearRun(Run):
 
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
-        progress, settings = self.progress, self.settings
         point: Linearization = self.first if self.best is None else self.best.z
         is_interrupted = end is TerminationReason.INTERRUPTED
         if not is_interrupted:
             point = self._snap(point)
         certificate = point.certificate
-        passes = certificate.meets(settings)
+        passes = certificate.meets(self.settings)
         is_limited = not (passes or is_interrupted) and certificate.is_limited_by_rounding
         self.best = Measured(point, point.residual, passes, is_limited)
-        stages, status = progress.records(), self.status(end)
-        if passes and progress.iteration == 0:
-            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        result = Result(
-            z=certificate.z,
-            w=certificate.w,
-            status=status,
-            certificate=certificate,
-            tolerance=settings.tolerance,
-            absolute_tolerance=settings.absolute_tolerance,
-            algorithm=self.newton.name,
-            iterations=max(progress.iteration, 0),
-            work=progress.work,
-            seconds=progress.clock.read(),
-            setup_seconds=progress.setup_seconds,
-            history=tuple(progress.samples),
-            stages=stages,
-            _asked=self.newton,
-            _advice=WORDS,
-        )
-        if progress.log is not None:
-            progress.log.end(result)
-        return result
+        named = {"algorithm": self.newton.name, "_asked": self.newton}
+        return self.result_at(certificate, self.status(end), _advice=WORDS, **named)
 
 
 TANGENTS = (

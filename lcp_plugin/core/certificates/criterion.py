@@ -157,10 +157,15 @@ class RowData:
         high = self.bound_residuals(moved, at, limit)
         relative = self.worst(np.where(high == 0.0, 0.0, high / limit))
         terms = self.worst(self.term_residuals(moved, at, power))
-        passes = (relative <= tolerance) & (terms <= tolerance)
+        found = Measured(moved, relative, False, terms=terms, rows=at)
+        return found._replace(passes=self.are_solved(found, tolerance))
+
+    def are_solved(self, found: Measured, tolerance: float) -> Any:
+        """Return whether the points, measured with their rows, are SOLVED at a tolerance."""
+        passes = (found.residual <= tolerance) & (found.terms <= tolerance)
         if np.any(passes):
-            passes &= ~self.are_refuted(moved, at, tolerance, passes)
-        return Measured(moved, relative, passes, terms=terms, rows=at)
+            passes &= ~self.are_refuted(found.z, found.rows, tolerance, passes)
+        return passes
 
     def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
         """Return an upper bound of every |r_i(z)|, which is compared with `limit`."""

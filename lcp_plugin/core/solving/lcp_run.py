@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..algorithm import Algorithm, Step
-from ..certificates.criterion import POWER, measured_residual, rounding_of_data
+from ..certificates.criterion import POWER, measured_residual, rounding_of_data, row_data
 from ..certificates.measured import Measured
 from ..certificates.residuals import Certificate, ratio
 from ..checks import FloatVector
@@ -94,7 +94,7 @@ class LCPRun(Run):
         """Return the residual of a step if it is known or due, proved if it may be small enough."""
         test, progress, self.unmeasured = self.test, self.progress, step.z
         found = step.measured
-        if found is not None and max(found.residual, found.terms) <= self.settings.tolerance:
+        if found is not None and self._is_solved(found):
             progress.work += 1.0
             stage.record(float(found.residual))
             return Measured(step.z, stage.residuals[-1][1], passes=True)
@@ -118,6 +118,10 @@ class LCPRun(Run):
             power = 1.0 if stage.algorithm.ends_on_active_set else POWER
             may_pass = test.is_passed(step.z, residual, progress.iteration, power)
         return Measured(step.z, residual, may_pass)
+
+    @np.errstate(all="ignore")
+    def _is_solved(self, found: Measured) -> bool:
+        return bool(row_data(self.problem).are_solved(found, self.settings.tolerance))
 
     def keep(self, found: Measured) -> None:
         """Keep a copy of a point that passes, or whose residual is the smallest."""

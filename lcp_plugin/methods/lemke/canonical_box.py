@@ -73,7 +73,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows are eliminated
     if their block is well conditioned; otherwise each free variable becomes the difference of two nonnegative ones.
     """
-    M = problem.matrix.array if problem.is_dense else problem.csr.toarray()
+    M = problem.matrix.toarray()
     row_scale = 1 - np.frexp(problem.matrix.row_largest)[1]
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)

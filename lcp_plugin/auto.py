@@ -285,7 +285,7 @@ def solve_lcp(
         if found is not None:
             point, label, work = found
             stage = StageRecord(label, GUESSED, 1, work)
-            rows = point.rows if problem.is_dense else None  # of M as it is stored
+            rows = point.rows if problem.is_dense else None  # of the stored M
             z = read_only(point.z)
             return Result.at(problem, z, stage, settings, clock.read(), rows)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.

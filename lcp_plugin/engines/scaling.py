@@ -16,6 +16,7 @@ from ..core.matrix.matrix import largest_in_rows
 from .engine import EngineAnswer, ProgramData
 
 FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active
+FORBIDDING = 1e14  # times the lower quartile of all costs: larger ones forbid x_j off its bound
 MODEST = 2.0**-30  # costs between this and its inverse are left unchanged
 MOST = 0.9  # share of costs and right-hand sides that scaling brings to at most about 1
 
@@ -103,6 +104,31 @@ def with_sides_about_one(fitted: ScaledProgram) -> ScaledProgram:
         one, np.full(units.size, t), np.full(rows.size, 1.0 / t), objective
     )
     return ScaledProgram(scaled.statement, units, rows, fitted.objective * objective)
+
+
+def without_forbidden(given: ProgramData) -> ProgramData:
+    """Return the program with x_j fixed at the bound to which an extreme cost pushes it; the same object if none is.
+
+    People forbid x_j > 0 by a cost of 10²⁰ or more, next to which the other costs are rounding errors.
+
+    Examples
+    --------
+    >>> none, bounds = (np.zeros((0, 2)), np.zeros(0)), (np.zeros(2), np.full(2, np.inf))
+    >>> program = ProgramData(np.zeros((2, 2)), np.array([1.0, 1e36]), *none, *none, *bounds)
+    >>> without_forbidden(program).upper
+    array([inf,  0.])
+    """
+    costs = np.abs(given.c)
+    known = costs[costs > 0.0]
+    if not known.size or known.max() <= FORBIDDING * known.min():
+        return given
+    typical = float(np.quantile(known, 0.25, method="lower"))
+    end = np.where(given.c > 0.0, given.lower, given.upper)
+    far = (costs > FORBIDDING * typical) & np.isfinite(end)
+    if not far.any():
+        return given
+    lower, upper = (np.where(far, end, bound) for bound in (given.lower, given.upper))
+    return given._replace(c=np.where(far, 0.0, given.c), lower=lower, upper=upper)
 
 
 def without_far_limits(given: ProgramData) -> ProgramData:

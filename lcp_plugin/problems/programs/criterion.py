@@ -24,7 +24,9 @@ Sizes:
   which is at most the distance to the bound; blur_j shake_j is at most |r_j| reach_j.
 - The size of the gap is the smaller of Σ |c_j x_j| + |xᵀPx| and Σ |y_i d_i| + Σ |r_j bound_j| + |xᵀPx|, and at least
   |cᵀx + xᵀPx|; y may be replaced by the vector of least norm with the same Cᵀy. If terms cancel, it is at least 1e-8
-  of them; for slacks and blur_j, at least 1e-8 of Σ |y_i| (Σ |c_ij x_j| + |d_i|).
+  of them; for slacks and blur_j, at least 1e-8 of Σ |y'_i| (Σ |c_ij x_j| + |d_i|). y' are the multipliers of least norm
+  that balance P x + c at the unknowns that have room, if these are smaller than y. So y of 10³³, which a cost of 10³⁴
+  allows if x_j = 0, make no gap small, and the rounding error of their sums is part of |r_j|.
 - The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
   (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the fitted scale of a row, a proof of infeasibility is searched first.
 
@@ -172,13 +174,12 @@ class PrimalDualPoint:
         terms = self.bend + self.cost + of_columns @ self.of_y
         self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product = sums_without_rounding(self.matrices.sparse_P, x)
-            self.left = sums_without_rounding(
-                self.matrices.gradient, np.concatenate([x, y]), program.c
-            )
-            excess = sums_without_rounding(self.matrices.rows, x, -sides)
-            self.doubt = row_doubt = 0.0
+            self.product, _ = sums_without_rounding(self.matrices.sparse_P, x, np.zeros(x.size))
+            both = np.concatenate([x, y])
+            self.left, self.doubt = sums_without_rounding(self.matrices.gradient, both, program.c)
+            excess, _ = sums_without_rounding(self.matrices.rows, x, -sides)
             self.hidden: Any = 0.0
+            row_doubt: Any = 0.0
         else:
             in_rows, in_P, in_columns = self.matrices.summands
             self.product = P @ x
@@ -285,7 +286,8 @@ class PrimalDualPoint:
         moves = np.where(rest == 0.0, 0.0, rest * reach)
         shakes = np.where(self.blur == 0.0, 0.0, self.blur * np.maximum(self.of_x, shake))
         if self.is_exact:  # a gradient that is 0 has no rounding in it
-            most = np.where(self.left != 0.0, np.abs(self.left) * reach, 0.0) - moves
+            most = np.abs(self.left) + self.doubt
+            most = np.where(most > 0.0, most * reach, 0.0) - moves
             shakes = np.where(most < shakes, most, shakes)
         held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
         return ratio(self._sums(moves, self.price), size) + ratio(
@@ -339,7 +341,7 @@ class PrimalDualPoint:
 
     @property
     def _least_norm(self) -> FloatVector:
-        """The sizes of the multipliers of least norm that pull as much at the unknowns that have room.
+        """The sizes of the multipliers of least norm that balance P x + c at the unknowns that have room.
 
         An unknown has none if its distance to a bound is at rounding level of the unknowns of its component: a cost of
         10³⁶ that keeps it there needs no multiplier of this size.
@@ -353,8 +355,8 @@ class PrimalDualPoint:
         from scipy.sparse.linalg import lsmr
 
         T = sp.csr_array(self.matrices.rows[on].T)[free]
-        pull, of_row = T @ self.y[on], self.matrices.components.of_row[on]
-        pull, of_free = pull * units[free], self.matrices.components.of_unknown[free]
+        pull, of_row = self.product + self.program.c, self.matrices.components.of_row[on]
+        pull, of_free = pull[free] * units[free], self.matrices.components.of_unknown[free]
         part = np.zeros(self.matrices.components.number)
         np.maximum.at(part, of_free, np.abs(pull))
         part[part == 0.0] = 1.0
@@ -427,24 +429,25 @@ def largest(of_A: Any, sizes: FloatVector) -> FloatVector:
 
 
 def sums_without_rounding(
-    A: sp.csr_array, x: FloatVector, offset: FloatVector | None = None
-) -> FloatVector:
-    """Return A x + offset, as rounded from about twice the digits.
+    A: sp.csr_array, x: FloatVector, offset: FloatVector
+) -> tuple[FloatVector, FloatVector]:
+    """Return A x + offset, as rounded from about twice the digits, and bounds of the errors before that rounding.
 
     Each product is split into its rounded value and its error (Dekker). Each value is split into a part that adds up
     without error in any order and a remainder (Rump, Ogita, Oishi, *Accurate floating-point summation*, SIAM J. Sci.
-    Comput. 31 (2008), doi:10.1137/050645671).
+    Comput. 31 (2008), doi:10.1137/050645671). Only sums of remainders have errors.
 
     Examples
     --------
     >>> A = sp.csr_array(np.array([[1e16, 1.0, -1e16], [0.1, 0.2, -0.3]]))
-    >>> float(sums_without_rounding(A, np.ones(3))[0])
-    1.0
+    >>> value, radius = sums_without_rounding(A, np.ones(3), np.zeros(2))
+    >>> float(value[0]), bool(radius[0] < 1e-15), bool(radius[1] < 1e-30)
+    (1.0, True, True)
     """
     counts = np.diff(A.indptr)
     filled = np.flatnonzero(counts)
     begins = A.indptr[:-1][filled]
-    high, low = np.zeros((2, A.shape[0]))
+    high, low, size = np.zeros((3, A.shape[0]))
     if filled.size:
         product, error = product_and_error(A.data, x[A.indices])
         top = np.maximum.reduceat(np.abs(product), begins)
@@ -452,12 +455,14 @@ def sums_without_rounding(
         unit = np.repeat(unit, counts[filled])
         part = (unit + product) - unit
         high[filled] = np.add.reduceat(part, begins)
-        low[filled] = np.add.reduceat((product - part) + error, begins)
-    if offset is None:
-        return np.asarray(high + low)
+        rest = product - part
+        low[filled] = np.add.reduceat(rest + error, begins)
+        size[filled] = np.add.reduceat(np.abs(rest) + np.abs(error), begins)
     total = high + offset
     back = total - high
-    return np.asarray(total + (((high - (total - back)) + (offset - back)) + low))
+    lost = (high - (total - back)) + (offset - back)
+    size[size > 0.0] += np.abs(lost[size > 0.0])
+    return total + (lost + low), (counts + 3.0) * UNIT * size
 
 
 def product_and_error(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:

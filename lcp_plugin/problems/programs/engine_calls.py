@@ -26,6 +26,7 @@ from ...engines.scaling import (
     ScaledProgram,
     with_sides_about_one,
     without_far_limits,
+    without_forbidden,
 )
 from .criterion import KKTErrors
 from .program import QuadraticProgram
@@ -188,14 +189,16 @@ def _statements(reduced: QuadraticProgram, units: str) -> Iterator[ScaledProgram
     """Yield the program as scaled for an attempt; if it is scaled, first without very large right-hand sides."""
     (P, G, A), one = reduced.matrices.arrays, reduced
     given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
-    if units is GIVEN:
-        yield ScaledProgram(given, np.ones(1), np.ones(1), 1.0).with_modest_costs()
-        return
-    scales = one.matrices.engine_units if units is FITTED else one.matrices.largest_units
-    fitted = ScaledProgram.from_units(given, *scales).with_modest_costs()
-    near = without_far_limits(fitted.statement)
-    all_sides = (fitted,) if near is fitted.statement else (fitted._replace(statement=near), fitted)
-    yield from all_sides if units is FITTED else map(with_sides_about_one, all_sides)
+    allowed = without_forbidden(given)
+    for data in (given,) if allowed is given else (allowed, given):
+        if units is GIVEN:
+            yield ScaledProgram(data, np.ones(1), np.ones(1), 1.0).with_modest_costs()
+            continue
+        scales = one.matrices.engine_units if units is FITTED else one.matrices.largest_units
+        fitted = ScaledProgram.from_units(data, *scales).with_modest_costs()
+        near = without_far_limits(fitted.statement)
+        every = (fitted,) if near is fitted.statement else (fitted._replace(statement=near), fitted)
+        yield from every if units is FITTED else map(with_sides_about_one, every)
 
 
 def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import qpsolvers
 import scipy.sparse as sp
+from campaigns import forbidding_costs
+from campaigns.forbidding_costs import transport
 from campaigns.outliers import ExactProgram, exact
 from numpy.random import Generator
 from scipy.optimize import linprog
@@ -509,14 +511,6 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[[int], r
 # --- Costs that forbid ---------------------------------------------------------------------------------------------
 
 
-def transport(costs: Any, supplies: Any, demands: Any) -> QuadraticProgram:
-    """Return the cheapest transport from sources to destinations."""
-    m, n = np.shape(costs)
-    rows = np.vstack([np.kron(np.eye(m), np.ones(n)), np.kron(np.ones(m), np.eye(n))])
-    right = np.concatenate([supplies, demands])
-    return QuadraticProgram(None, np.ravel(costs), A=rows, b=right, lower=0.0)
-
-
 @pytest.mark.parametrize("exponent", [12, 20, 28, 32, 36])
 def test_a_cost_that_forbids_hides_no_better_transport(exponent: int) -> None:
     """Sums of 1/3 and two forbidden pairs: 5, and certify disproves 6 and 6 with noise on the forbidden pairs."""
@@ -531,6 +525,31 @@ def test_a_cost_that_forbids_hides_no_better_transport(exponent: int) -> None:
     for x in (wrong, noisy):
         for given in (None, ([], B * np.array(multipliers))):
             assert certify(program, x, given).verdict != "proved"
+
+
+def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap() -> None:
+    """Costs of 1e34 allow multipliers of 1e33, next to whose sums 2 and 6 are lost: 5.5 is not optimal, 3 is."""
+    B, third = 1e34, np.full(3, 1.0 / 3.0)
+    program = transport([[2.0, B, 8.0], [6.0, 6.0, B], [10.0, B, 1.0]], third, third)
+    wrong = np.array([1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 1.0, 0.0, 1.0]) / 6.0
+    large = np.array([-9.993053386490377e32, 1.9986126077377203e33, -9.993053386490377e32])
+    assert not KKTErrors.of(program, wrong, np.append(large, -large)).meet(1e-6)
+    result = solve(program)
+    assert result.is_solved
+    assert result.objective == pytest.approx(3.0)
+    assert certify(result).verdict == "proved"
+
+
+@pytest.mark.few(25)
+@pytest.mark.parametrize("seed", range(200))
+def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(seed: int) -> None:
+    """Transports and assignments with costs of 1e20 … 1e36 have the value that HiGHS finds without these pairs."""
+    if (drawn := forbidding_costs.draw(seed)) is not None:
+        program, known = drawn
+        result = solve(program)
+        assert result.is_solved
+        assert not forbidding_costs.is_wrong(result.objective, known)
+        assert certify(program, result).verdict == "proved"
 
 
 @pytest.mark.few(12)

@@ -1,0 +1,94 @@
+"""Transports and assignments in which a huge cost forbids pairs, checked by HiGHS without these pairs.
+
+    python tests/campaigns/forbidding_costs.py --cases 1000 --seed 0
+
+Costs are integers, and 10²⁰ … 10³⁶ on some pairs. The sums of a transport are equalities, or limits of supplies and
+demands. All sums of supplies and of demands agree exactly, because a plan in which a forbidden pair repairs a rounding
+error costs more. A program whose every plan needs a forbidden pair is not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+
+from lcp_plugin import QuadraticProgram, certify, solve
+
+SHAPES = (3, 3), (3, 4), (4, 4)
+
+
+def transport(
+    costs: Any, supplies: Any, demands: Any, *, has_limits: bool = False
+) -> QuadraticProgram:
+    """Return the cheapest transport from sources to destinations; `has_limits`: at most all supplies, all demands."""
+    m, n = np.shape(costs)
+    sources, targets = np.kron(np.eye(m), np.ones(n)), np.kron(np.ones(m), np.eye(n))
+    if has_limits:
+        rows, right = np.vstack([sources, -targets]), np.concatenate([supplies, -demands])
+        upper = np.minimum.outer(supplies, demands).ravel()
+        return QuadraticProgram(None, np.ravel(costs), rows, right, lower=0.0, upper=upper)
+    rows, right = np.vstack([sources, targets]), np.concatenate([supplies, demands])
+    return QuadraticProgram(None, np.ravel(costs), A=rows, b=right, lower=0.0)
+
+
+def draw(seed: int) -> tuple[QuadraticProgram, float] | None:
+    """Return a program and its value without the forbidden pairs; None if it has no plan without them."""
+    rng = np.random.default_rng([seed, 92])
+    shape = SHAPES[rng.integers(3)]
+    is_forbidden = rng.random(shape) < rng.choice([0.15, 0.3, 0.45])
+    costs = rng.integers(1, 11, shape).astype(float)
+    if shape[0] == shape[1] and rng.random() < 0.4:  # an assignment, in parts
+        supplies = demands = np.full(shape[0], rng.choice([1.0, 1.0 / 3.0, 0.1]))
+    else:
+        flows = np.where(is_forbidden, 0, rng.integers(0, 6, shape)) / rng.choice([1, 4, 64])
+        supplies, demands = flows.sum(1), flows.sum(0)
+    has_limits = bool(rng.random() < 0.3)
+    forbidding = 10.0 ** rng.integers(20, 37)
+    program = transport(
+        np.where(is_forbidden, forbidding, costs), supplies, demands, has_limits=has_limits
+    )
+    known = linprog(
+        costs.ravel(),
+        program.G if has_limits else None,
+        program.h if has_limits else None,
+        None if has_limits else program.A,
+        None if has_limits else program.b,
+        [(0.0, 0.0 if is_none else None) for is_none in is_forbidden.ravel()],
+    )
+    return (program, float(known.fun)) if known.status == 0 else None
+
+
+def is_wrong(value: float, known: float) -> bool:
+    """Return whether an objective differs from the cost of plans without forbidden pairs."""
+    return not abs(value - known) <= 1e-6 * abs(known) + 1e-12
+
+
+def main(cases: int, seed: int) -> Counter[str]:
+    """Draw, solve and certify programs; print each fault, and return the counts."""
+    found: Counter[str] = Counter()
+    for k in range(seed, seed + cases):
+        if (drawn := draw(k)) is None:
+            continue
+        program, known = drawn
+        result = solve(program)
+        verdict = certify(program, result).verdict
+        found.update([result.status.name, verdict])
+        if result.is_solved:
+            found.update([result.algorithm])
+        is_false = is_wrong(result.objective or 0.0, known)
+        if is_false and (result.is_solved or verdict == "proved"):
+            found["false"] += 1
+            print(f"{k}: {result.status.name}, {verdict}: {result.objective}, not {known}")
+    return found
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    print(*sorted(main(given.cases, given.seed).items()), sep="\n")

@@ -38,6 +38,7 @@ KEYWORDS = {
     "version": "prints the version",
     "wantsol": "without -AMPL: 8 prints no message; stub.sol is always written, and 2 and 4 are ignored (1)",
 }
+LEVELS = ("outlev", "prove", "timing", "version", "wantsol")
 MARK = "* not for an objective next to complementarities, whose nodes and gap are SCIP's or our own"
 USAGE = f"""usage: {NAME} stub [-AMPL] [<keyword>=<value> or <keyword> <value> ...]
 
@@ -118,10 +119,13 @@ def _solve(words: list[str], environment: str) -> int:
         raise InvalidOption(f"no stub is given; call {NAME} stub -AMPL, where stub.nl is the model")
     is_ampl = bool(rest) and rest[0] == "-AMPL"
     settings = assigned(environment) | assigned(" ".join(rest[is_ampl:]))
-    settings |= {"verbose": True} if settings.pop("outlev", 0) else {}
-    settings |= {"prove": True} if settings.pop("prove", 0) else {}
-    has_timing, wanted = settings.pop("timing", 0), settings.pop("wantsol", 0)
-    if settings.pop("version", 0):
+    levels = {name: settings.pop(name, 0) for name in LEVELS}
+    for name, level in levels.items():
+        if not isinstance(level, int) or level < 0:
+            raise InvalidOption(f"{name} must be an integer ≥ 0, got {level!r}; {KEYWORDS[name]}")
+    settings |= {"verbose": True} if levels["outlev"] else {}
+    settings |= {"prove": True} if levels["prove"] else {}
+    if levels["version"]:
         print(_information(["-v"]))
     Settings(**{key: settings[key] for key in settings.keys() - {"algorithm", "prove"}})
     from ..interfaces.nl.reading import read_content, source_of
@@ -130,10 +134,10 @@ def _solve(words: list[str], environment: str) -> int:
     content = read_content(stub)
     start = time.perf_counter()
     message, x, y, code = _answer(content, settings)
-    if has_timing:
+    if levels["timing"]:
         message += f"\n{time.perf_counter() - start:.3g} s"
     write_sol(source_of(stub).with_suffix(".sol"), content, message, x, y, code)
-    if not (is_ampl or (isinstance(wanted, int) and wanted & 8)):
+    if not (is_ampl or levels["wantsol"] & 8):
         print(message)
     return 0
 

@@ -210,6 +210,8 @@ def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
         (["-o"], "no stub is given"),
         (["m", "-AMPL", "max_iterations=1.5"], "max_iterations must be .*got 1.5"),
          (["m", "-AMPL", "timin=1"], "unknown keyword 'timin'"),
+        (["m", "-AMPL", "timing=abc"], "timing must be an integer.*got 'abc'"),
+        (["m", "-AMPL", "wantsol=-1"], "wantsol must be an integer.*got -1"),
          (["m", "-AMPL", "max_seconds"], "got 'max_seconds'"),
         (["m", "-AMPL", "=3"], "name=value, .* got '=3'"),
          (["damaged", "-AMPL"], r"line 3 \("),

@@ -190,14 +190,13 @@ def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
     if not (stage.residuals and goal > 0.0 and is_nearly_symmetric(problem.matrix)):
         return 0.0
     gain = stage.residuals[-1][1] / goal
-    with np.errstate(all="ignore"):
-        margin = 1e-2 * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
-        is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
-        free = is_free.astype(np.float64)
-        sums, diagonal = problem.matrix.csr @ free, problem.matrix.diagonal
-        share = free @ sums / (free @ diagonal)
-        least = (sums / diagonal).min(initial=1.0, where=is_free)
-        slowest = max(0.5 * (math.pi * share) ** 2, least)
+    margin = 1e-2 * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
+    is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
+    free = is_free.astype(np.float64)
+    sums, diagonal = problem.matrix.csr @ free, problem.matrix.diagonal
+    share = free @ sums / (free @ diagonal)
+    least = (sums / diagonal).min(initial=1.0, where=is_free)
+    slowest = max(0.5 * (math.pi * share) ** 2, least)
     if not (gain > 1.0 and 0.0 < slowest < 1.0):
         return 0.0
     return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
@@ -253,6 +252,7 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
     )
 
 
+@np.errstate(all="ignore")
 def solve_lcp(
     problem: LCP,
     algorithm: str | Algorithm = "auto",
@@ -288,9 +288,7 @@ def solve_lcp(
             rows = point.rows if problem.is_dense else None  # of the stored M
             z = read_only(point.z)
             return Result.at(problem, z, stage, settings, clock.read(), rows)
-    # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate(under="ignore"):
-        return run_on(problem, method, settings, start, clock, callback)
+    return run_on(problem, method, settings, start, clock, callback)
 
 
 def run_on(

@@ -24,8 +24,10 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -35,6 +37,8 @@ os.environ.setdefault(
 
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}
+# Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
+INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
 LONG, FEW = 6, 4  # rows of a table; rows of a longer one that run without --full
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 
@@ -58,6 +62,14 @@ def pytest_configure(config: pytest.Config) -> None:
             deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
         )  # fmt: skip
     settings.load_profile("default")
+
+
+@pytest.fixture(autouse=True)
+def floating_point_state(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Set the state of numpy that the public functions set, for tests of the functions inside them."""
+    folder = request.path.relative_to(request.config.rootpath).parts[1]
+    with np.errstate(all="ignore") if folder in INNER else nullcontext():
+        yield
 
 
 @pytest.fixture

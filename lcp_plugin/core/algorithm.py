@@ -165,16 +165,6 @@ class Algorithm(ABC):
         return self.name
 
 
-def without_warnings(steps: Iterator[Step]) -> Iterator[Step]:
-    """Yield the steps without numpy's warnings: an overflow shows in the residual. The caller's settings are kept."""
-    while True:
-        with np.errstate(all="ignore"):  # not around a yield: there it would reach the caller
-            step = next(steps, None)
-        if step is None:
-            return
-        yield step
-
-
 def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf) -> None:
     """Raise unless the option is a number in (0, below)."""
     value = getattr(algorithm, option)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InvalidOption, InvalidProblem
 
 FloatVector = NDArray[np.float64]
+T = TypeVar("T")
 BoolVector = NDArray[np.bool_]
 Arrays = tuple[NDArray[Any], NDArray[Any], FloatVector]  # of a sparse matrix: indptr, indices, data
 
@@ -18,6 +21,13 @@ DOUBLE = np.dtype(np.float64)
 DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # files may hold 9.999999999999999e19
+
+
+class derived_property(cached_property[T]):  # noqa: N801 - a decorator
+    """Cached property that is computed without NumPy's warnings: an overflow shows in its value."""
+
+    def __init__(self, compute: Callable[[Any], T]) -> None:
+        super().__init__(np.errstate(all="ignore")(compute))
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -174,9 +184,7 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
         M = sp.coo_array((M.data, (M.row, M.col)), shape=M.shape)
     elif M.format == "lil" and any(len(a) != len(b) for a, b in zip(M.rows, M.data, strict=True)):
         raise ValueError("each row must have as many values as columns")  # scipy reads beyond them
-    with np.errstate(
-        over="ignore", under="ignore"
-    ):  # entries beyond double precision become infinite
+    with np.errstate(all="ignore"):  # entries beyond double precision become infinite
         matrix = sp.csr_array(M.astype(np.float64, copy=False), copy=is_copied)
     if not matrix.has_canonical_format:
         matrix = matrix.copy()
@@ -226,7 +234,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
-    with np.errstate(over="ignore", under="ignore"):  # an overflow becomes infinite: rejected
+    with np.errstate(all="ignore"):  # an overflow becomes infinite, which is rejected
         return array.astype(np.float64)
 
 

@@ -111,8 +111,7 @@ def lower_end(value: FloatVector, radius: FloatVector) -> FloatVector:
 
 def upper_end(value: FloatVector, radius: FloatVector) -> FloatVector:
     """Return an upper bound of value + radius, exact where the radius is 0, and ∞ where either is not finite."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        end = np.where(radius == 0.0, value, np.nextafter(value + radius, np.inf))
+    end = np.where(radius == 0.0, value, np.nextafter(value + radius, np.inf))
     return np.where(np.isfinite(radius) & np.isfinite(value), end, np.inf)
 
 
@@ -121,8 +120,7 @@ def round_sums(
 ) -> tuple[FloatVector, FloatVector]:
     """Return (value, radius) of sums (high, low, radius): the value is `high`, and `low` counts as an error."""
     low = np.abs(low)
-    with np.errstate(over="ignore"):
-        return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
+    return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
 
 
 def read_only_views(*arrays: Any) -> list[Any]:

@@ -107,6 +107,7 @@ class CrossCheck:
         return self.explain()
 
 
+@np.errstate(all="ignore")
 def cross_validate(
     problem: LCP,
     result: Result | None = None,
@@ -225,8 +226,7 @@ def _weighted_residual(convex: ReferenceProgram, side: Certificate) -> float:
     """Return ‖D^½ r‖ / unit, rounding included."""
     problem, scale = side.problem, np.square(convex.weight)
     data = row_data(problem)
-    with np.errstate(all="ignore"):
-        floor = data.rounding_floor(data.rows(side.z).terms, scale)
+    floor = data.rounding_floor(data.rows(side.z).terms, scale)
     residual = np.abs(scaled_residual(problem, side.z, side.w, scale)) + floor
     return float(np.linalg.norm(residual * convex.weight / convex.unit))
 

@@ -97,7 +97,7 @@ class FreeBoundary:
         corners = self.points[self.triangles]
         (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
         a, b, c = np.sort(self.level[self.triangles], axis=1).T
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             one = a * a / ((b - a) * (c - a))  # of a triangle with one corner below 0
             two = 1.0 - c * c / ((c - a) * (c - b))
         share = np.where(c <= 0.0, 1.0, np.where(b < 0.0, two, np.where(a < 0.0, one, 0.0)))

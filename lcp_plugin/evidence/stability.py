@@ -176,10 +176,7 @@ def stability_atlas(
 def _cell(family: str, case: StressCase, one: Method, limit: int) -> Cell:
     head = (one.label, case.stress, family)
     try:
-        with (
-            warnings.catch_warnings(),
-            np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"),
-        ):
+        with warnings.catch_warnings():
             warnings.simplefilter("error")
             result = solve(case.problem, one.algorithm, z0=case.start, max_iterations=limit)
     except (UnsuitableMatrix, UnsuitableProblem) as refusal:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.algorithm import Algorithm, Step, without_warnings
+from ..core.algorithm import Algorithm, Step
 from ..core.checks import FloatVector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
@@ -71,9 +71,6 @@ class InteriorPoint(Algorithm):
         """Yield the start, and the point of PIQP after the solution of the system of its active set."""
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
-        yield from without_warnings(self._steps(problem, z))
-
-    def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
         if is_near(problem, z):
             yield from _cases(problem, z, 1)
         operations, speed = problem.n**3 / 3.0, DENSE_OPERATIONS

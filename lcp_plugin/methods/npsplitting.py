@@ -63,13 +63,11 @@ class NPSplitting(ScaledByRows):
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         z = z0
         while True:
-            with np.errstate(all="ignore"):  # an overflow shows in the residual
-                w = problem.slack(z)
-                residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
-                natural = np.clip(step * w, z - problem.upper, z - problem.lower)
+            w = problem.slack(z)
+            residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+            natural = np.clip(step * w, z - problem.upper, z - problem.lower)
             yield Step(z, residual, work=work)
-            with np.errstate(all="ignore"):
-                z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
+            z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
             work = (factor.nnz + problem.nonzeros) / entries
 
     def facts(self, problem: LCP) -> IterationFacts:

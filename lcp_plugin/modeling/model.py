@@ -210,7 +210,7 @@ class Model:
                 1.0,
                 0.0,
             )
-        with np.errstate(over="ignore"):
+        with np.errstate(all="ignore"):
             ends = (low - offset) / scale, (high - offset) / scale
         low, high = np.minimum(*ends), np.maximum(*ends)
         if (
@@ -532,7 +532,7 @@ def pair_residual(pair: Complements) -> FloatVector | None:
 
 def level_of_caller() -> int:
     """Return the stacklevel of the user's call of this package, or of cvxpy."""
-    own = {__package__.partition(".")[0], cp.__name__}
+    own = {__package__.partition(".")[0], cp.__name__, np.__name__}  # np.errstate wraps functions
     frame, level = inspect.currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
         frame, level = frame.f_back, level + 1

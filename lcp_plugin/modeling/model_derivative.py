@@ -9,7 +9,6 @@ D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import cached_property
 from typing import Any
 
 import cvxpy as cp
@@ -18,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from ..core.checks import FloatVector
+from ..core.checks import FloatVector, derived_property
 from ..core.errors import UnsuitableProblem, UnsupportedModel
 from ..core.solving.result import Result
 from ..expressions.program import Program
@@ -211,7 +210,7 @@ class ModelDerivative:
             found[owner.id] = array.astype(np.float64)
         return found
 
-    @cached_property
+    @derived_property
     def _at(self) -> Any:  # a Derivative, or a ConeDerivative
         from ..problems.sensitivity import (
             derivative,  # with compiled kernels, which a model alone does not need
@@ -219,7 +218,7 @@ class ModelDerivative:
 
         return derivative(self._result)
 
-    @cached_property
+    @derived_property
     def _parametric(self) -> ParametricRows:
         """Expressions that depend on parameters, at the values of the solution."""
         model = self._model
@@ -235,7 +234,7 @@ class ModelDerivative:
         statement = self._model.statement
         return [one.origin for one in (*statement.pairs, *statement.rows)]
 
-    @cached_property
+    @derived_property
     def _rows(self) -> NDArray[np.int64]:
         """The positions of the rows of pairs and equations among the parametric expressions."""
         spans = [self._parametric.spans[id(one)] for one in self._functions]
@@ -243,14 +242,14 @@ class ModelDerivative:
             [*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)]
         )
 
-    @cached_property
+    @derived_property
     def _left(self) -> NDArray[np.int64]:
         """The row of the model that each row of the LCP is, up to its sign."""
         first = self._model.square.stored[0].shape[0]
         rows = np.delete(np.arange(self._rows.size), first + self._model.square.elimination.rows)
         return rows[self._model.square.places]
 
-    @cached_property
+    @derived_property
     def _definitions(
         self,
     ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
@@ -261,7 +260,7 @@ class ModelDerivative:
         solved = splu(sp.csc_array(second[elimination.rows][:, elimination.columns])).solve
         return sp.csr_array(sp.vstack([first, second])), first.shape[0] + elimination.rows, solved
 
-    @cached_property
+    @derived_property
     def _bounds(self) -> sp.csr_array:
         """The change of the lower, then of the upper bounds, by the change of their expressions."""
         model, spans = self._model, self._parametric.spans
@@ -285,7 +284,7 @@ class ModelDerivative:
         )
         return matrix[np.concatenate([kept, n + kept])]
 
-    @cached_property
+    @derived_property
     def _friction(self) -> sp.csr_array:
         """The change of the coefficients of friction by the change of their expressions."""
         columns = [np.zeros(0, dtype=np.int64)]

@@ -69,7 +69,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return the answer to the program in cvxpy's form."""
         cache = {} if solver_cache is None else solver_cache
         # Overflow becomes infinite, and raises an error as such.
-        with np.errstate(over="ignore"), solver_errors():
+        with np.errstate(all="ignore"), solver_errors():
             return self._answer(data, warm_start, verbose, solver_opts, cache)
 
     def _answer(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
+import numpy as np
 from cvxpy import settings
 from cvxpy.constraints.zero import Equality, Zero
 from cvxpy.error import SolverError
@@ -49,6 +50,7 @@ def is_complementarity_problem(problem: Any) -> bool:
     Examples
     --------
     >>> import cvxpy as cp
+    import numpy as np
     >>> is_complementarity_problem(cp.Problem(cp.Minimize(0)))
     False
     """
@@ -154,7 +156,7 @@ def solve_model(
     cvxpy.error.SolverError
         If the run diverged.
     """
-    with solver_errors():
+    with solver_errors(), np.errstate(all="ignore"):
         foreign = [name for name in CVXPY_FLAGS if name in options]
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"

@@ -88,7 +88,7 @@ class ContactMotion:
 def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
     """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given`: velocities without them."""
     still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
-    with np.errstate(over="ignore", under="ignore"):
+    with np.errstate(all="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
     return ContactMotion(
         r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after
@@ -495,6 +495,7 @@ def _array(values: Any, need: str) -> FloatArray:
     return array
 
 
+@np.errstate(all="ignore")
 def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:

@@ -54,8 +54,7 @@ def _stiffness(result: Result) -> str:
     if not result.is_solved:
         return ""
     scale = result.certificate.problem.residual_scale
-    with np.errstate(over="ignore"):
-        spread = float(scale.max(initial=1.0) / scale.min(initial=np.inf))
+    spread = float(scale.max(initial=1.0) / scale.min(initial=np.inf))
     if not spread > 1e6:
         return _nearness_to_singular(result)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"

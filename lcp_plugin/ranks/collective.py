@@ -66,8 +66,7 @@ class Ranks:
         """Return the sum of all ranks' values, in the order of the ranks."""
         if self.size == 1:
             return value
-        with np.errstate(over="ignore", invalid="ignore"):
-            return float(self.table(value).sum(axis=0)[0])
+        return float(self.table(value).sum(axis=0)[0])
 
     def everywhere(self, is_so: Any) -> bool:
         """Return whether it is so on every rank, in every row of an array."""

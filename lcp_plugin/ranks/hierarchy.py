@@ -102,7 +102,6 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
     return HierarchyOnRanks(tuple(grids), tuple(transfers))
 
 
-@np.errstate(all="ignore")
 def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> FloatVector:
     """Return the weights added to the pivots d_i of a sweep on all ranks at once, shape (own,).
 
@@ -129,13 +128,11 @@ def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRa
     if not (halo.is_empty or scales_rows):
         rows = sp.csr_array((first.data, first.indices, first.indptr), (own, own + halo.foreign))
         weight = pivot_weight(rows, halo, 1.0)
-        with np.errstate(divide="ignore"):
-            inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
+        inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
     blocks = blocks_of(first.arrays, own, may_cut=halo.is_empty and not scales_rows)
     return GridOnRanks(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
-@np.errstate(all="ignore")
 def _interpolation(
     grid: GridOnRanks, strength: float, has_jumps: bool | None
 ) -> InterpolationOnRanks | None:
@@ -182,8 +179,7 @@ def _coarser(
     P = sp.csr_array((p_data, p_indices, p_indptr), shape=(p_indptr.size - 1, count + others.size))
     R = P[:fine, :count].T.tocsr()
     if scales_rows:
-        with np.errstate(over="ignore"):
-            R.data *= halo.whole(grid.inverse)[R.indices]
+        R.data *= halo.whole(grid.inverse)[R.indices]
         if not halo.everywhere(np.isfinite(R.data)):
             return None
     prolongation = Operator(p_indptr, p_indices, p_data)
@@ -221,7 +217,6 @@ class TruncationOnRanks:
         ]
         self.work = 0.0
 
-    @np.errstate(divide="ignore")
     def update(self) -> None:
         """Carry changes of `is_free`, marked in `free_changed`, from the finest to all grids."""
         top = self.grids[0]

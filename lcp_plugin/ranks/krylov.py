@@ -47,7 +47,6 @@ class Krylov:
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
         return self.unit * self.halo.largest(scaled)
 
-    @np.errstate(all="ignore")
     def step(self) -> bool:
         """Take one step; return False if the matrix allows none."""
         top = self.truncation.grids[0]

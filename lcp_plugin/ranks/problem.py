@@ -164,7 +164,6 @@ class RowsOnRanks:
         return whole
 
     @cached_property
-    @np.errstate(all="ignore")
     def is_symmetric(self) -> bool:
         """True if xᵀM y = yᵀM x for x and y of arbitrary entries, up to rounding.
 

@@ -83,6 +83,7 @@ class ResultOnRanks:
         )
 
 
+@np.errstate(all="ignore")
 def solve_on_ranks(
     problem: RowsOnRanks,
     algorithm: str = "auto",

@@ -91,7 +91,6 @@ class ComparisonMatrix:
             self._multigrid_failed = True
         return None if self.direct_solver is None else _finite(np.asarray(self.direct_solver(rhs)))
 
-    @np.errstate(all="ignore")
     def iterated(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
         """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
         from .hierarchy.truncation import KrylovCorrection, Truncation
@@ -173,23 +172,21 @@ class _IrreducibleBlocks:
 
     def power_steps(self, x: FloatVector) -> FloatVector:
         """Return x after some steps of B plus a shift, which keeps bipartite graphs from swinging."""
-        with np.errstate(all="ignore"):
-            for _ in range(30):
-                product = self.B @ x
-                shift = 0.5 * float(np.max(product / x))
-                new = product + shift * x
-                new = new / new.max()
-                if not (np.isfinite(new).all() and new.min() > 1e-200):
-                    break
-                x = new
+        for _ in range(30):
+            product = self.B @ x
+            shift = 0.5 * float(np.max(product / x))
+            new = product + shift * x
+            new = new / new.max()
+            if not (np.isfinite(new).all() and new.min() > 1e-200):
+                break
+            x = new
         return x
 
     def noda_steps(self, x: FloatVector) -> Iterator[FloatVector]:
         """Yield x after each step of Noda's iteration, all blocks at once, until a shifted matrix is singular."""
         for _ in range(40):
-            with np.errstate(all="ignore"):
-                ratio = (self.B @ x) / x
-                largest = np.maximum.reduceat(ratio[self.order], self.starts) * (1.0 + 1e-12)
+            ratio = (self.B @ x) / x
+            largest = np.maximum.reduceat(ratio[self.order], self.starts) * (1.0 + 1e-12)
             shift = np.empty_like(x)
             shift[self.order] = np.repeat(np.maximum(largest, 1e-300), self.sizes)
             factor = diagonal_pivot_factor(sp.diags_array(shift) - self.B)
@@ -197,8 +194,7 @@ class _IrreducibleBlocks:
                 return
             x = factor.solve(x)
             highest = np.maximum.reduceat(x[self.order], self.starts)
-            with np.errstate(all="ignore"):
-                x[self.order] /= np.repeat(highest, self.sizes)
+            x[self.order] /= np.repeat(highest, self.sizes)
             if not (np.isfinite(x).all() and x.min() > 0.0):
                 return
             yield x
@@ -206,9 +202,8 @@ class _IrreducibleBlocks:
     def bounds(self, x: FloatVector) -> tuple[float, float]:
         """Return the two bounds for x > 0, over all blocks."""
         value, radius = compensated_product(self.B, x)
-        with np.errstate(all="ignore"):
-            low = np.nextafter(lower_end(value, radius) / x, -np.inf)
-            high = np.nextafter(upper_end(value, radius) / x, np.inf)
+        low = np.nextafter(lower_end(value, radius) / x, -np.inf)
+        high = np.nextafter(upper_end(value, radius) / x, np.inf)
         lowest = np.minimum.reduceat(low[self.order], self.starts)
         highest = np.maximum.reduceat(high[self.order], self.starts)
         return max(0.0, float(np.nanmax(lowest))), float(np.max(highest))

@@ -197,8 +197,7 @@ def _margin(n: int, terms: int) -> float:
 def scaled_to(P: Any, scale: FloatVector) -> Any:
     """Return P with scaled rows and columns; None if P overflows or is too large to be factorized."""
     if not sp.issparse(P):
-        with np.errstate(over="ignore", invalid="ignore"):
-            dense = scale[:, None] * P * scale
+        dense = scale[:, None] * P * scale
         return dense if np.isfinite(dense).all() else None
     if not factor_fits(P):
         return None

@@ -84,7 +84,6 @@ def equilibrating_exponents(M: Any, aims: Sequence[float], most: float = np.inf)
             largest, smallest = np.full(M.shape[axis], -np.inf), np.full(M.shape[axis], np.inf)
             np.maximum.at(largest, here, now)
             np.minimum.at(smallest, here, now)
-            with np.errstate(invalid="ignore"):
-                middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
+            middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
             scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
     return Exponents(*(np.clip(scale, -most, most).astype(np.int64) for scale in scales))

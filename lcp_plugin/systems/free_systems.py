@@ -103,7 +103,6 @@ class FreeSystem:
             return None
         return self._extended(self._solved(factor, right[self.rows], REFINEMENTS, transposed))
 
-    @np.errstate(all="ignore")
     def solve_near(self, right: FloatVector, start: FloatVector) -> FloatVector | None:
         """Return x with the smallest residual in M_FF x_F = right_F, 0 elsewhere; None if no attempt is finite.
 
@@ -276,18 +275,17 @@ class FreeSystem:
 
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
         """Return whether terms cancel for a random right-hand side of this size, shape (|F|,)."""
-        with np.errstate(all="ignore"):
-            x = factor.solve(
-                np.random.default_rng(0).standard_normal(scale.size) * scale
-            )  # a random vector is not in the range of a singular block
-            self.work += factor.solve_work
-            at_most = (
-                self.matrix.row_largest[self.rows] * np.abs(x).sum()
-            )  # decides most blocks without a product
-            return not bool(
-                (at_most <= SINGULAR * scale).all()
-                or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()
-            )
+        x = factor.solve(
+            np.random.default_rng(0).standard_normal(scale.size) * scale
+        )  # a random vector is not in the range of a singular block
+        self.work += factor.solve_work
+        at_most = (
+            self.matrix.row_largest[self.rows] * np.abs(x).sum()
+        )  # decides most blocks without a product
+        return not bool(
+            (at_most <= SINGULAR * scale).all()
+            or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()
+        )
 
     def _solved(
         self,
@@ -299,11 +297,9 @@ class FreeSystem:
     ) -> FloatVector:
         """Return the refined solution by a factorization."""
         self.work += factor.solve_work
-        with np.errstate(all="ignore"):
-            x: FloatVector = (factor.solve_transposed if transposed else factor.solve)(right)
+        x: FloatVector = (factor.solve_transposed if transposed else factor.solve)(right)
         return self._refined(factor, x, right, steps, scale, transposed)
 
-    @np.errstate(all="ignore")
     def _refined(
         self,
         factor: Factor,
@@ -375,7 +371,6 @@ class FreeSystem:
         truncation.update()
         return truncation
 
-    @np.errstate(all="ignore")
     def _iterated(self, right: FloatVector, transposed: bool, goal: float) -> FloatVector | None:
         """Return the solution by Krylov steps, one V-cycle each, None if they do not converge."""
         from .hierarchy.truncation import KrylovCorrection

@@ -16,6 +16,7 @@ from ..core.rounding import lower_end, upper_end
 from .comparison_sums import comparison_product, exact_comparison_row
 
 
+@np.errstate(all="ignore")
 def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
     """Return left_i right_j on the sparsity pattern of M.
 
@@ -30,8 +31,7 @@ def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> s
            [ 0., 15.]])
     """
     rows = matrix.csr
-    with np.errstate(over="ignore"):
-        data = left[row_numbers(rows)] * right[rows.indices]
+    data = left[row_numbers(rows)] * right[rows.indices]
     return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
 
 

@@ -87,9 +87,8 @@ class FreeBlocks:
             which = (items if len(J) > 1 else np.zeros_like(items))[:, np.newaxis, np.newaxis]
             blocks = J[which, rows[:, :, np.newaxis], rows[:, np.newaxis]]
             blocks = np.where(own[:, :, np.newaxis] & own[:, np.newaxis], blocks, np.eye(count))
-            with np.errstate(all="ignore"):
-                inverses = solved(blocks, np.broadcast_to(np.eye(count), blocks.shape))
-                terms = np.abs(blocks * inverses.swapaxes(1, 2)).sum(axis=2)
+            inverses = solved(blocks, np.broadcast_to(np.eye(count), blocks.shape))
+            terms = np.abs(blocks * inverses.swapaxes(1, 2)).sum(axis=2)
             # At 2²⁶ half of the digits of a double cancel in the sum.
             self.is_regular[items] = is_regular = (terms <= 2.0**26).all(axis=1)
             rest = np.flatnonzero(~is_regular)

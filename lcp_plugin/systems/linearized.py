@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 
 class LinearizedSystem:
     """The system at a solution, or at as many as there are rows: vectors have shape (n,) or (k, n) throughout."""
@@ -30,6 +32,7 @@ class LinearizedSystem:
         """Return the solution of J_FF x = right_F, or of the transposed system, 0 in the other rows."""
         raise NotImplementedError
 
+    @np.errstate(all="ignore")
     def tangent(self, h: Any, held: Any = None, more: Any = 0.0) -> Any:
         """Return dz.
 
@@ -46,6 +49,7 @@ class LinearizedSystem:
             return held + self._solve_free(-(self._by_slack(h + self._product(held)) + more))
         return self._solve_free(-(self._by_slack(h) + more))
 
+    @np.errstate(all="ignore")
     def adjoint(self, g: Any, by_w: Any) -> tuple[Any, Any, Any]:
         """Return ∂L/∂q, ∂L/∂b (valid at active bounds) and λ for a loss L with gradients g by z and by_w by w."""
         by_z = g + self._product(by_w, transposed=True) if by_w.any() else g

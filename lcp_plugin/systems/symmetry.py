@@ -47,7 +47,6 @@ def asymmetry_of_rows(matrix: Matrix) -> float:
     for at in (i, j):
         np.maximum.at(size, at, np.abs(entries.data))
     root = np.sqrt(size)
-    with np.errstate(over="ignore", invalid="ignore"):
-        difference = sp.coo_array(M - M.T)
-        beside = np.abs(difference.data) / root[difference.row] / root[difference.col]
+    difference = sp.coo_array(M - M.T)
+    beside = np.abs(difference.data) / root[difference.row] / root[difference.col]
     return float(beside.max(initial=0.0))

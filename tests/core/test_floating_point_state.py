@@ -13,18 +13,23 @@ import scipy.sparse as sp
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    ConeProblem,
+    FrictionalContact,
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
     all_solutions,
     analyze,
     certify,
+    convergence_guarantee,
+    cross_validate,
     derivative,
     error_bound,
     march,
     prepare,
     solve,
     solve_batch,
+    trace,
 )
 
 SIZES = (5e-310, 1e-200, 1e200, 1.7e308)  # of the largest entries: subnormal to nearly infinite
@@ -62,6 +67,28 @@ def calls(size: float) -> Calls:
         "program by clarabel": lambda: solve(QuadraticProgram(P, c, A[:2], b[:2]), "clarabel"),
         "batch of programs": lambda: solve_batch([QuadraticProgram(P, c)] * 3),
         "batch of LCPs": lambda: solve_batch(LCP(P, ONES), several),
+        "everything of a result": lambda: (
+            solved := solve(LCP(P, c), error_bound=True, record=True),
+            solved.to_json(),
+            str(solved.certificate),
+            solved.certificate.is_limited_by_rounding,
+            solved.guarantee,
+        ),
+        "cones": lambda: solve(ConeProblem(P, c, [("second_order", 3)])).explain(),
+        "contact": lambda: solve(FrictionalContact(P, c, 0.5)).explain(),
+        "trace": lambda: trace(LCP(P, c), ONES, 0.0, 1.0),
+        "guarantee": lambda: convergence_guarantee(LCP(P, c), "npsor"),
+        "report": lambda: str(analyze(LCP(P, c))),
+        "derivative of a batch": lambda: derivative(solve_batch(LCP(P, ONES), several)).vjp(
+            several
+        ),
+        "derivative of a march": lambda: derivative(march(LCP(P, c), several)).vjp(several),
+        "derivatives": lambda: (
+            derivative(solve(LCP(P, c))).vjp(ONES),
+            derivative(solve(LCP(P, c))).jvp(dq=ONES),
+        ),
+        "derivative of cones": lambda: derivative(solve(FrictionalContact(P, c, 0.5))).vjp(ONES),
+        "cross-validation": lambda: str(cross_validate(LCP(P, c))),
         "certify": lambda: certify(QuadraticProgram(P, c), ONES),
         "nonlinear": lambda: solve(NonlinearProblem(lambda x: P @ x / 4.0 + c), x0=np.zeros(3)),
         "march": lambda: march(LCP(P, c), several),

@@ -329,9 +329,8 @@ class RowData:
 
     def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
         """Return the rounding level of each residual: k_i ε T_i / d_i with k_i = nonzeros of row i + 2."""
-        with np.errstate(all="ignore"):
-            rounding = (self._counts + 2) * (EPSILON * terms + TINY)
-            return rounding / (self.scale if scale is None else scale)
+        rounding = (self._counts + 2) * (EPSILON * terms + TINY)
+        return rounding / (self.scale if scale is None else scale)
 
     def _underflow(self, z: FloatVector) -> Any:
         """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""
@@ -405,30 +404,25 @@ def scaled_residual(
 
 def measured_residual(problem: LCP, z: FloatVector) -> float:
     """Return ‖r(z)‖∞ as computed in double precision, without a bound of its rounding error."""
-    with np.errstate(all="ignore"):
-        return float(np.abs(scaled_residual(problem, z, problem.slack(z))).max(initial=0.0))
+    return float(np.abs(scaled_residual(problem, z, problem.slack(z))).max(initial=0.0))
 
 
 def sharp_residual_ends(problem: LCP, z: FloatVector) -> VectorEnds:
     """Return sharp bounds of every |r_i(z)| by compensated sums."""
-    with np.errstate(all="ignore"):
-        w, radius = compensated_product(problem.matrix.csr, z, problem.q)
-        return row_data(problem).residual_ends(z, w, radius)
+    w, radius = compensated_product(problem.matrix.csr, z, problem.q)
+    return row_data(problem).residual_ends(z, w, radius)
 
 
 @fact
 def references_of_components(problem: LCP) -> VectorEnds:
     """Return bounds of ‖r_P(z°)‖∞ in the component of each row, shape (n,), or (1,) if there is one component."""
     z, data = problem.nearest_to_zero, row_data(problem)
-    with np.errstate(all="ignore"):
-        at = data.rows(z)
-        least, most = map(data.largest, data.residual_ends(z, at.w, at.rounding))
-        is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
-        if is_open.any():
-            sharp = map(data.largest, sharp_residual_ends(problem, z))
-            least, most = (
-                np.where(is_open, *ends) for ends in zip(sharp, (least, most), strict=True)
-            )
+    at = data.rows(z)
+    least, most = map(data.largest, data.residual_ends(z, at.w, at.rounding))
+    is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
+    if is_open.any():
+        sharp = map(data.largest, sharp_residual_ends(problem, z))
+        least, most = (np.where(is_open, *ends) for ends in zip(sharp, (least, most), strict=True))
     return least, most
 
 
@@ -442,15 +436,13 @@ def rounding_of_data(problem: LCP) -> float:
 
     A quotient that overflows counts as the largest double, so that no infinite residual is explained.
     """
-    with np.errstate(over="ignore"):
-        sizes = np.abs(problem.q / problem.matrix.residual_scale)
+    sizes = np.abs(problem.q / problem.matrix.residual_scale)
     return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
 
 
 def find_rounding_rows(residual: FloatVector, floor: FloatVector) -> BoolVector:
     """Return the rows whose residual is at most four times its rounding level."""
-    with np.errstate(over="ignore"):
-        return (residual <= 4.0 * floor) & np.isfinite(floor)
+    return (residual <= 4.0 * floor) & np.isfinite(floor)
 
 
 @fact
@@ -471,18 +463,16 @@ def rows_near_start(problem: LCP) -> Any:
     if not z.any():  # r(0) is not rounded
         is_solved = references_of_components(problem)[1] == 0.0
     else:
-        with np.errstate(all="ignore"):
-            at = data.rows(z)
-            floor = data.rounding_floor(at.terms)
-            is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
-            is_open = (data.residual_ends(z, at.w, at.rounding)[1] > 0.0) & ~is_rounding
+        at = data.rows(z)
+        floor = data.rounding_floor(at.terms)
+        is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
+        is_open = (data.residual_ends(z, at.w, at.rounding)[1] > 0.0) & ~is_rounding
         is_solved = data.largest(is_open.astype(np.float64)) == 0.0
     return np.broadcast_to(is_solved, z.shape)
 
 
 def snap_to_bounds(problem: LCP, z: FloatVector) -> FloatVector:
     """Return z, each z_i moved to the bound that z_i − w_i/d_i reaches or passes; z° in components that it solves."""
-    with np.errstate(all="ignore"):
-        moved = row_data(problem).snap_to_bounds(z, problem.slack(z))
+    moved = row_data(problem).snap_to_bounds(z, problem.slack(z))
     is_solved = rows_solved_at_start(problem)
     return np.where(is_solved, problem.nearest_to_zero, moved) if is_solved.any() else moved

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import BoolVector, FloatVector, checked_vector, read_only, restore_state
+from ..checks import (
+    BoolVector,
+    FloatVector,
+    checked_vector,
+    derived_property,
+    read_only,
+    restore_state,
+)
 from ..errors import InvalidProblem
 from ..kernels.floats import TINY
 from ..lcp import LCP
@@ -99,25 +105,23 @@ class Certificate:
             z = read_only(z.copy())
         return cls(problem, z)
 
-    @cached_property
+    @derived_property
     def _rows(self) -> RowsAtPoint:
-        with np.errstate(all="ignore"):
-            return row_data(self.problem).rows(self.z)
+        return row_data(self.problem).rows(self.z)
 
-    @cached_property
+    @derived_property
     def w(self) -> FloatVector:
         """The slack M z + q in double precision, shape (n,), read-only."""
         return read_only(self._rows.w)
 
-    @cached_property
+    @derived_property
     def _worst(self) -> tuple[float, int]:
         """The residual that is largest relative to the reference of its component, and its row."""
         references = self.references[0]
-        with np.errstate(all="ignore"):
-            residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
-            if references.size > 1:  # the component with the largest relative residual
-                relative = divide_nonnegative(self.residual_ends[1], references)
-                relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
+        residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
+        if references.size > 1:  # the component with the largest relative residual
+            relative = divide_nonnegative(self.residual_ends[1], references)
+            relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         return (float(residual[worst]), worst) if relative.size else (0.0, -1)
 
@@ -136,11 +140,10 @@ class Certificate:
         """The largest ‖r_P(z)‖∞ / ref_P of all components, rounded upwards; 0 for 0/0."""
         return self.relative_above(0.0)
 
-    @cached_property
+    @derived_property
     def term_residuals(self) -> FloatVector:
         """The least tolerance at which each row passes the componentwise test, shape (n,)."""
-        with np.errstate(all="ignore"):
-            return row_data(self.problem).term_residuals(self.z, self._rows)
+        return row_data(self.problem).term_residuals(self.z, self._rows)
 
     @property
     def term_residual(self) -> float:
@@ -198,19 +201,18 @@ class Certificate:
             residuals = residuals.max(initial=0.0, keepdims=True)
         return largest_ratio(residuals, np.maximum(smallest, least))
 
-    @cached_property
+    @derived_property
     def references(self) -> VectorEnds:
         """Bounds of ref_P of each row, shape (n,), or (1,) if M is connected."""
         least, most = self._start_references()
-        with np.errstate(all="ignore"):
-            limit = row_data(self.problem).active_reference(self._rows)
+        limit = row_data(self.problem).active_reference(self._rows)
         return np.minimum(least, limit), np.minimum(most, limit)
 
     def _start_references(self) -> VectorEnds:
         """Return bounds of ‖r_P(z°)‖∞, of the shapes of `references`."""
         return references_of_components(self.problem)
 
-    @cached_property
+    @derived_property
     def residual_ends(self) -> VectorEnds:
         """Bounds of every |r_i|; by compensated sums if rounding makes the largest one uncertain by 1 %."""
         ends = self._ends(self.problem.matrix.residual_scale)
@@ -219,21 +221,20 @@ class Certificate:
         return ends if is_certain else sharp_residual_ends(self.problem, self.z)
 
     def _ends(self, scale: FloatVector) -> VectorEnds:
-        with np.errstate(all="ignore"):
-            at = self._rows
-            return row_data(self.problem).residual_ends(self.z, at.w, at.rounding, scale)
+        at = self._rows
+        return row_data(self.problem).residual_ends(self.z, at.w, at.rounding, scale)
 
-    @cached_property
+    @derived_property
     def _natural(self) -> FloatVector:
         """An upper bound of every |z − mid(lower, upper, z − w)|."""
         return self._ends(np.ones(self.z.size))[1]
 
-    @cached_property
+    @derived_property
     def natural_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖∞."""
         return float(self._natural.max(initial=0.0))
 
-    @cached_property
+    @derived_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
         largest = self.natural_residual
@@ -242,25 +243,23 @@ class Certificate:
         norm = largest * float(np.linalg.norm(self._natural / largest))
         return float(np.nextafter(norm * (1.0 + gamma(self.problem.n + 8)), np.inf))
 
-    @cached_property
+    @derived_property
     def bound_violation(self) -> float:
         """max_i of lower_i − z_i, z_i − upper_i and 0."""
         problem = self.problem
-        with np.errstate(all="ignore"):
-            outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
+        outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
         return float(outside.max(initial=0.0))
 
-    @cached_property
+    @derived_property
     def complementarity(self) -> float:
         """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
         problem = self.problem
-        with np.errstate(all="ignore"):
-            above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
-            below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
-            larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
-            return float(np.abs(larger).max(initial=0.0))
+        above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
+        below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
+        larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
+        return float(np.abs(larger).max(initial=0.0))
 
-    @cached_property
+    @derived_property
     def rounding_floor(self) -> FloatVector:
         """Rounding bound of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
 
@@ -269,16 +268,15 @@ class Certificate:
         floor: FloatVector = row_data(self.problem).rounding_floor(self._rows.terms)
         return floor
 
-    @cached_property
+    @derived_property
     def is_at_rounding_level(self) -> bool:
         """True if no row's residual exceeds four times its rounding floor."""
         residual = self.residual_ends[1]
         if not self.is_linearised:
-            with np.errstate(all="ignore"):
-                residual = np.abs(scaled_residual(self.problem, self.z, self.w))
+            residual = np.abs(scaled_residual(self.problem, self.z, self.w))
         return bool(find_rounding_rows(residual, self.rounding_floor).all())
 
-    @cached_property
+    @derived_property
     def is_limited_by_rounding(self) -> bool:
         """True at rounding level, if each component has a small residual or is solved by z° up to rounding.
 

@@ -46,7 +46,8 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         except KeyError:
             with matrix._lock:
                 if key not in matrix._facts:
-                    matrix._facts[key] = self._compute(matrix, *args, **kwargs)
+                    with np.errstate(all="ignore"):  # an overflow shows in the value
+                        matrix._facts[key] = self._compute(matrix, *args, **kwargs)
                 value = matrix._facts[key]
         return value
 
@@ -109,7 +110,6 @@ class Matrix:
 
     @property
     @fact
-    @np.errstate(under="ignore")
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,): the diagonal where it is not negligible, else the row's largest.
 

@@ -20,15 +20,13 @@ ROUNDED = 1e-13  # rows whose entries were rounded miss d_i = Σ|m_ij| by this s
 @fact
 def inverse_residual_scale(matrix: Matrix) -> FloatVector:
     """Return 1/d of the scaled residual, shape (n,), kept finite."""
-    with np.errstate(over="ignore"):
-        return read_only(np.minimum(1.0 / matrix.residual_scale, np.finfo(np.float64).max))
+    return read_only(np.minimum(1.0 / matrix.residual_scale, np.finfo(np.float64).max))
 
 
 @fact
 def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
     """Return the mask of diagonal entries that are positive and not too small to invert, shape (n,)."""
-    with np.errstate(over="ignore", divide="ignore"):
-        return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
+    return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
 
 
 @fact
@@ -112,10 +110,9 @@ def balanced_factors(
         )  # False if it is not a number
         if not is_dominant:
             break
-        with np.errstate(divide="ignore", over="ignore"):
-            quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
-            # g θ ℓ stays below 1.
-            np.minimum(quick, 0.9 / (coupling * updated[rows]), out=factors[rows])
+        quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
+        # g θ ℓ stays below 1.
+        np.minimum(quick, 0.9 / (coupling * updated[rows]), out=factors[rows])
     if not is_dominant:
         factors.fill(1.0)
     factors.flags.writeable = False

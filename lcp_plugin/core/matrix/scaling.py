@@ -31,5 +31,4 @@ def scale_matrix(M: Any, exponents: Exponents | None) -> Any:
 
 def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
     """Return x_i 2^exponent_i, of the shape of x."""
-    with np.errstate(under="ignore", over="ignore"):
-        return x if exponent is None else np.asarray(np.ldexp(x, exponent))
+    return x if exponent is None else np.asarray(np.ldexp(x, exponent))

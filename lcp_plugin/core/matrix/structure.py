@@ -81,7 +81,6 @@ def connected_components(matrix: Matrix) -> Components | None:
     return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is large
 def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
 

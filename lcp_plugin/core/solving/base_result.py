@@ -101,7 +101,7 @@ class BaseResult:
         """Return the achieved accuracy next to the required one."""
         raise NotImplementedError
 
-    @np.errstate(under="ignore")
+    @np.errstate(all="ignore")
     def explain(self) -> str:
         """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         return "\n".join([*self._verdict(), *self._course()])

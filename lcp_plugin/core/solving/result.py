@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from ..certificates.criterion import RowsAtPoint
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, read_only, restore_state
@@ -224,6 +226,7 @@ class Result(BaseResult):
         happened, begins, to_do = advice.partition(NEXT)
         return "; ".join([happened, *remarks]) + begins + to_do
 
+    @np.errstate(all="ignore")
     def explain(self) -> str:
         """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         from ...proofs.misleading import what_may_mislead

@@ -89,8 +89,7 @@ class TerminationTest:
         """Return the relative residual of z in double precision."""
         if self.is_uniform:
             return ratio(measured_residual(self.problem, z), self.reference)
-        with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(self.problem, z, self.problem.slack(z)))
+        residual = np.abs(scaled_residual(self.problem, z, self.problem.slack(z)))
         if self.solved_rows is not None:
             residual[self.solved_rows] = 0.0
         return float(divide_nonnegative(residual, self._references).max(initial=0.0))

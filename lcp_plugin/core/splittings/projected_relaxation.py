@@ -133,8 +133,7 @@ class _Simultaneous(_Relaxation):
         from ..kernels.splitting_sweeps import splitting_sweep
 
         omega, beta = self.weights()
-        with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
-            step = omega / require_positive_diagonal(problem, self.name)
+        step = omega / require_positive_diagonal(problem, self.name)
         inverse_scale, ones = inverse_residual_scale(problem.matrix), np.ones(problem.n)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale, step, ones])
         yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False), z0)

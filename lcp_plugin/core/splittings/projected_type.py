@@ -67,12 +67,11 @@ class ScaledByRows(Algorithm):
             return np.ones(problem.q.size)
         factors = self.automatic_factors(problem) if self.scaling == "auto" else self.scaling_factor
         inverse = inverse_residual_scale(problem.matrix)
-        with np.errstate(over="ignore", divide="ignore"):
-            if problem.matrix.residual_scale is not problem.matrix.diagonal:
-                inverse = np.where(
-                    has_positive_diagonal(problem.matrix), 1.0 / problem.matrix.diagonal, inverse
-                )
-            return np.minimum(factors * inverse, np.finfo(np.float64).max)
+        if problem.matrix.residual_scale is not problem.matrix.diagonal:
+            inverse = np.where(
+                has_positive_diagonal(problem.matrix), 1.0 / problem.matrix.diagonal, inverse
+            )
+        return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after one projected Gauss–Seidel sweep, which puts active components at their bounds."""
@@ -149,9 +148,8 @@ class ProjectedType(ScaledByRows, Splitting):
     def _inverse_pivot(
         self, problem: LCP, scaled_diagonal: FloatVector, alpha: float
     ) -> FloatVector:
-        with np.errstate(over="ignore", divide="ignore"):
-            pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
-            inverse: FloatVector = 1.0 / pivot
+        pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
+        inverse: FloatVector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
             raise UnsuitableMatrix(

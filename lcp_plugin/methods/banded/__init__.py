@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from ...core.algorithm import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step
 from ...core.checks import FloatVector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
@@ -78,9 +78,6 @@ class Banded(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z of each active set; end if no active set remains to be tried."""
-        yield from without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         if (band := bands(problem.matrix)) is None:
             raise UnsuitableMatrix(
                 f"{self.name} needs a narrow band, but the band of M with n = {problem.n} is too wide to factorize; "
@@ -134,7 +131,6 @@ def active_sets(
     is_fixed = lower == upper
 
     # at the edge of the number range ‖r(z)‖ is infinite
-    @np.errstate(over="ignore", invalid="ignore")
     def measured(z: FloatVector) -> tuple[FloatVector, NDArray[np.int8], float]:
         """Return w, the bounds that z − w/d reaches (−1, 0, 1) and ‖r(z)‖∞."""
         w = problem.matrix.array @ z + q

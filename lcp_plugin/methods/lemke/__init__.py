@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.algorithm import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
@@ -87,9 +87,6 @@ class Lemke(Algorithm):
         UnsuitableProblem
             If a connected component is too large for a dense inverse.
         """
-        return without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         components = _components_that_fit(problem)
         z = z0.copy()
         yield Step(z, work=0.0)

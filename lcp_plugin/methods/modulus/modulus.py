@@ -79,17 +79,15 @@ class ModulusBased(Splitting):
         diagonal = require_positive_diagonal(problem, self.name)
         weights = self.weights()
         omega = self._omega(problem, diagonal)
-        with np.errstate(over="ignore", invalid="ignore"):  # an overflow shows in the residual
-            inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
-            q = problem.slack(problem.lower)
+        inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
+        q = problem.slack(problem.lower)
         inverse_scale = inverse_residual_scale(problem.matrix)
         rows = np.column_stack([q, problem.lower, inverse_scale, omega, inverse_pivot])
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
         if self._has_one_omega:
-            with np.errstate(over="ignore"):
-                return float(self.omega) * diagonal  # type: ignore[arg-type]
+            return float(self.omega) * diagonal  # type: ignore[arg-type]
         try:
             omega = checked_vector(self.omega, "omega", problem.n, is_finite=False)
         except InvalidProblem as error:

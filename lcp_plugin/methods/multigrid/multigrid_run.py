@@ -227,7 +227,6 @@ class MultigridRun:
             self._shorten(before, z)
         self.truncation.spare.append(before)
 
-    @np.errstate(all="ignore")
     def _shorten(self, before: FloatVector, z: FloatVector) -> None:
         """Halve the step from `before` to z until the energy does not rise; undo the step if halving fails."""
         fine = self.problems[0]

@@ -119,7 +119,6 @@ def solve_active_set(
     return ActiveSetSolution(z + x, system, 1.0 + (system.work - before) / max(problem.nonzeros, 1))
 
 
-@np.errstate(all="ignore")
 def polish_active_set(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
     """Return the solution of the linear system of the active set of z.
 

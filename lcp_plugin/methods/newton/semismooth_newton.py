@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from ...core.algorithm import (
     Algorithm,
     Step,
-    without_warnings,
 )
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
@@ -65,10 +64,6 @@ class Newton(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_on_active_set: ClassVar[bool] = True
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the best z so far after each factorization; end if no further step is possible."""
-        return without_warnings(self._steps(problem, z0))
-
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on M-matrices: full steps are monotone then, at most n + 2; patience suffices for them."""
         is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
@@ -76,7 +71,8 @@ class Newton(Algorithm):
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
 
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the best z so far after each factorization; end if no further step is possible."""
         start = np.clip(z0, problem.lower, problem.upper)
         # A second start of a small problem is the point of the bounds nearest to 0.
         is_elsewhere = problem.n <= 500 and not np.array_equal(start, problem.nearest_to_zero)
@@ -145,7 +141,6 @@ class LinearizedPhi(NamedTuple):
         return float(np.linalg.norm(self.value))
 
 
-@np.errstate(all="ignore")  # of bounds that are infinite
 def fischer_burmeister(
     problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
 ) -> LinearizedPhi:

@@ -188,7 +188,7 @@ def explore(
         yield NoSolution(problem, explorer.tree, explorer.nodes)
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def all_solutions(
     problem: LCP, *, limit: int | None = None, max_nodes: int = DEFAULT_NODES
 ) -> list[Solution]:

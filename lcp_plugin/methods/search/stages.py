@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.algorithm import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step
 from ...core.checks import FloatVector
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
@@ -29,9 +29,6 @@ class FeasibilityCheck(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the start again with each new proof."""
-        return without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
         proof = find_infeasibility(problem, effort_limit=effort)
@@ -58,9 +55,6 @@ class ExhaustiveSearch(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z0 during the search, then the solution, or z0 with the proof; end if that takes too much."""
-        return without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         effort, reported = Effort(), Effort()
         for outcome in explore(problem, effort):

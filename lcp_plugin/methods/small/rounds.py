@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from ...core.algorithm import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import RowData, row_data, times
 from ...core.certificates.measured import Measured
 from ...core.checks import BoolVector, FloatVector
@@ -50,9 +50,6 @@ class Rounds(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, the point at which the rounds end, and the ends of the paths."""
-        return without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
         for label, z, entries in candidates(problem, data, z0):
@@ -68,14 +65,11 @@ def first_candidate(
 
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
-    with np.errstate(all="ignore"):
-        data = dense_data(problem)
-        if not data.reference.all() or (
-            z0 is not data.start and measure(data, z0, tolerance).passes
-        ):
-            return None
-        label, z, entries = next(candidates(problem, data, z0))
-        found = measure(data, z, tolerance)
+    data = dense_data(problem)
+    if not data.reference.all() or (z0 is not data.start and measure(data, z0, tolerance).passes):
+        return None
+    label, z, entries = next(candidates(problem, data, z0))
+    found = measure(data, z, tolerance)
     return (found, label, entries / max(problem.matrix.nonzeros, 1)) if found.passes else None
 
 
@@ -162,20 +156,19 @@ def solve_stack(
     residual, iterations, is_solved : array, shape (B,)
         Relative residual; 0 if the point is the start, else 1; whether it is a solution.
     """
-    with np.errstate(all="ignore"):
-        stack = stack_of(M, q, lower, upper)
-        first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
-        ends = stack.start if first is None else rounds_of_stack(stack, first)
-        found = measure(stack, ends, tolerance)
-        has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
-        items = np.flatnonzero(~found.passes & ~has_free)
-        if items.size:
-            few = select_problems(stack, items)
-            of_paths = measure(few, paths(few), tolerance)
-            for table, values in zip(found[:3], of_paths[:3], strict=True):
-                table[items] = values
-        begun = stack.start if starts is None else starts
-        return found.z, found.residual, (found.z != begun).any(1).astype(int), found.passes
+    stack = stack_of(M, q, lower, upper)
+    first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
+    ends = stack.start if first is None else rounds_of_stack(stack, first)
+    found = measure(stack, ends, tolerance)
+    has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
+    items = np.flatnonzero(~found.passes & ~has_free)
+    if items.size:
+        few = select_problems(stack, items)
+        of_paths = measure(few, paths(few), tolerance)
+        for table, values in zip(found[:3], of_paths[:3], strict=True):
+            table[items] = values
+    begun = stack.start if starts is None else starts
+    return found.z, found.residual, (found.z != begun).any(1).astype(int), found.passes
 
 
 def guess(stack: RowData) -> FloatVector | None:

@@ -42,7 +42,7 @@ MANY = {
 }
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def prepare(problem: P, *, threads: int | None = None) -> P:
     """Return the problem, prepared for many q: all cached properties of M are computed.
 
@@ -89,6 +89,7 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     return problem
 
 
+@np.errstate(all="ignore")
 def solve_batch(
     M: Any,
     q: Any = None,

@@ -73,7 +73,7 @@ class BatchRun:
                 count = len(self.status)
                 self.is_interrupted |= bool(self.callback(count - int(self.is_open.sum()), count))
 
-    @np.errstate(under="ignore")
+    @np.errstate(all="ignore")
     def run(self, callback: Any = None, executor: Any = None) -> BatchAnswers:
         """Solve all problems, until the clock runs out, Ctrl-C, or the callback ends the batch."""
         self.callback = checked_callback(callback)

@@ -179,9 +179,8 @@ class Listed:
         M = np.stack([one if isinstance(one, np.ndarray) else one.toarray() for one in matrices])
         names = ("q", "slope", "lower", "upper")
         arrays = (np.stack([getattr(one, name) for one in problems]) for name in names)
-        with np.errstate(all="ignore"):
-            pattern = Pattern(M, problems[0].starts)
-            stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
+        pattern = Pattern(M, problems[0].starts)
+        stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
         z, *others = solve_cone_stack(stack, stack.origin, tolerance, has_time, is_warm=False)
         return pattern.flat(z), *others
 
@@ -209,8 +208,7 @@ class Rows:
     def _find_errors(self, is_good: Any) -> None:
         """Keep the error of each problem that is not good; bounds must be consistent as well."""
         lower, upper = self.rows["lower"], self.rows["upper"]
-        with np.errstate(invalid="ignore"):
-            has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
+        has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
         for k in np.flatnonzero(~np.broadcast_to(is_good & has_values, self.count)).tolist():
             try:
                 self[k]

@@ -23,9 +23,8 @@ TOGETHER = 2048  # instances per stack: fewer cost more calls, more leave a seco
 def stack_of_worlds(W: Any, b: Any, friction: Any, dimension: int) -> ConeStack:
     """Return instances with the same number of contacts, shapes (B, n, n), (B, n) and (B, k), as a stack."""
     starts = np.arange(0, b.shape[1] + 1, dimension, dtype=np.int64)
-    with np.errstate(all="ignore"):
-        none = np.zeros((1, b.shape[1]))
-        return ConeStack(Pattern(W, starts), b, friction, none, none, has_friction=True)
+    none = np.zeros((1, b.shape[1]))
+    return ConeStack(Pattern(W, starts), b, friction, none, none, has_friction=True)
 
 
 class Worlds:

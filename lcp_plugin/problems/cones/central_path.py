@@ -135,12 +135,11 @@ def nesterov_todd_scaling(x: Cones, y: Cones) -> tuple[NDArray[np.float64], NDAr
 
 def longest(x: Cones, step: Cones) -> float:
     """Return the largest t for which x + t step is in the cones."""
-    with np.errstate(all="ignore"):
-        a = determinant(step)
-        b = x[:, 0] * step[:, 0] - (x[:, 1:] * step[:, 1:]).sum(axis=1)
-        c = determinant(x)
-        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-        larger = -(b + np.where(b >= 0.0, root, -root))
-        ends = np.stack([larger / a, c / larger, -x[:, 0] / step[:, 0]])
-        ends[:2, b * b < a * c] = np.inf
-        return float(np.where(ends > 0.0, ends, np.inf).min(initial=np.inf))
+    a = determinant(step)
+    b = x[:, 0] * step[:, 0] - (x[:, 1:] * step[:, 1:]).sum(axis=1)
+    c = determinant(x)
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    larger = -(b + np.where(b >= 0.0, root, -root))
+    ends = np.stack([larger / a, c / larger, -x[:, 0] / step[:, 0]])
+    ends[:2, b * b < a * c] = np.inf
+    return float(np.where(ends > 0.0, ends, np.inf).min(initial=np.inf))

@@ -16,7 +16,6 @@ Projections are nonexpansive: if w is within ρ, the residual of a cone is withi
 from __future__ import annotations
 
 from copy import copy
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from ...core.certificates.criterion import (
     times,
 )
 from ...core.certificates.residuals import divide_nonnegative
-from ...core.checks import FloatVector, read_only
+from ...core.checks import FloatVector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
 from ...core.rounding import compensated_product
 from .data import Blocks
@@ -87,7 +86,7 @@ class ConeRows(RowData):
         """Return x ≥ 0 with the norm over the rows of each cone or disk, in each of these rows."""
         return self._with_laws(x, length(self.wide(x)[..., self._first :]))
 
-    @cached_property
+    @derived_property
     def reference(self) -> Array:
         """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
         if self.start.any():
@@ -95,7 +94,7 @@ class ConeRows(RowData):
             return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
         return self._by_rows(self.stack.reference) * (1.0 - 16.0 * EPSILON)
 
-    @cached_property
+    @derived_property
     def demand(self) -> FloatVector:
         """Demand of each law; of contacts the largest of the component, because b may be rounding error in a pile."""
         demand: FloatVector = super().demand
@@ -228,7 +227,6 @@ class Measures:
     Sums of one problem are repeated in twice the working precision if this may decide.
     """
 
-    @np.errstate(all="ignore")
     def __init__(self, stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> None:
         rows = ConeRows(stack)
         x = rows.flat(z)
@@ -261,7 +259,7 @@ class Measures:
         x, starts = self._by_rows[name], self.stack.pattern.starts[:-1]
         return np.maximum.reduceat(x[None] if x.ndim == 1 else x, starts, -1)
 
-    @cached_property
+    @derived_property
     def is_limited(self) -> Array:
         """Whether rounding explains the residuals of all laws that do not pass, shape (B,)."""
         is_small = (self._by_rows["relative"] <= SMALL) | ~self._has_reference
@@ -312,15 +310,12 @@ class ConeCertificate:
         """The residual of that block, in the unit of z."""
         return float(self.measures.of_blocks("sizes")[0, self.worst_index]) if self.z.size else 0.0
 
-    @cached_property
+    @derived_property
     def natural_residual(self) -> float:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
         plain = copy(self.measures.stack)
         plain.d = np.ones_like(plain.d)
-        with np.errstate(all="ignore"):
-            return float(
-                length(plain.residual(self.measures.z, self.measures.w)[0]).max(initial=0.0)
-            )
+        return float(length(plain.residual(self.measures.z, self.measures.w)[0]).max(initial=0.0))
 
     @property
     def dissipation(self) -> float:

@@ -9,14 +9,19 @@ and dw lead.
 from __future__ import annotations
 
 from copy import copy
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_vector, is_number, rectangular_matrix
+from ...core.checks import (
+    FloatVector,
+    checked_vector,
+    derived_property,
+    is_number,
+    rectangular_matrix,
+)
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
@@ -74,26 +79,25 @@ class StackDerivative(LinearizedSystem):
         self.by_z, self.by_w = stack.derivative(w, *self.found[1:])
         self.is_free = self.by_w.any((-1, -2))
 
-    @cached_property
+    @derived_property
     def system(self) -> Any:
         """The factorization of the system of the free blocks, for one problem."""
         J, _ = system_of_free_rows(self.stack, self.by_z[0], self.by_w[0], self.is_free[0])
         return FreeSystem(Matrix(sp.csr_array(J)), np.ones(J.shape[0], np.bool_), by_factor=True)
 
-    @cached_property
+    @derived_property
     def degenerate(self) -> Array:
         """Blocks on the boundary of two modes, up to rounding error, shape (B, k)."""
         stack, shift = self.stack, ON_THE_EDGE * self._sizes
-        with np.errstate(all="ignore"):
-            cases = stack.residual(self.z, self.w)[1]
-            differs = np.zeros(cases.shape, np.bool_)
-            for sign in (-1.0, 1.0):
-                moved = self.z.copy()
-                moved[..., 0] += sign * shift
-                differs |= stack.residual(moved, self.w)[1] != cases
+        cases = stack.residual(self.z, self.w)[1]
+        differs = np.zeros(cases.shape, np.bool_)
+        for sign in (-1.0, 1.0):
+            moved = self.z.copy()
+            moved[..., 0] += sign * shift
+            differs |= stack.residual(moved, self.w)[1] != cases
         return differs
 
-    @cached_property
+    @derived_property
     def _sizes(self) -> Array:
         """Size of z and w/d of each block, (B, k), at least its rounding error."""
         stack = self.stack
@@ -115,7 +119,7 @@ class StackDerivative(LinearizedSystem):
         piece.take_element_at(self.z + t * dz, self.w + t * dw)
         return piece
 
-    @cached_property
+    @derived_property
     def by_friction(self) -> Array:
         """R_μ, shape (B, n), not 0 on the boundary of cones."""
         stack, (z, w), mu = self.stack, self.point, self.stack.mu
@@ -123,13 +127,12 @@ class StackDerivative(LinearizedSystem):
         x, tangent = x / self.stack.d[..., None], tangent / self.stack.d
         if not stack.has_friction:
             return np.zeros(self.stack.pattern.flat(z).shape)
-        with np.errstate(all="ignore"):
-            slip = length(w[..., 1:])
-            radius = (x[..., 0] - mu * slip / stack.d + mu * tangent) / (1.0 + mu * mu)
-            change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
-            rows = slip[..., None] * self.by_w[..., 0]
-            rows[..., 0] -= change
-            rows[..., 1:] -= ((radius + mu * change) / tangent)[..., None] * x[..., 1:]
+        slip = length(w[..., 1:])
+        radius = (x[..., 0] - mu * slip / stack.d + mu * tangent) / (1.0 + mu * mu)
+        change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
+        rows = slip[..., None] * self.by_w[..., 0]
+        rows[..., 0] -= change
+        rows[..., 1:] -= ((radius + mu * change) / tangent)[..., None] * x[..., 1:]
         return stack.pattern.flat(np.where((case == ON)[..., None], rows, 0.0))
 
     def gradients(self, g: Array, by_w: Array) -> tuple[Array, Array, Array]:
@@ -197,7 +200,7 @@ class ConeDerivative:
         """False if blocks are degenerate or z is not unique, else None (not proved)."""
         return False if self.degenerate.size or self.is_singular else None
 
-    @cached_property
+    @derived_property
     def degenerate(self) -> NDArray[np.intp]:
         """Blocks on the boundary of two modes, where the derivative is not unique."""
         return np.flatnonzero(self._of.degenerate[0])

@@ -245,7 +245,7 @@ class FrictionalContactBatch:
             own = [np.where(has, one, other) for one, (has, other) in zip(own, absent, strict=True)]
         self.W, self.b, self.friction = map(read_only, own)
         warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
             largest = np.abs(self.W).max((1, 2), initial=0.0)
         are_finite = (largest < np.inf) & np.isfinite(self.b).all(1)

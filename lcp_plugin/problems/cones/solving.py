@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
-from ...core.checks import FloatVector, checked_start, read_only
+from ...core.checks import FloatVector, checked_start, derived_property, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
@@ -72,6 +71,7 @@ MIDDLE = "from the middle of the impulses that make the same motion Newton conve
 NEARBY = "from a point nearby"
 
 
+@np.errstate(all="ignore")
 def solve_cones(
     problem: Blocks,
     algorithm: str | ConeAlgorithm = "auto",
@@ -125,7 +125,7 @@ def solve_cones(
     chosen, clock = _checked_algorithm(algorithm), Clock()
     log = RunLog(problem) if verbose else None
     progress = Progress(settings, checked_callback(callback), clock, log)
-    with np.errstate(all="ignore"), threads_for(settings.threads):
+    with threads_for(settings.threads):
         stack = ConeStack.of(problem)
         z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
         run = ConeRun(problem, stack, progress, z, chosen)
@@ -158,33 +158,32 @@ def solve_cone_stack(
     z, residual, iterations, is_solved : array, shapes (B, k, m) and (B,)
         Measured points of the cones, their relative residuals, and which are SOLVED.
     """
-    with np.errstate(all="ignore"):
-        z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
-        residual, is_solved = np.full(stack.B, np.inf), np.zeros(stack.B, np.bool_)
-        for count, steps in ((0, 0), *SCHEDULE) if is_warm else SCHEDULE:
-            left = np.flatnonzero(~is_solved)
-            if not left.size or not has_time():
+    z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
+    residual, is_solved = np.full(stack.B, np.inf), np.zeros(stack.B, np.bool_)
+    for count, steps in ((0, 0), *SCHEDULE) if is_warm else SCHEDULE:
+        left = np.flatnonzero(~is_solved)
+        if not left.size or not has_time():
+            break
+        here = stack.take(~is_solved)
+        swept[left] = sweep_blocks(here, swept[left], count, STOP * tolerance)
+        iterations[left] += count // SWEEPS_PER_STEP
+        best, least = swept[left], np.full(left.size, np.inf)
+        goal = CLOSER * tolerance
+        for number, step in enumerate(newton_steps(here, best, steps, goal)):
+            open_ones, at, sizes, _ = step
+            is_better = sizes < least[open_ones]
+            best[open_ones[is_better]] = at[is_better]
+            least[open_ones[is_better]] = sizes[is_better]
+            iterations[left[open_ones]] += number > 0
+            if not has_time():
                 break
-            here = stack.take(~is_solved)
-            swept[left] = sweep_blocks(here, swept[left], count, STOP * tolerance)
-            iterations[left] += count // SWEEPS_PER_STEP
-            best, least = swept[left], np.full(left.size, np.inf)
-            goal = CLOSER * tolerance
-            for number, step in enumerate(newton_steps(here, best, steps, goal)):
-                open_ones, at, sizes, _ = step
-                is_better = sizes < least[open_ones]
-                best[open_ones[is_better]] = at[is_better]
-                least[open_ones[is_better]] = sizes[is_better]
-                iterations[left[open_ones]] += number > 0
-                if not has_time():
-                    break
-            done = least <= goal
-            best[done] = polish_points(here.take(done), best[done])[0]
-            found = Measures(here, here.snap(best), tolerance)
-            is_better = found.passes | (found.residual < residual[left])
-            z[left[is_better]] = found.z[is_better]
-            residual[left[is_better]] = found.residual[is_better]
-            is_solved[left[found.passes]] = True
+        done = least <= goal
+        best[done] = polish_points(here.take(done), best[done])[0]
+        found = Measures(here, here.snap(best), tolerance)
+        is_better = found.passes | (found.residual < residual[left])
+        z[left[is_better]] = found.z[is_better]
+        residual[left[is_better]] = found.residual[is_better]
+        is_solved[left[found.passes]] = True
     return z, residual, iterations, is_solved
 
 
@@ -459,7 +458,7 @@ class ConeResult(Result):
     def guarantee(self) -> None:  # type: ignore[override]
         """None: no convergence theorem of this package covers cones."""
 
-    @cached_property
+    @derived_property
     def motion(self) -> ContactMotion:
         """Impulses and velocities per contact, and masks of contacts that press and stick."""
         problem = self.problem
@@ -488,7 +487,7 @@ class ConeResult(Result):
             lines += self._contacts_in_words()
         return "\n".join(lines)
 
-    @np.errstate(over="ignore", under="ignore")
+    @np.errstate(all="ignore")
     def _contacts_in_words(self) -> list[str]:
         motion, problem = self.motion, self.problem
         slides = motion.touches & ~motion.sticks

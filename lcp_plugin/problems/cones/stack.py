@@ -275,7 +275,6 @@ class ConeStack:
         """Return w = M z + q."""
         return self.pattern.times(z) + self.q
 
-    @np.errstate(all="ignore")
     def residual(self, z: Array, w: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return R, the locations of the projections, x = d z − w, ‖x_T‖, and x_N on the boundary.
 

@@ -168,7 +168,6 @@ class Relaxations:
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
-    @np.errstate(over="ignore", invalid="ignore")  # of smooth rows of large norm
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
         """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 

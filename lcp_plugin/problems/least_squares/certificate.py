@@ -31,13 +31,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, FloatVector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.rounding import compensated_product
@@ -109,7 +108,7 @@ class Optimality:
         """Return whether x is SOLVED."""
         return bool(self.value <= tolerance)
 
-    @cached_property
+    @derived_property
     def cost(self) -> float:
         """The cost of x."""
         return float(self.enclosures.problem.cost(self.x, self.residual[0]))
@@ -120,7 +119,7 @@ class Optimality:
         return self._largest[1]
 
     @property
-    @np.errstate(over="ignore", invalid="ignore")
+    @np.errstate(all="ignore")
     def sharp_residual(self) -> FloatVector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.residual
@@ -130,7 +129,7 @@ class Optimality:
             return r
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
-    @cached_property
+    @derived_property
     def _largest(self) -> tuple[float, bool]:
         """A bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and whether it is at rounding level.
 
@@ -278,7 +277,6 @@ def _shrunk(
     return share * y, enclosures.gradient_at(x, share * y)
 
 
-@np.errstate(all="ignore")
 def duality_gap(
     problem: BoundedLeastSquares, x: FloatVector, y: FloatVector | None = None
 ) -> float:

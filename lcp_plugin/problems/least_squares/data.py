@@ -222,7 +222,7 @@ class BoundedLeastSquares:
 
     def cost(self, x: FloatVector, residual: FloatVector) -> Any:
         """Return the objective value at x, given its residual A x − b; shape (B,) for a stack."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of an x too large to be squared
+        with np.errstate(all="ignore"):  # of an x too large to be squared
             penalty = self.ridge * np.vecdot(x, x) if self.ridge > 0.0 else 0.0
             squares = np.vecdot(self.apply_weights(residual), residual)
             return 0.5 * (squares + penalty) + np.vecdot(self.l1, np.abs(x))

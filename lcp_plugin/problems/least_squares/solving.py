@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
-from ...core.checks import FloatVector, read_only, restore_state
+from ...core.checks import FloatVector, derived_property, read_only, restore_state
 from ...core.deadline import Clock, OutOfTimeError, is_over
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.base_result import NEXT, BaseResult
@@ -37,6 +36,7 @@ SPARSE_PATIENCE = 300  # the same on a large sparse A
 WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness falls by less than 1 % in a window
 
 
+@np.errstate(all="ignore")
 def solve_least_squares(
     problem: BoundedLeastSquares,
     *,
@@ -102,8 +102,7 @@ def solve_least_squares(
     progress = Progress(settings, checked_callback(callback), Clock(), log)
     start = None if x0 is None else problem.checked_start(x0)
     run = LeastSquaresRun(problem, progress, start)
-    with np.errstate(all="ignore"):
-        result: LeastSquaresResult = run.solve(run.plan())
+    result: LeastSquaresResult = run.solve(run.plan())
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
@@ -150,7 +149,7 @@ class LeastSquaresRun(Run):
             self.enclosures.known.append(start)
         self.aim = self.settings.tolerance
 
-    @cached_property
+    @derived_property
     def nearest(self) -> FloatVector:
         """The scaled point that is best so far; at first the start."""
         scaled = self.problem.scaled
@@ -401,15 +400,14 @@ class LeastSquaresResult(BaseResult):
             stages=stages,
         )
 
-    @cached_property
+    @derived_property
     def gap(self) -> float:
         """Upper bound of cost − minimum for the stored data, rounding included; computed at the first access.
 
         At worst it equals the cost. This happens if some column is unbounded without a multiplier of the correct sign,
         and A is not proved to have full rank; see help("lcp_plugin.problems.least_squares.certificate").
         """
-        with np.errstate(all="ignore"):
-            return duality_gap(self.problem, self.x, self._dual)
+        return duality_gap(self.problem, self.x, self._dual)
 
     @property
     def objective(self) -> float:

@@ -39,7 +39,6 @@ def length_of_stack(problem: BoundedLeastSquares) -> int:
     return int(max(1, min(CHUNK // n**2, RESIDUALS // max(m, n))))
 
 
-@np.errstate(all="ignore")
 def solve_least_squares_stack(
     problem: BoundedLeastSquares, tolerance: float
 ) -> tuple[FloatVector, FloatVector, Any, BoolVector]:

@@ -164,8 +164,7 @@ def take_steps(
     while done.taken < total and done.all_solved:
         step = done.taken
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected by name
-                stated = problem.with_q(done.forcing[step] + propagator @ state)
+            stated = problem.with_q(done.forcing[step] + propagator @ state)
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
             if is_lcp and begin is not None:
                 within = parse_call("auto", {**wishes, **left})[1]

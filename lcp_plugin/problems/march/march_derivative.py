@@ -8,14 +8,19 @@ and the bounds are summed over the steps.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, change_of_vector, is_number, rectangular_matrix
+from ...core.checks import (
+    FloatVector,
+    change_of_vector,
+    derived_property,
+    is_number,
+    rectangular_matrix,
+)
 from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -132,6 +137,7 @@ class Steps:
         The state before the first step, and the solutions.
     """
 
+    @np.errstate(all="ignore")
     def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
         self.whole, self.march, self.states = whole, whole.march, states
         march, count = whole.march, len(states) - 1
@@ -141,8 +147,7 @@ class Steps:
         self._of_step: tuple[int, Derivative] | None = None
         self.is_plain = np.zeros(count, np.bool_)
         if whole.band is not None:
-            with np.errstate(all="ignore"):
-                self._settle(whole.band)
+            self._settle(whole.band)
 
     def __len__(self) -> int:
         return len(self.z)
@@ -334,7 +339,7 @@ class MarchDerivative:
         self._before = self._derivative_at(problem, z, w, before=self._before)
         return self._before
 
-    @cached_property
+    @derived_property
     def degenerate(self) -> NDArray[np.intp]:
         """Pairs of a step and a row at a bound with w = 0, up to rounding error; shape (count, 2).
 
@@ -347,7 +352,7 @@ class MarchDerivative:
                 found.append(np.column_stack([np.full(rows.size, part.here.start + k), rows]))
         return np.concatenate(found)
 
-    @cached_property
+    @derived_property
     def is_unique(self) -> bool | None:
         """True if the derivative of each step exists, at its q: see ``Derivative``.
 
@@ -476,12 +481,12 @@ class MarchDerivative:
             before = march.z[first - 1] if first else march.z0
             yield Steps(self, first, np.array([before, *march.z[first : first + BLOCK]]))
 
-    @cached_property
+    @derived_property
     def band(self) -> Band | None:
         """The march's band, None if M has no narrow one."""
         return Band.of(self.march.problem.matrix, self.march.propagator)
 
-    @cached_property
+    @derived_property
     def transposed(self) -> Band | None:
         """The band of the transposed matrices."""
         return Band.of(

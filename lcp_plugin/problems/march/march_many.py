@@ -26,7 +26,7 @@ BOUNDS = "lower", "upper"
 OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def march(
     problem: LCP | Blocks | Sequence[LCP],
     forcing: ArrayLike,

@@ -43,7 +43,6 @@ class BandSteps:
         if band.is_tridiagonal_z:
             self.side = int(np.isinf(problem.upper).all()) or -int(np.isinf(problem.lower).all())
 
-    @np.errstate(all="ignore")
     def solve(self, forcing: FloatVector, state: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return q and z of the first steps that meet the criterion from this state, shapes (k, n).
 

@@ -22,7 +22,6 @@ points so close to x that its curvature is negligible, and F(x + δ) − F(x) �
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -36,7 +35,7 @@ from ...core.certificates.criterion import (
     scaled_residual,
 )
 from ...core.certificates.residuals import Certificate
-from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.checks import BoolVector, FloatVector, derived_property, read_only
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.settings import Settings
@@ -79,11 +78,10 @@ class NonlinearCertificate(Certificate):
     value: FloatVector = field(kw_only=True, repr=False)
     origin_value: FloatVector = field(kw_only=True, repr=False)
 
-    @cached_property
+    @derived_property
     def _rows(self) -> RowsAtPoint:
-        with np.errstate(all="ignore"):
-            at = row_data(self.problem).rows(self.z, self.value)
-            return at._replace(rounding=np.zeros(self.z.size))
+        at = row_data(self.problem).rows(self.z, self.value)
+        return at._replace(rounding=np.zeros(self.z.size))
 
     @property
     def violation(self) -> FloatVector:
@@ -93,12 +91,9 @@ class NonlinearCertificate(Certificate):
     def _start_references(self) -> VectorEnds:
         data, origin = row_data(self.problem), self.problem.nearest_to_zero
         ends, is_solved = super()._start_references(), rows_near_start(self.problem)
-        with np.errstate(all="ignore"):
-            distance = data.largest(np.abs(self.z - origin))
-            residual = data.residual(origin, self.origin_value)
-            of_value = data.largest(
-                np.where(np.isfinite(self.origin_value), np.abs(residual), np.inf)
-            )
+        distance = data.largest(np.abs(self.z - origin))
+        residual = data.residual(origin, self.origin_value)
+        of_value = data.largest(np.where(np.isfinite(self.origin_value), np.abs(residual), np.inf))
         of_value = np.where(of_value > 0.0, of_value, np.inf)
         least, most = (np.minimum(np.where(is_solved, distance, end), of_value) for end in ends)
         return least, most
@@ -114,7 +109,7 @@ class NonlinearCertificate(Certificate):
         is_doubtful = at.is_active & (EPSILON * at.terms > limit * scale)
         return not (is_doubtful.any() and (is_doubtful & (self.noise > limit)).any())
 
-    @cached_property
+    @derived_property
     def noise(self) -> FloatVector:
         """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
 
@@ -122,21 +117,19 @@ class NonlinearCertificate(Certificate):
         the projected point, or of 2⁻³⁰ x if that is larger.
         """
         problem, x = self.problem, self.z
-        with np.errstate(all="ignore"):
-            step = -scaled_residual(problem, x, self.value)
-            step = np.copysign(np.maximum(np.abs(step), ASIDE * np.abs(x)), step)
-            errors = []
-            for share in NEARBY:
-                near = np.clip(x + share * step, problem.lower, problem.upper)
-                value = self.nonlinear.value(near)
-                errors.append(np.abs(value - self.value - problem.M @ (near - x)))
-            return np.asarray(np.max(errors, 0) / problem.residual_scale)
+        step = -scaled_residual(problem, x, self.value)
+        step = np.copysign(np.maximum(np.abs(step), ASIDE * np.abs(x)), step)
+        errors = []
+        for share in NEARBY:
+            near = np.clip(x + share * step, problem.lower, problem.upper)
+            value = self.nonlinear.value(near)
+            errors.append(np.abs(value - self.value - problem.M @ (near - x)))
+        return np.asarray(np.max(errors, 0) / problem.residual_scale)
 
-    @cached_property
+    @derived_property
     def rounding_floor(self) -> FloatVector:
         """Rounding bound of each residual, shape (n,), with the rounding error inside F."""
-        with np.errstate(all="ignore"):
-            floor: FloatVector = super().rounding_floor + self.noise
+        floor: FloatVector = super().rounding_floor + self.noise
         return floor
 
 
@@ -155,12 +148,12 @@ class Linearization:
         self.points, self.problem, self.x = points, points.problem, read_only(x.copy())
         self.value = self.problem.value(self.x)
 
-    @cached_property
+    @derived_property
     def lcp(self) -> LCP:
         """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearize`."""
         return self.problem.linearize(self.x, self.value)
 
-    @cached_property
+    @derived_property
     def is_defined(self) -> bool:
         """True if F and its derivative are finite here."""
         if not np.isfinite(self.value).all():
@@ -171,7 +164,7 @@ class Linearization:
             return False
         return True
 
-    @cached_property
+    @derived_property
     def certificate(self) -> NonlinearCertificate:
         """The certificate of x."""
         return NonlinearCertificate(
@@ -182,7 +175,7 @@ class Linearization:
             origin_value=self.points.origin.value,
         )
 
-    @cached_property
+    @derived_property
     def residual(self) -> float:
         """The relative residual of x."""
         return self.certificate.relative_residual
@@ -202,7 +195,7 @@ class Linearizations:
         self.problem = problem
         self._latest: list[Linearization] = []
 
-    @cached_property
+    @derived_property
     def origin(self) -> Linearization:
         """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
         return self.at(np.clip(0.0, self.problem.lower, self.problem.upper))

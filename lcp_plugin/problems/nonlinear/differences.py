@@ -66,7 +66,6 @@ class Differences:
                 met[i].add(group)
         return cls(pattern, groups)
 
-    @np.errstate(all="ignore")
     def at(
         self,
         F: Callable[[FloatVector], FloatVector],

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...auto import method_of, plan
-from ...core.algorithm import Algorithm, Step, without_warnings
+from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import references_of_components, row_data
 from ...core.checks import FloatVector
 from ...core.deadline import Clock, is_over, seconds_left
@@ -78,9 +78,6 @@ class JosephyNewton(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
-        return without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         run = _NewtonRun(self, self.points.at(z0))
         yield run.step()
         for _ in range(RESTARTS if problem.n <= SMALL else 0):
@@ -126,10 +123,9 @@ class _NewtonRun:
     def _snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
         origin, data = self.options.points.origin, row_data(point.lcp)
-        with np.errstate(all="ignore"):
-            errors = np.abs(data.residual(origin.x, origin.value))
-            left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
-            is_reached = (data.largest(errors) == 0.0) & (left <= NEARLY_THERE * way)
+        errors = np.abs(data.residual(origin.x, origin.value))
+        left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
+        is_reached = (data.largest(errors) == 0.0) & (left <= NEARLY_THERE * way)
         x = np.where(is_reached, origin.x, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.residual <= point.residual else point
@@ -208,9 +204,8 @@ class _NewtonRun:
         the violation falls. Both are in the units of the start.
         """
         certificate, scale = point.certificate, self.first.lcp.residual_scale
-        with np.errstate(all="ignore"):
-            sizes = np.maximum(certificate.residual_ends[1], certificate.violation / scale)
-            size = float((self.weights * sizes).max(initial=0.0))
+        sizes = np.maximum(certificate.residual_ends[1], certificate.violation / scale)
+        size = float((self.weights * sizes).max(initial=0.0))
         is_small = point.residual <= max(self.options.tolerance, SMALLEST_TOLERANCE)
         return size * min(1.0, certificate.term_residual) if is_small else size
 

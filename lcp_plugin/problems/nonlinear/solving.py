@@ -33,7 +33,7 @@ WRONG = 0.1  # of the terms of a row, with both steps
 ELSEWHERE = "F or its derivative is not finite at the start given, projected onto them"
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def solve_nonlinear(
     problem: NonlinearProblem,
     x0: ArrayLike | None = None,
@@ -130,7 +130,7 @@ def solve_nonlinear(
     problem = problem.with_size(start.size)
     clock = Clock()
     start = read_only(np.clip(start, problem.lower, problem.upper))
-    with np.errstate(), threads_for(settings.threads):
+    with threads_for(settings.threads):
         points = Linearizations(problem)
         start, begun = begun_at(points, start)
         first = points.at(start)
@@ -269,7 +269,6 @@ TANGENTS = (
 )
 
 
-@np.errstate(all="ignore")
 def jacobian_warning(point: Linearization) -> str:
     """Return a warning with the row in which differences and jacobian differ most, or "".
 

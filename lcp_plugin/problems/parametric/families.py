@@ -466,8 +466,7 @@ class LeastSquaresFamily(Family):
     def judge(self, point: PathPoint) -> Status:
         """Return the status by the optimality certificate."""
         tolerance = self.settings.tolerance
-        with np.errstate(all="ignore"):
-            found = Optimality.of(Enclosures(point.problem), point.x, tolerance=tolerance)
+        found = Optimality.of(Enclosures(point.problem), point.x, tolerance=tolerance)
         if found.meets(tolerance):
             return Status.SOLVED
         is_near = found.is_at_rounding_level or found.meets(NEARLY * tolerance)

@@ -199,21 +199,18 @@ class MonotoneGraphs:
         (_, corners, levels), size = self.at(t), self.columns.sizes
         corners, levels, scaled = corners[0], levels[0] / size, w / size
         best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)
-        with np.errstate(invalid="ignore"):
-            for step in range(2 * CORNERS - 1):
-                k = step // 2
-                if step % 2 == 0:
-                    outside = np.maximum(
-                        np.maximum(levels[k + 1] - scaled, scaled - levels[k]), 0.0
-                    )
-                    miss = np.maximum(np.abs(z - corners[k]), outside)
-                else:
-                    outside = np.maximum(np.maximum(corners[k] - z, z - corners[k + 1]), 0.0)
-                    miss = np.maximum(np.abs(scaled - levels[k + 1]), outside)
-                miss = np.where(np.isfinite(miss), miss, np.inf)
-                order = 1.0 if step % 2 == 0 else 1.0 + 1e-9
-                is_better = order * miss < best
-                steps[is_better], best[is_better] = step, miss[is_better]
+        for step in range(2 * CORNERS - 1):
+            k = step // 2
+            if step % 2 == 0:
+                outside = np.maximum(np.maximum(levels[k + 1] - scaled, scaled - levels[k]), 0.0)
+                miss = np.maximum(np.abs(z - corners[k]), outside)
+            else:
+                outside = np.maximum(np.maximum(corners[k] - z, z - corners[k + 1]), 0.0)
+                miss = np.maximum(np.abs(scaled - levels[k + 1]), outside)
+            miss = np.where(np.isfinite(miss), miss, np.inf)
+            order = 1.0 if step % 2 == 0 else 1.0 + 1e-9
+            is_better = order * miss < best
+            steps[is_better], best[is_better] = step, miss[is_better]
         return steps
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import FloatVector, is_number
+from ...core.checks import FloatVector, derived_property, is_number
 from ...core.errors import InvalidOption, NotConverged
 from ...core.representation import format_count
 from ...core.settings import PROVEN, Status
@@ -79,14 +78,14 @@ class Path:
         """The problem at θ = 0."""
         return self.family.problem
 
-    @cached_property
+    @derived_property
     def breakpoints(self) -> FloatVector:
         """Values of θ at which segments begin and end, from start to `reached`, both included."""
         if not self.pieces:
             return np.zeros(0)
         return np.array([self.pieces[0].begin, *(piece.end for piece in self.pieces)])
 
-    @cached_property
+    @derived_property
     def statuses(self) -> list[Status]:
         """The worst status of each segment, in its interior and just inside its begin and end."""
         found = []
@@ -97,7 +96,7 @@ class Path:
             found.append(next(one for one in WORST_FIRST if one in known))
         return found
 
-    @cached_property
+    @derived_property
     def status(self) -> Status:
         """SOLVED, or the reason why the path is not solved."""
         if self.beyond is not None:

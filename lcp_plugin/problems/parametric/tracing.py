@@ -97,15 +97,15 @@ def trace(
     return trace_stated(problem, along, float(start), float(stop), tolerance)
 
 
+@np.errstate(all="ignore")
 def trace_stated(
     problem: Any, along: Any, start: float, stop: float, tolerance: float | None
 ) -> Path:
     """Return the path of a problem of one of the three classes."""
     clock = Clock()
     family = family_of(problem, along, start, stop, tolerance)
-    with np.errstate(invalid="ignore", over="ignore", under="ignore", divide="ignore"):
-        path = _Trace(family, start, stop).run()
-        _ = path.status
+    path = _Trace(family, start, stop).run()
+    _ = path.status
     path.seconds = clock.read()
     return path
 

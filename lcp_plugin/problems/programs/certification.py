@@ -11,13 +11,12 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, checked_vector, is_number, restore_state
+from ...core.checks import FloatVector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
@@ -263,25 +262,25 @@ class ProgramProofs:
         kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
         return kept
 
-    @cached_property
+    @derived_property
     def bounds(self) -> DualBounds:
         """Data for lower bounds of the optimal value."""
         form = constrained_curvature(self.program.P, self.program.A)
         return DualBounds(self.program, form, implied_box(self.program))
 
-    @cached_property
+    @derived_property
     def points(self) -> FeasiblePoints:
         """Search for feasible points."""
         return FeasiblePoints(self.program)
 
-    @cached_property
+    @derived_property
     def own_solution(self) -> QPSolution | None:
         """Solution of the program by a built-in solve; None if the time is over or the solve fails."""
         with suppress(LCPError), time_limit(SHARE * seconds_left()):  # a proof takes time as well
             return solve_program(self.program, prove_infeasibility=False).solution
         return None
 
-    @cached_property
+    @derived_property
     def own_lower(self) -> float:
         """The lower bound by the multipliers of our own solution."""
         own = self.own_solution
@@ -321,17 +320,17 @@ class ProgramProofs:
             found += self._own_point
         return found if found or not exactly else self._inside
 
-    @cached_property
+    @derived_property
     def _own_point(self) -> list[FeasiblePoint]:
         own = None if self.own_solution is None else self.points.find_near(self.own_solution.x)
         return [] if own is None else [own]
 
-    @cached_property
+    @derived_property
     def _inside(self) -> list[FeasiblePoint]:
         inside = self.points.inside
         return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
 
-    @cached_property
+    @derived_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """An exact proof that the program is infeasible or unbounded; None if no proof was found."""
         proof = self.program.facts.proof_of_no_minimum
@@ -431,7 +430,6 @@ class Violation:
     is_missed: bool
 
     @classmethod
-    @np.errstate(all="ignore")  # a constraint that overflows counts as not satisfied
     def of(cls, program: QuadraticProgram, x: FloatVector, tolerance: float) -> Violation:
         """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
         rows = program.constraints
@@ -573,7 +571,6 @@ class ProvenBounds:
         return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
 
 
-@np.errstate(all="ignore")  # a value that overflows gives no bound
 def distance(
     proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float
 ) -> float:
@@ -599,7 +596,6 @@ def _if_finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-@np.errstate(all="ignore")  # a condition that overflows counts as violated
 def multiplier_error(
     program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float, size: float
 ) -> str:

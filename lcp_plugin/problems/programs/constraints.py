@@ -85,16 +85,14 @@ class Constraints:
         An inconsistency at rounding level, relative to all unscaled coefficients, is attributed to rounded data.
         """
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
-        with np.errstate(divide="ignore"):
-            inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
-            return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, NOISE))
+        inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
+        return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, NOISE))
 
     @cached_property
     def unit(self) -> FloatVector:
         """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
-        with np.errstate(over="ignore"):
-            return np.asarray(self.matrices.row_sizes + right)
+        return np.asarray(self.matrices.row_sizes + right)
 
     @cached_property
     def as_rows(self) -> LinearConstraints:
@@ -135,10 +133,7 @@ class Constraints:
     def excess(self, x: FloatVector) -> FloatVector:
         """Return proved upper bounds of the violation of each row: −∞ to 0 if satisfied, ∞ if a sum overflows."""
         is_finite = np.isfinite(self.limit)
-        with np.errstate(all="ignore"):
-            value, radius = compensated_product(
-                self.matrix, x, np.where(is_finite, -self.limit, 0.0)
-            )
+        value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
         above = upper_end(np.where(self.is_equality, np.abs(value), value), radius)
         return np.where(is_finite, above, -np.inf)
 

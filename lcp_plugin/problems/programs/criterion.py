@@ -95,19 +95,18 @@ class KKTErrors(NamedTuple):
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             return cls(np.inf, np.inf)
-        with np.errstate(all="ignore"):
-            point = PrimalDualPoint(program, x, y, is_exact=False)
-            primal, gap = point.row_errors(), np.full(1, np.inf)
-            if (primal <= ROWS).all():
-                if np.isfinite(point.room).all():
-                    gap = point.gaps(has_units=False)
-                if not (gap <= tolerance).all():
-                    gap = np.minimum(gap, point.gaps(has_units=True))
+        point = PrimalDualPoint(program, x, y, is_exact=False)
+        primal, gap = point.row_errors(), np.full(1, np.inf)
+        if (primal <= ROWS).all():
+            if np.isfinite(point.room).all():
+                gap = point.gaps(has_units=False)
             if not (gap <= tolerance).all():
-                point = PrimalDualPoint(program, x, y, is_exact=True)
-                primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
-            worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
-            tolerated = point.tolerated() if point.is_exact else 0.0
+                gap = np.minimum(gap, point.gaps(has_units=True))
+        if not (gap <= tolerance).all():
+            point = PrimalDualPoint(program, x, y, is_exact=True)
+            primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
+        worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
+        tolerated = point.tolerated() if point.is_exact else 0.0
         return cls(float(worst[0]), float(worst[1]), tolerated)
 
 
@@ -121,11 +120,10 @@ def errors_of_each(
     (count, n), (m, p) = x.shape, (size // len(x) for size in together.matrices.sizes[:2])
     is_finite: Any = np.isfinite(x).all(axis=1)
     at = np.where(is_finite[:, np.newaxis], x, 0.0).ravel()
-    with np.errstate(all="ignore"):
-        point = PrimalDualPoint(together, at, np.nan_to_num(y), is_exact=False)
-        primal, gap = point.row_errors(), point.gaps(has_units=False)
-        if not (gap <= tolerance).all():
-            gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
+    point = PrimalDualPoint(together, at, np.nan_to_num(y), is_exact=False)
+    primal, gap = point.row_errors(), point.gaps(has_units=False)
+    if not (gap <= tolerance).all():
+        gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
     of_G, of_A, of_bounds = np.split(primal, [m * count, (m + p) * count])
     parts = (of_G.reshape(count, m), of_A.reshape(count, p), of_bounds.reshape(count, n))
     gaps = gap[together.matrices.components.of_unknown].reshape(count, n)
@@ -393,7 +391,6 @@ class PrimalDualPoint:
         return most
 
 
-@np.errstate(all="ignore")
 def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> float:
     """Return the size that a value at x has at least, 1e-8 of the rows' terms with the multipliers y."""
     point = PrimalDualPoint(program, x, y, is_exact=True)
@@ -401,7 +398,6 @@ def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> flo
     return LEAST_SIZE * float(of_y @ point.terms_of_rows)
 
 
-@np.errstate(all="ignore")
 def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
     """Return the violation of each row that counts as rounding at x."""
     point = PrimalDualPoint(program, x, np.zeros(program.constraints.right.size), is_exact=True)

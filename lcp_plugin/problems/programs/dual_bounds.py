@@ -113,33 +113,29 @@ class DualBounds:
     def value(self, at: DualPoint) -> float:
         """Return a double below the bound that this point proves without a repair; −∞ if it proves no bound."""
         program, (x, y) = self.program, at
-        with np.errstate(all="ignore"):
-            high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
-            parts = [
-                compensated_pair(matrix, x, offset)
-                for matrix, offset in (
-                    (program.matrices.sparse_P, None),
-                    (self._rows, -self._limit),
-                )
-            ]
-            # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
-            factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
-            values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
-            twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
-            blur = [
-                product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))
-            ]
-            missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
-            blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
-            loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
-            loss = float(sum_above(_sum_above(np.concatenate(blur)), loss))
-            found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
+        high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
+        parts = [
+            compensated_pair(matrix, x, offset)
+            for matrix, offset in (
+                (program.matrices.sparse_P, None),
+                (self._rows, -self._limit),
+            )
+        ]
+        # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
+        factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
+        values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
+        twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
+        blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
+        missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
+        blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
+        loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
+        loss = float(sum_above(_sum_above(np.concatenate(blur)), loss))
+        found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
         return found if not math.isnan(found) else -np.inf
 
     def _distances(self, low: FloatVector, high: FloatVector) -> Box:
         """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
-        with np.errstate(invalid="ignore"):
-            return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
+        return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
 
     def _loss(
         self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector
@@ -234,9 +230,8 @@ class DualBounds:
         penalty = Fraction(self.curvature.penalty) / 2
         here -= penalty * sum((miss * miss for miss in missed[self.program.h.size :]), Fraction(0))
         s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
-        with np.errstate(all="ignore"):
-            loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
-            found = -float(sum_above(loss, -enclosures([here])[0][0]))
+        loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
+        found = -float(sum_above(loss, -enclosures([here])[0][0]))
         return found if not math.isnan(found) else -np.inf
 
     @cached_property
@@ -301,7 +296,6 @@ def _sum_above(values: FloatVector) -> float:
         return math.inf
 
 
-@np.errstate(all="ignore")
 def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
     """Return the shortest least squares solution, accurate to rounding for a small matrix; 0 if it overflows."""
     if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
@@ -347,7 +341,6 @@ def implied_box(program: QuadraticProgram) -> Box:
     return lower, upper
 
 
-@np.errstate(all="ignore")  # an infinite value gives no bound
 def _tighten(
     rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector
 ) -> None:

@@ -124,22 +124,21 @@ def run_engine(
     reduced = program.folded.reduced
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors = KKTErrors(np.inf, np.inf)
-    with np.errstate(all="ignore"):  # a point that overflows fails the test
-        for scaled in _statements(reduced, units):
-            point = _call_engine(engine, scaled.statement, is_verbose)
-            iterations, says = iterations + point.iterations, point.says
-            rounds = 0 if says in NO_MINIMUM else ROUNDS
-            for near in candidates(scaled.statement, point, rounds):
-                back = scaled.outward(near)
-                x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
-                found = KKTErrors.of(reduced, x, y, tolerance)
-                is_better = found.largest < errors.largest or found.meet(tolerance)
-                if is_better and not (errors.meet(tolerance) and found.tolerated):
-                    best, errors = (x, y), found
-                if (found.meet(tolerance) and not found.tolerated) or is_over():
-                    break
-            if errors.meet(tolerance) or is_over():
+    for scaled in _statements(reduced, units):
+        point = _call_engine(engine, scaled.statement, is_verbose)
+        iterations, says = iterations + point.iterations, point.says
+        rounds = 0 if says in NO_MINIMUM else ROUNDS
+        for near in candidates(scaled.statement, point, rounds):
+            back = scaled.outward(near)
+            x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
+            found = KKTErrors.of(reduced, x, y, tolerance)
+            is_better = found.largest < errors.largest or found.meet(tolerance)
+            if is_better and not (errors.meet(tolerance) and found.tolerated):
+                best, errors = (x, y), found
+            if (found.meet(tolerance) and not found.tolerated) or is_over():
                 break
+        if errors.meet(tolerance) or is_over():
+            break
     solution = QPSolution.from_reduced(program, *(best or nearest(program)))
     return EngineRun(
         solution, errors, says, StageRecord(engine.name, engine.solves, iterations, 0.0)

@@ -79,8 +79,7 @@ class FeasiblePoints:
         """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
-        with np.errstate(invalid="ignore"):
-            value, size = rows.matrix @ x - rows.limit, _sizes(self.program, x)
+        value, size = rows.matrix @ x - rows.limit, _sizes(self.program, x)
         tight = np.flatnonzero(is_row & (rows.is_equality | (value >= -NEAR * size)))
         at_bound = (x <= self.program.lower) | (x >= self.program.upper)
         free = np.flatnonzero(~at_bound)
@@ -89,7 +88,6 @@ class FeasiblePoints:
         moved[free] += least_squares(rows.matrix[tight][:, free], right)
         return np.clip(moved, self.program.lower, self.program.upper)
 
-    @np.errstate(all="ignore")  # a row without a limit has no excess
     def _enclose(self, x: FloatVector) -> FeasiblePoint | None:
         """Return the point near x that satisfies the equalities; None if inequalities at x have too little slack."""
         program, rows = self.program, self.program.constraints
@@ -116,7 +114,6 @@ def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
     return np.asarray(limit + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0))
 
 
-@np.errstate(all="ignore")
 def distance_of_equations(
     program: QuadraticProgram, x: FloatVector, excess: FloatVector
 ) -> FloatVector | None:
@@ -167,19 +164,18 @@ def objective_bounds(
     linear: float = 1.0,
 ) -> tuple[float, float]:
     """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
-    with np.errstate(all="ignore"):
-        high, low, blur = compensated_pair(program.matrices.sparse_P, x)
-        row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
-        twice, error = compensated_product(row, np.concatenate([high, low, x]))
-        error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
-        lowest, highest = (
-            -half_above(upper_end(-twice, error)[0]),
-            half_above(upper_end(twice, error)[0]),
-        )
-        if radius is not None and radius.any():
-            # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
-            slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
-            bent = 0.5 * (abs(program.matrices.sparse_P) @ radius)
-            spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
-            highest = float(sum_above(highest, spread))
+    high, low, blur = compensated_pair(program.matrices.sparse_P, x)
+    row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
+    twice, error = compensated_product(row, np.concatenate([high, low, x]))
+    error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
+    lowest, highest = (
+        -half_above(upper_end(-twice, error)[0]),
+        half_above(upper_end(twice, error)[0]),
+    )
+    if radius is not None and radius.any():
+        # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
+        slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
+        bent = 0.5 * (abs(program.matrices.sparse_P) @ radius)
+        spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
+        highest = float(sum_above(highest, spread))
     return lowest, highest

@@ -11,14 +11,13 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix.matrix import largest_in_rows
@@ -101,7 +100,7 @@ class QPInfeasibility:
             and found.is_rounding()
         )
 
-    @cached_property
+    @derived_property
     def _found(self) -> FarkasCertificate:
         return FarkasCertificate(
             self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y}
@@ -122,7 +121,7 @@ class QPInfeasibility:
         """True if the proof covers all x."""
         return self.radius == np.inf
 
-    @cached_property
+    @derived_property
     def margin(self) -> float:
         """Least relative change of the data that may end the contradiction; 0 if the proof does not hold.
 
@@ -146,7 +145,7 @@ class QPInfeasibility:
         size = float(y[~is_alone] @ sizes[~is_alone] + at @ pulls)
         return float(self._found.size / largest) / size if 0.0 < size < np.inf else 0.0
 
-    @cached_property
+    @derived_property
     def least_violation(self) -> float:
         """Lower bound of the largest violation at every x, in the units of the constraints; 0 without a proof."""
         return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
@@ -222,7 +221,7 @@ class QPUnboundedness:
             and self.violation <= MET
         )
 
-    @cached_property
+    @derived_property
     def _is_wide(self) -> bool:
         """True if residuals of sums that should be 0 exclude no x and multipliers near the point.
 
@@ -234,18 +233,18 @@ class QPUnboundedness:
         }
         return self._found.is_wide_beside_terms(known)
 
-    @cached_property
+    @derived_property
     def is_free_motion(self) -> bool:
         """True if P is nonzero, but maps the direction to 0 within rounding: a zero-energy mode of the structure."""
         return is_at_rest(self.program.P, self.direction)
 
-    @cached_property
+    @derived_property
     def _found(self) -> FarkasCertificate:
         """Direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds require, y ≥ 0."""
         conditions = stationarity(self.program, sp.csr_array(self.program.P))
         return FarkasCertificate(conditions, {i: d for i, d in enumerate(self.direction) if d})
 
-    @cached_property
+    @derived_property
     def is_exact(self) -> bool:
         """True if the objective of the stored doubles is unbounded below within all constraints."""
         n, found = self.program.n, self._found
@@ -260,7 +259,7 @@ class QPUnboundedness:
         )
         return bool(sum(map(operator.mul, left, moved)) < 0)
 
-    @cached_property
+    @derived_property
     def _is_feasible(self) -> bool:
         """True if the point satisfies all constraints exactly; floating point mostly decides it for a float point."""
         rows, near = self.program.constraints, numbers(self.point)
@@ -272,7 +271,7 @@ class QPUnboundedness:
             losses(rows, self.point)
         )
 
-    @cached_property
+    @derived_property
     def violation(self) -> float:
         """Largest violation of a constraint at the point, relative to its terms."""
         if self._is_feasible:
@@ -287,12 +286,12 @@ class QPUnboundedness:
             default=0.0,
         )
 
-    @cached_property
+    @derived_property
     def radius(self) -> float:
         """Bound of x and multipliers that the proof covers: ∞, or the radius that leaves half the slope."""
         return self._found.radius if self._is_rounding else np.inf
 
-    @cached_property
+    @derived_property
     def margin(self) -> float:
         """Least relative change of all costs that ends the descent, −cᵀd / Σ|c_j d_j|, independent of scaling.
 
@@ -330,7 +329,7 @@ class QPUnboundedness:
             f"{fall}, beyond which the direction violates constraints" if self.leaves_rows else ""
         )
 
-    @cached_property
+    @derived_property
     def _is_rounding(self) -> bool:
         """True if P d is within the rounding of its terms, 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries."""
         P = sp.csr_array(self.program.P)
@@ -548,12 +547,11 @@ def _best_proof(
     ]
 
     def weighed(unit: float) -> LinearConstraints:
-        with np.errstate(over="ignore"):  # in that scale, coefficient + size / unit
-            weights = 1.0 / scale.rows + q / unit
-            below, above = (
-                (scale.columns + bound / unit) * (given > 0.0)
-                for bound, given in zip(bounds, asked.bound_weights, strict=True)
-            )
+        weights = 1.0 / scale.rows + q / unit
+        below, above = (
+            (scale.columns + bound / unit) * (given > 0.0)
+            for bound, given in zip(bounds, asked.bound_weights, strict=True)
+        )
         return replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
 
     units = scale.sizes if first is None else [first, *scale.sizes]

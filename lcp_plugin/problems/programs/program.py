@@ -268,7 +268,7 @@ class QuadraticProgram:
         self.__dict__.update(zip(VECTORS, vectors, strict=True))
         self.__dict__.update(P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
 
-    @np.errstate(under="ignore")
+    @np.errstate(all="ignore")
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx + constant for x of shape (n,), without rounding if that is more than 1e-9 of it."""
         point = checked_vector(x, "x", self.n)
@@ -381,7 +381,7 @@ def symmetric(P: Any) -> tuple[Any, float]:
         )
     if asymmetry == 0.0:
         return P, 0.0
-    with np.errstate(under="ignore"):
+    with np.errstate(all="ignore"):
         return rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry
 
 

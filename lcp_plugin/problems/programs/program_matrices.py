@@ -288,7 +288,6 @@ def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> FloatVector:
     return x
 
 
-@np.errstate(all="ignore")  # numbers that are not finite have no units
 def fit_units_of(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return the units of `fitted_units` for ndarrays or stacks of ndarrays, shapes (…, n, n) and (…, m, n).
 

@@ -66,8 +66,7 @@ class FoldedRows:
             matrices.is_equality[: right.size],
             matrices.singletons,
         )
-        with np.errstate(over="ignore"):
-            limits = right[rows] / coefficient[rows]
+        limits = right[rows] / coefficient[rows]
         is_finite = np.isfinite(limits)
         rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
         above, below = (
@@ -109,12 +108,9 @@ class FoldedRows:
         own = []
         for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
             moved = np.flatnonzero((owner != OWN) & (share != 0))
-            with np.errstate(
-                over="ignore"
-            ):  # what is beyond the range of doubles is infinite, and no answer
-                every[owner[moved]] += (
-                    sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
-                )
+            every[owner[moved]] += (
+                sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
+            )
             own.append(np.where(owner == OWN, share, 0))
         return np.concatenate([every, *own])
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.checks import FloatVector, checked_vector, read_only
+from ...core.checks import FloatVector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from .criterion import PROGRAM_TOLERANCE, KKTErrors, checked_tolerance
 
@@ -106,8 +105,7 @@ class QPSolution:
         reduced, m = folded.reduced, folded.reduced.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
         P, C = reduced.matrices.measured[:2]
-        with np.errstate(all="ignore"):
-            left = P @ x + reduced.c + C.T @ y
+        left = P @ x + reduced.c + C.T @ y
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
         at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
         every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))
@@ -119,18 +117,17 @@ class QPSolution:
         """Return a solution with NaN multipliers, for a result with a proof."""
         return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
 
-    @cached_property
+    @derived_property
     def objective(self) -> float:
         """½ xᵀP x + cᵀx + constant."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self.program.objective(self.x)
+        return self.program.objective(self.x)
 
     @property
     def primal_residual(self) -> float:
         """Largest violation of a row or bound, relative to the terms of the row."""
         return float(self.errors.primal)
 
-    @cached_property
+    @derived_property
     def multipliers(self) -> FloatVector:
         """Multipliers of all rows of ``program.constraints``."""
         return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
@@ -175,7 +172,7 @@ class QPSolution:
         """Bound of the change of the objective by all errors, relative to its terms; of the worst component."""
         return float(self.errors.gap)
 
-    @cached_property
+    @derived_property
     def errors(self) -> KKTErrors:
         """Both measures."""
         return self.errors_for(0.0)

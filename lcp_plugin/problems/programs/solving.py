@@ -162,7 +162,7 @@ class QuadraticProgramResult(BaseResult):
         return [*super()._course(), *stage_lines(self.stages)]
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def solve_program(
     program: QuadraticProgram,
     algorithm: Any = "auto",

@@ -226,7 +226,7 @@ class QuadraticProgramBatch:
     def may_be_stated(self) -> BoolVector:
         """Mask of the valid programs, shape (B,), as far as vectors and the symmetry of P show."""
         c, h, b, lower, upper = self.vectors.values()
-        with np.errstate(invalid="ignore"):
+        with np.errstate(all="ignore"):
             has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
             is_finite = (
                 np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
@@ -338,7 +338,7 @@ def _symmetric(P: Any) -> tuple[Any, BoolVector]:
     some = np.flatnonzero(~is_symmetric)
     if some.size:
         one, mirror = P[some], P[some].transpose(0, 2, 1)
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(all="ignore"):
             size = np.sqrt(np.abs(one).max(axis=2))
             is_rounding = (
                 np.abs(one - mirror) <= SYMMETRIC_TO * size[:, :, np.newaxis] * size[:, np.newaxis]

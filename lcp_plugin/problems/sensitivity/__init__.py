@@ -12,7 +12,6 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from ...core.checks import (
     FloatVector,
     change_of_vector,
     checked_vector,
+    derived_property,
     rectangular_matrix,
 )
 from ...core.errors import InvalidOption, UnsuitableProblem
@@ -64,7 +64,7 @@ class Gradient(NamedTuple):
     M: sp.csr_array
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def derivative(result: Any) -> Any:
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
@@ -180,7 +180,7 @@ class Derivative(LinearizedSystem):
         self.problem, self.is_linearised = problem, is_linearised
         self._found = z, w, None if before is None else before._rows.system
 
-    @cached_property
+    @derived_property
     def _rows(self) -> ActiveRows:
         return settled_rows(self.problem, *self._found)
 
@@ -202,7 +202,7 @@ class Derivative(LinearizedSystem):
         """
         return np.flatnonzero(self._rows.degenerate)
 
-    @cached_property
+    @derived_property
     def is_unique(self) -> bool:
         """True if the derivative exists, so that jvp is linear and vjp the only gradient.
 
@@ -210,7 +210,7 @@ class Derivative(LinearizedSystem):
         """
         return not (self._rows.degenerate.any() or self._system.is_singular)
 
-    @cached_property
+    @derived_property
     def _system(self) -> FreeSystem:
         """System of the free rows, with the degenerate rows only if these make it regular."""
         rows = self._rows
@@ -232,7 +232,7 @@ class Derivative(LinearizedSystem):
         determined[self._system.rows] = self._system.determined
         return determined
 
-    @cached_property
+    @derived_property
     def advice(self) -> str:
         """Warning that the derivative is not unique, as text; "" if it is unique."""
         system, rows = self._system, self.degenerate
@@ -245,6 +245,7 @@ class Derivative(LinearizedSystem):
             return f"{kink}; {words_on_singular(system)}" if system.is_singular else kink
         return words_on_singular(system) if system.is_singular else ""
 
+    @np.errstate(all="ignore")
     def jvp(
         self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None
     ) -> FloatVector:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import read_only, real_array, rectangular_matrix
+from ...core.checks import derived_property, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import residual_scales
@@ -44,6 +43,7 @@ class BatchPart(LinearizedSystem):
         The refined solutions.
     """
 
+    @np.errstate(all="ignore")
     def __init__(self, group: Group, z: Any, is_solved: Any) -> None:
         self.group, self.items, self.points = group, group.items, z
         M, (q, lower, upper) = group.M, group.vectors("q", "lower", "upper")
@@ -53,22 +53,21 @@ class BatchPart(LinearizedSystem):
         scale, terms = residual_scales(diagonal, largest), EPSILON * ((M != 0.0).sum(axis=2) + 2)
         is_exact, is_open = np.zeros(len(z), np.bool_), is_solved & np.isfinite(z).all(axis=1)
         z[~is_open] = 0.0
-        with np.errstate(all="ignore"):
-            for step in range(1, STEPS + 1):
-                w, size = products(M, z) + q, products(sizes, np.abs(z)) + np.abs(q)
-                at_lower = (z - lower) * scale <= w
-                at_upper = ~at_lower & ((z - upper) * scale >= w)
-                free, bound = ~(at_lower | at_upper), np.where(at_upper, upper, lower)
-                if step == STEPS:  # rounding of the largest unknown, if no solve reduces it
-                    size = size + largest * np.abs(z).max(axis=1, initial=0.0)[:, np.newaxis]
-                is_right = np.where(free, np.abs(w) <= terms * size, z == bound)
-                is_exact = is_open & is_right.all(axis=1)
-                wrong = np.flatnonzero(is_open & ~is_exact)
-                if not wrong.size or step == STEPS:
-                    break
-                blocks = FreeBlocks(M if len(M) == 1 else M[wrong], free[wrong])
-                step_of_free = blocks.solve(-w[wrong])
-                z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
+        for step in range(1, STEPS + 1):
+            w, size = products(M, z) + q, products(sizes, np.abs(z)) + np.abs(q)
+            at_lower = (z - lower) * scale <= w
+            at_upper = ~at_lower & ((z - upper) * scale >= w)
+            free, bound = ~(at_lower | at_upper), np.where(at_upper, upper, lower)
+            if step == STEPS:  # rounding of the largest unknown, if no solve reduces it
+                size = size + largest * np.abs(z).max(axis=1, initial=0.0)[:, np.newaxis]
+            is_right = np.where(free, np.abs(w) <= terms * size, z == bound)
+            is_exact = is_open & is_right.all(axis=1)
+            wrong = np.flatnonzero(is_open & ~is_exact)
+            if not wrong.size or step == STEPS:
+                break
+            blocks = FreeBlocks(M if len(M) == 1 else M[wrong], free[wrong])
+            step_of_free = blocks.solve(-w[wrong])
+            z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
         distance, slack = np.minimum(z - lower, upper - z) * scale, np.abs(w)
         self.is_upper = np.where(
             lower == upper, w < 0.0, at_upper | (free & (upper - z < z - lower))
@@ -136,7 +135,7 @@ class BatchGradient:
         vars(self).update(by)
         self._by_M = by_M
 
-    @cached_property
+    @derived_property
     def M(self) -> Any:
         """Gradients by the entries of M, in the format of M; computed on first access.
 
@@ -184,12 +183,12 @@ class ManyDerivatives:
             self._each[k] = self._derivative_of(self.batch[k])
         return self._each[k]
 
-    @cached_property
+    @derived_property
     def _parts(self) -> Sequence[Any]:
         """Stacks of items: indices `items`, and the mask `is_plain` of items with a derivative."""
         raise NotImplementedError
 
-    @cached_property
+    @derived_property
     def _left(self) -> list[int]:
         """Solved items without a derivative in any stack."""
         is_left = self._is_solved.copy()
@@ -224,14 +223,14 @@ class ManyDerivatives:
                 self.errors[k] = error
         return alone
 
-    @cached_property
+    @derived_property
     def z(self) -> Any:
         """Solutions at which the derivatives are evaluated, shape (B, n); NaN if missing."""
         z = np.full(self.batch.z.shape, np.nan)
         self._fill([z], lambda part: [part.points], lambda k: [self[k].z])
         return read_only(z)
 
-    @cached_property
+    @derived_property
     def degenerate(self) -> Any:
         """Rows with w = 0 at a bound, bool, shape (B, n), or degenerate contacts, shape (B, k)."""
         found = np.zeros((len(self), self._pieces), np.bool_)
@@ -322,7 +321,7 @@ class BatchDerivative(ManyDerivatives):
     several sizes has no derivative: write ``[derivative(answer) for answer in batch]``.
     """
 
-    @cached_property
+    @derived_property
     def free(self) -> Any:
         """Rows that `vjp` treats as free, bool, shape (B, n)."""
         free = self._table(False)
@@ -414,7 +413,7 @@ class BatchDerivative(ManyDerivatives):
                 z[k] = np.zeros_like(z[k])
         return self.batch.problems.outer(by_q, z)
 
-    @cached_property
+    @derived_property
     def _parts(self) -> list[BatchPart]:
         """The groups of small problems, with classified rows."""
         return [

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector
+from ...core.checks import BoolVector, derived_property
 from ...systems.least_norm import FreeBlocks, products
 from ..batches.worlds import stack_of_worlds
 from ..cones.derivative import StackDerivative
@@ -29,7 +28,7 @@ class _Together(StackDerivative):
         self.items = items
         self.is_plain = is_solved & (self.system.is_regular | self.system.is_singular)
 
-    @cached_property
+    @derived_property
     def system(self) -> FreeBlocks:
         """The inverses on the free rows."""
         free = np.repeat(self.is_free, self.stack.pattern.sizes, axis=1)
@@ -94,7 +93,7 @@ class ContactBatchDerivative(ManyDerivatives):
         """The FrictionalContactBatch."""
         return self.batch.problems.worlds
 
-    @cached_property
+    @derived_property
     def _parts(self) -> list[_Together]:
         """Derivatives of the instances, in groups."""
         worlds, z, is_solved = self.worlds, self.batch.z, self._is_solved[:, np.newaxis]
@@ -114,7 +113,7 @@ class ContactBatchDerivative(ManyDerivatives):
         run_in_chunks(derive, len(parts), self.batch.threads)
         return parts
 
-    @cached_property
+    @derived_property
     def is_singular(self) -> Any:
         """Instances in which several impulses make one motion, bool, (B,); dz is the least."""
         is_singular = np.zeros(len(self), np.bool_)

@@ -80,7 +80,6 @@ def settled_rows(
     )
 
 
-@np.errstate(all="ignore")
 def _settled(
     problem: LCP, z: FloatVector, system: FreeSystem | None
 ) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
@@ -102,7 +101,6 @@ def _settled(
     return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
 
 
-@np.errstate(all="ignore")
 def _judged(
     problem: LCP,
     z: FloatVector,
@@ -134,7 +132,6 @@ def _judged(
     )
 
 
-@np.errstate(all="ignore")
 def free_rows(problem: LCP, z: FloatVector, w: FloatVector) -> BoolVector:
     """Return the mask of rows between their bounds according to z and its slack w, shape (n,)."""
     target = z - w / problem.residual_scale

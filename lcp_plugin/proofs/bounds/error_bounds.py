@@ -91,7 +91,7 @@ class ErrorBound:
         )
 
 
-@np.errstate(under="ignore")
+@np.errstate(all="ignore")
 def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound:
     """Return a bound of |z − z*|, componentwise, for the one solution z*.
 
@@ -135,11 +135,10 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z, began = checked_vector(z, "z", problem.n, is_finite=False), time.perf_counter()
-    with np.errstate(all="ignore"):  # an overflow gives no bound
-        family = bounds_of(problem.matrix)
-        if family is None:
-            raise UnsuitableMatrix(NO_PROOF)
-        found = _bound(problem, z, family, sharp=sharp)
+    family = bounds_of(problem.matrix)
+    if family is None:
+        raise UnsuitableMatrix(NO_PROOF)
+    found = _bound(problem, z, family, sharp=sharp)
     return replace(found, seconds=time.perf_counter() - began)
 
 

@@ -99,8 +99,7 @@ class RowInequality:
             side(self.over, self.above, self.slack),
             side(self.under, self.below, self.negative_slack),
         )
-        with np.errstate(invalid="ignore"):
-            largest = row_data(self.problem).largest(np.maximum(np.maximum(*sides), 0.0))
+        largest = row_data(self.problem).largest(np.maximum(np.maximum(*sides), 0.0))
         return np.where(np.isnan(largest), np.inf, largest)
 
     def image(self, y: FloatVector) -> FloatVector:
@@ -188,8 +187,7 @@ class NearPoint(NamedTuple):
 
     def bound(self, z: FloatVector) -> FloatVector:
         """Return |z − ẑ| + y ≥ |z − z*|; ∞ if z is not finite."""
-        with np.errstate(all="ignore"):
-            bound = sum_above(distance_above(self.high, self.low, z), self.y)
+        bound = sum_above(distance_above(self.high, self.low, z), self.y)
         return np.where(np.isnan(bound), np.inf, bound)
 
 

@@ -18,23 +18,20 @@ LEAST = -LARGEST
 
 def sum_above(a: Any, b: Any) -> FloatVector:
     """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
-    with np.errstate(all="ignore"):
-        total = np.add(a, b)
-        part = total - a
-        error = (a - (total - part)) + (b - part)  # NaN if something overflowed or was infinite
-        return _choice(error <= 0.0, total, _above(total))
+    total = np.add(a, b)
+    part = total - a
+    error = (a - (total - part)) + (b - part)  # NaN if something overflowed or was infinite
+    return _choice(error <= 0.0, total, _above(total))
 
 
 def product_above(a: Any, b: Any) -> FloatVector:
     """Return a float64 ≥ a b, and 0 if a or b is 0."""
-    with np.errstate(all="ignore"):
-        return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
+    return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
 
 
 def quotient_above(a: Any, b: Any) -> FloatVector:
     """Return a float64 ≥ a/b for b > 0, and 0 if a is 0."""
-    with np.errstate(all="ignore"):
-        return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
+    return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
 
 
 def _above(value: Any) -> FloatVector:

@@ -36,6 +36,7 @@ from .theorems import (
 DENSE_SPLITTING = 500
 
 
+@np.errstate(all="ignore")
 def convergence_guarantee(
     problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
 ) -> Guarantee:
@@ -81,10 +82,9 @@ def convergence_guarantee(
     from ...methods.direct import last_resort
 
     method = method_of(algorithm, options)
-    with np.errstate(all="ignore"):  # an overflow proves nothing
-        if method is not None:
-            return _of_one(problem, method)
-        return _of_auto(problem, last_resort(problem))
+    if method is not None:
+        return _of_one(problem, method)
+    return _of_auto(problem, last_resort(problem))
 
 
 def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:

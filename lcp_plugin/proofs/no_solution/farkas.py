@@ -84,11 +84,8 @@ class FarkasProgram:
     def sizes(self) -> list[float]:
         """The sizes of offsets and of bounds in the scale of the program, the largest first."""
         asked = self.constraints
-        with np.errstate(over="ignore"):
-            q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
-            sizes = np.abs(
-                np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns])
-            )
+        q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
+        sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
         return list(map(float, np.unique(sizes[np.isfinite(sizes) & (sizes > 0.0)])[::-1]))
 
     @cached_property
@@ -180,14 +177,13 @@ class FarkasProgram:
                 np.isfinite(asked.lower),
             )
         ]
-        with np.errstate(over="ignore"):
-            q, weights = self.rows * asked.q, self.rows * asked.weights
-            values = q, q, asked.upper / self.columns, asked.lower / self.columns
-            units = (
-                weights,
-                weights,
-                *(weight / self.columns for weight in reversed(asked.bound_weights)),
-            )
+        q, weights = self.rows * asked.q, self.rows * asked.weights
+        values = q, q, asked.upper / self.columns, asked.lower / self.columns
+        units = (
+            weights,
+            weights,
+            *(weight / self.columns for weight in reversed(asked.bound_weights)),
+        )
         cost, norm = (
             np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)])
             for side in (values, units)
@@ -201,8 +197,7 @@ class FarkasProgram:
         equations.data *= np.repeat(signed, np.diff(equations.indptr))
         norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
         cost = signed * cost
-        with np.errstate(over="ignore"):
-            cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
+        cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
         return _StandardForm(m, place, signed, cost, equations, norm)
 
     def candidates(self, y: FloatVector) -> Iterator[Multipliers]:

@@ -26,7 +26,6 @@ from .proof import Choices, Infeasibility, Margins, NoSolutionProof, row_choices
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 
 
-@np.errstate(all="ignore")
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
     """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
 

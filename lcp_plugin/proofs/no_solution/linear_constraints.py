@@ -81,9 +81,8 @@ class LinearConstraints:
         Positive if no such x gives the row its required sign.
         """
         lowest, highest = activity(self.matrix, self.lower, self.upper)
-        with np.errstate(invalid="ignore"):
-            below = np.where(self.needs_rise, -(highest + self.q), -np.inf)
-            return np.stack([below, np.where(self.needs_fall, lowest + self.q, -np.inf)])
+        below = np.where(self.needs_rise, -(highest + self.q), -np.inf)
+        return np.stack([below, np.where(self.needs_fall, lowest + self.q, -np.inf)])
 
     def contradictory_rows(self) -> Iterator[tuple[int, int]]:
         """Yield the most violated rows, with +1 if w_i is too small, and −1 if it is too large."""

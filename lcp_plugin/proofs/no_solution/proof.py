@@ -18,7 +18,7 @@ from ...core.certificates.criterion import (
     references_of_components,
     rounding_of_data,
 )
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, derived_property
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.structure import is_nearly_symmetric
@@ -69,6 +69,7 @@ class NoSolutionProof:
         """Yield the margins of each piece, (relative, absolute); None for an open piece."""
         raise NotImplementedError
 
+    @np.errstate(all="ignore")
     def verify(self) -> bool:
         """Return whether the proof holds, computed again from only the problem's data."""
         return all(closing is not None for closing in self.closings())
@@ -78,7 +79,7 @@ class NoSolutionProof:
         """True if the stored data have no solution, by any margin; the result of `verify`."""
         return self.verify()
 
-    @cached_property
+    @derived_property
     def _margins(self) -> Margins:
         """The smallest margins of all pieces; 0 if a piece is open."""
         found = list(self.closings())
@@ -98,7 +99,7 @@ class NoSolutionProof:
         """A verified lower bound of ‖r(z)‖∞, in the unit of z, for every z within the bounds."""
         return self._margins[1]
 
-    @property
+    @derived_property
     def is_rounding(self) -> bool:
         """True if the margin is within the rounding of the largest number in q."""
         return self.absolute_margin <= rounding_of_data(self.problem)

@@ -159,7 +159,6 @@ def pivots(matrix: Operator, smallest: float) -> tuple[NDArray[Any], FloatVector
     row = np.repeat(np.arange(indptr.size - 1, dtype=indices.dtype), np.diff(indptr))
     split = np.flatnonzero(indices == row).astype(indptr.dtype)
     diagonal = data[split]
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        inverse = np.where(diagonal > smallest, 1.0 / diagonal, 0.0)
+    inverse = np.where(diagonal > smallest, 1.0 / diagonal, 0.0)
     split.flags.writeable = inverse.flags.writeable = False
     return split, inverse

@@ -84,8 +84,7 @@ def build_hierarchy(
         work += 6.0 * grid.entries
         R = P.T.tocsr()
         if scales_rows:
-            with np.errstate(all="ignore"):
-                R.data *= grid.inverse[R.indices]
+            R.data *= grid.inverse[R.indices]
         if not (is_coarse.any() and np.isfinite(P.data).all() and np.isfinite(R.data).all()):
             break
         prolongation, restriction = (Operator(X.indptr, X.indices, X.data) for X in (P, R))
@@ -116,7 +115,6 @@ def grid_of(matrix: Operator, *, may_cut: bool = False) -> Grid:
     return Grid(matrix, split, blocks, inverse)
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def positive_shares(matrix: Operator, split: NDArray[Any]) -> FloatVector:
     """Return the share of the positive couplings in each row, shape (n,)."""
     couplings = matrix.data.copy()
@@ -132,7 +130,6 @@ def strength_of(positive_share: float) -> float:
     return STRENGTH_AMONG_POSITIVE if positive_share > 0.02 else STRENGTH
 
 
-@np.errstate(all="ignore")
 def _interpolation(
     grid: Grid, strength: float, *, second_pass: bool
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:

@@ -200,7 +200,6 @@ class Truncation:
         vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
-    @np.errstate(all="ignore")
     def _solves_directly(self, level: TruncatedGrid) -> bool:
         """Solve the coarsest system by factorization; return whether the result is finite."""
         factor, work = level.factor()
@@ -274,7 +273,6 @@ class KrylovCorrection:
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
         return float(self.unit * scaled)
 
-    @np.errstate(all="ignore")
     def step(self) -> bool:
         """Take one step; return False if the step fails for this matrix."""
         top = self.truncation.grids[0]

@@ -1,4 +1,4 @@
-"""The example's algorithm becomes one of the package by a file in methods/, its test and its line in the table."""
+"""The example's algorithm becomes one of the package by a file in methods/, its test and a line in two tables."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ TEST = """from lcp_plugin import LCP, solve
 def test_extragradient() -> None:
     assert solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]), "extragradient").z.round(6).tolist() == [0.75, 0.0]
 """
+ROW = (
+    "| `extragradient` | predictor and corrector | two projected steps | monotone M "
+    "| PSD, symmetric or not, for step < 1 | 2 products with M | step, looks_ahead |"
+)
 TESTS = (
     "tests/methods/test_extragradient.py",
     "tests/house/test_architecture.py",
@@ -56,6 +60,10 @@ def test_an_algorithm_is_a_file_and_a_line(tmp_path: Path) -> None:
     before, after = table.read_text(encoding="utf-8").split("REGISTRY = {\n")
     line = '    "extragradient": "methods.extragradient:Extragradient",\n'
     table.write_text(f"{before}REGISTRY = {{\n{line}{after}", encoding="utf-8")
+    manual = tmp_path / "examples" / "manual" / "algorithms.md"
+    text = manual.read_text(encoding="utf-8")
+    assert "\n| `lemke` |" in text
+    manual.write_text(text.replace("\n| `lemke` |", f"\n{ROW}\n| `lemke` |"), encoding="utf-8")
     (tmp_path / TESTS[0]).write_text(TEST, encoding="utf-8")
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *TESTS],

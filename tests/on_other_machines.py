@@ -1,9 +1,10 @@
 """Run the tests as on processors that this machine is not: with other kernels of BLAS, numpy, numba and PIQP.
 
-    python tests/on_other_machines.py [--only NAME] … [--numeric] [pytest's arguments]
+    python tests/on_other_machines.py [--only NAME] … [--numeric | --part] [pytest's arguments]
 
 Without arguments: the ordinary suite in each setting, with ``-n 2``. ``--numeric`` names the folders of tests that
-compute; all other arguments go to pytest. Prints a line per setting; the exit code is 1 if one fails.
+compute, ``--part`` the tests that kernels have changed before, which .ci/run runs; all other arguments go to pytest.
+Prints a line per setting; the exit code is 1 if one fails.
 
 The settings follow x86-64 processors. OpenBLAS, numpy and PIQP choose among compiled kernels when they are loaded, and
 numba compiles for the processor that it finds. So sums have another order, and PIQP may take another step. On other
@@ -33,6 +34,17 @@ NUMERIC = (
     "proofs",
     "published",
     "systems",
+)
+PART = (
+    "applications",
+    "core/test_criterion.py",
+    "methods/multigrid",
+    "methods/small",
+    "methods/test_interior_point.py",
+    "problems/cones/test_cone_criterion.py",
+    "problems/contact",
+    "problems/programs/test_convex_programs.py",
+    "problems/programs/test_stopping_test_of_programs.py",
 )
 PLAIN_PIQP = """import sys, types
 
@@ -78,8 +90,12 @@ def main() -> int:
         "--only", action="append", metavar="NAME", help="this setting, more than once"
     )
     parser.add_argument("--numeric", action="store_true", help="the folders of tests that compute")
+    parser.add_argument(
+        "--part", action="store_true", help="tests that kernels have changed before"
+    )
     given, rest = parser.parse_known_args()
-    folders = [str(ROOT / "tests" / name) for name in NUMERIC] if given.numeric else []
+    names = NUMERIC * given.numeric + PART * given.part
+    folders = [str(ROOT / "tests" / name) for name in names]
     command = [
         sys.executable,
         "-m",

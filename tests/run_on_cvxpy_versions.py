@@ -1,11 +1,12 @@
 """Make an environment for each set of versions and run the tests of the host's interfaces in it.
 
-    python tests/run_on_cvxpy_versions.py [--python PYTHON] [--suite] [VERSION …] [-- pytest's arguments]
+    python tests/run_on_cvxpy_versions.py [--python PYTHON] [--if-possible] [--suite] [VERSION …] [-- pytest's options]
 
 A VERSION is ``oldest`` (``oldest_versions.txt``), ``newest`` (from the package index), or a version of cvxpy. Without
-arguments: oldest, the newest of cvxpy 1.8 and 1.9, newest. PYTHON is an executable, or ``newest``: the newest Python
-that is found on PATH or in pyenv's folder. ``--suite`` runs the whole ordinary suite. Prints a line per version; the
-exit code is 1 if one fails.
+arguments: oldest, the newest of cvxpy 1.8 and 1.9, newest. PYTHON is an executable, a version like 3.13, or ``newest``:
+the newest Python, or the newest of that version, that is found on PATH or in pyenv's folder. ``--suite`` runs the whole
+ordinary suite. Prints a line per version; the exit code is 1 if one fails. With ``--if-possible``, a Python that is not
+found and a package index that is not reached are skipped with a line.
 """
 
 from __future__ import annotations
@@ -36,20 +37,21 @@ ROOT = Path(__file__).parent.parent
 OLDEST = Path(__file__).with_name("oldest_versions.txt")
 
 
-def newest_python() -> str:
-    """Return the newest Python that starts: of PATH and of pyenv's folder."""
+def newest_python(wanted: str = "3") -> str | None:
+    """Return the newest Python of this version that starts, of PATH and of pyenv's folder; None if there is none."""
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
-    found = {str(file) for file in pyenv.glob("3.*/bin/python3")}
+    found = {sys.executable, *(str(file) for file in pyenv.glob("3.*/bin/python3"))}
     found |= {path for minor in range(11, 30) if (path := shutil.which(f"python3.{minor}"))}
-    versions = {sys.version_info[:3]: sys.executable}
+    versions = {}
     for python in found:
         told = subprocess.run([python, "--version"], capture_output=True, text=True, check=False)
-        if match := re.fullmatch(r"Python 3\.(\d+)\.(\d+)", told.stdout.strip()):
-            versions[3, int(match[1]), int(match[2])] = python
-    return versions[max(versions)]
+        number = told.stdout.strip().removeprefix("Python ")
+        if re.fullmatch(r"3\.\d+\.\d+", number) and f"{number}.".startswith(f"{wanted}."):
+            versions[tuple(map(int, number.split(".")))] = python
+    return versions[max(versions)] if versions else None
 
 
-def run_on(version: str, python: str, *, suite: bool, options: list[str]) -> bool:
+def run_on(version: str, python: str, *, suite: bool, may_skip: bool, options: list[str]) -> bool:
     """Return whether the tests pass with these versions, in an environment of its own."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([python, "-m", "venv", folder], check=True)
@@ -58,7 +60,14 @@ def run_on(version: str, python: str, *, suite: bool, options: list[str]) -> boo
         extras = ",".join(SUITE if suite else ("qpsolvers", "pyomo", "global", "fclib", "report"))
         test = ["pytest", "pytest-xdist", "hypothesis", "mpmath", "click>=8.2"]
         wanted = [f"{ROOT}[{extras}]", *test, *(SUITE_PACKAGES if suite else ())]
-        subprocess.run([own, "-m", "pip", "install", "-q", *chosen, *wanted], check=True)
+        install = [own, "-m", "pip", "install", "-q", *chosen, *wanted]
+        installed = subprocess.run(install, stderr=subprocess.PIPE, text=True, check=False)
+        if installed.returncode:
+            print(f"{version}: pip failed: {installed.stderr[-2000:]}", flush=True)
+            is_unreached = "from versions: none" in installed.stderr
+            if is_unreached and may_skip:
+                print(f"{version}: skipped, because the package index is not reached", flush=True)
+            return is_unreached and may_skip
         names = [str(next((ROOT / "tests").rglob(f"{name}.py"))) for name in FILES]
         tests = (
             [str(ROOT / "tests")]
@@ -100,15 +109,22 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--python", default=sys.executable, help="an executable, or newest")
+    parser.add_argument("--python", default=sys.executable, help="an executable, 3.13, or newest")
+    parser.add_argument("--if-possible", action="store_true", help="skip without Python or index")
     parser.add_argument("--suite", action="store_true", help="the whole ordinary suite")
     parser.add_argument("versions", nargs="*", default=VERSIONS, metavar="VERSION")
     words = sys.argv[1:]
     cut = words.index("--") if "--" in words else len(words)
     given, options = parser.parse_args(words[:cut]), words[cut + 1 :]
-    python = newest_python() if given.python == "newest" else given.python
+    python = given.python
+    if python == "newest" or re.fullmatch(r"3\.\d+", python):
+        python = newest_python("3" if python == "newest" else python)
+    if python is None:
+        print(f"{' '.join(given.versions)}: skipped, because Python {given.python} is not found")
+        return 0 if given.if_possible else 1
     outcomes = [
-        run_on(version, python, suite=given.suite, options=options) for version in given.versions
+        run_on(version, python, suite=given.suite, may_skip=given.if_possible, options=options)
+        for version in given.versions
     ]
     return 0 if all(outcomes) else 1
 

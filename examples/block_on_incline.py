@@ -19,7 +19,7 @@ from lcp_plugin import LCP, solve
 from lcp_plugin.evidence.drawing import STYLE
 
 GRAVITY, MASS, WIDTH, HEIGHT = 9.81, 2.0, 0.3, 0.1  # m/s², kg, m, m
-STEP, STEPS = 0.01, 50  # s, –
+STEP, STEPS = 0.025, 20  # s, –
 FRICTIONS = (0.2, 0.4, 0.7)
 
 

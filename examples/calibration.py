@@ -109,15 +109,17 @@ def main(out: Path = Path()) -> None:
             break
         sigma = sigma - np.log(value / quotes) * value / vega
     step, off = 1e-4, 100 * abs(sigma - right)
-    bumped = (prices(sigma + step, strike, years)[0] - prices(sigma - step, strike, years)[0]) / (
-        2 * step
+    some = slice(None, None, 20)  # puts whose vega is checked
+    up, down = (
+        prices(sigma[some] + sign * step, strike[some], years[some])[0] for sign in (1.0, -1.0)
     )
+    bumped = (up - down) / (2 * step)
     print(f"check: all quotes are met to {misses[-1].max():.1e}, relatively")
     print(
         f"check: the volatilities differ from the known ones by at most {off.max():.3f} percentage points"
     )
     print(
-        f"check: vega differs from a central difference by at most {abs(bumped / vega - 1).max():.1e}, relatively"
+        f"check: vega differs from a central difference by at most {abs(bumped / vega[some] - 1).max():.1e}, relatively"
     )
 
     plt.style.use(STYLE)

@@ -30,6 +30,7 @@ from ...methods.banded import held_entries, solve_held
 from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
 from . import BLOCK, March, checked_rows
+from .on_band import propagation
 
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
@@ -56,14 +57,7 @@ class Band(NamedTuple):
         width = sum(bandwidth(matrix) or (matrix.n, matrix.n))
         if width > BANDED_UP_TO or (entries := bands(matrix)) is None:
             return None
-        is_diagonal = np.array_equal(propagator.indices, row_numbers(propagator))
-        diagonal = propagator.diagonal()
-        return cls(
-            matrix.csr,
-            abs(matrix.csr),
-            entries,
-            diagonal.__mul__ if is_diagonal else lambda z: (propagator @ z.T).T,
-        )
+        return cls(matrix.csr, abs(matrix.csr), entries, propagation(propagator))
 
     def follow(
         self, state: NDArray[np.int8], value: FloatVector, right: FloatVector, before: FloatVector

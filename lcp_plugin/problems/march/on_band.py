@@ -7,6 +7,8 @@ is then one pass of :func:`~lcp_plugin.methods.banded.solve_one_sided`. On other
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -14,8 +16,17 @@ from ...core.certificates.criterion import RowData
 from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, read_only
 from ...core.lcp import LCP
+from ...core.matrix.structure import row_numbers
 from ...methods.banded import active_sets, solve_one_sided
 from ...systems.factors import Bands
+
+
+def propagation(C: sp.csr_array) -> Callable[[FloatVector], FloatVector]:
+    """Return the function C z, for each row of z; if C is diagonal, a product of vectors."""
+    if np.array_equal(C.indices, row_numbers(C)):
+        diagonal: FloatVector = C.diagonal()
+        return lambda z: diagonal * z
+    return lambda z: np.asarray((C @ z.T).T)
 
 
 class BandSteps:
@@ -35,11 +46,11 @@ class BandSteps:
     def __init__(
         self, problem: LCP, band: Bands, propagator: sp.csr_array, tolerance: float
     ) -> None:
-        self.problem, self.band, self.propagator = problem, band, propagator
+        self.problem, self.band, self.propagate = problem, band, propagation(propagator)
         self.tolerance, self.absolute = tolerance, abs(problem.csr)
         self.of_nearest: FloatVector = problem.csr @ problem.nearest_to_zero
         #: 1 if a step is one pass from the lower bounds, −1 from the upper ones, else 0.
-        self.side = 0
+        self.side, self.none = 0, np.zeros(problem.n, np.bool_)
         if band.is_tridiagonal_z:
             self.side = int(np.isinf(problem.upper).all()) or -int(np.isinf(problem.lower).all())
 
@@ -53,7 +64,7 @@ class BandSteps:
         """
         Q, Z = np.empty(forcing.shape), np.empty(forcing.shape)
         for k, given in enumerate(forcing):
-            Q[k] = given + self.propagator @ state
+            Q[k] = given + self.propagate(state)
             found = self._step(Q[k], state)
             if found is None:
                 Q, Z = Q[:k], Z[:k]
@@ -71,9 +82,12 @@ class BandSteps:
         problem = self.problem
         if self.side:
             value = problem.lower if self.side > 0 else problem.upper
-            none = np.zeros(q.size, np.bool_)
-            found = solve_one_sided(self.band.entries, q, self.side, value, none)[0]
-            return None if found is None else np.clip(found, problem.lower, problem.upper)
+            found = solve_one_sided(self.band.entries, q, self.side, value, self.none)[0]
+            return (
+                None
+                if found is None
+                else np.minimum(np.maximum(found, problem.lower), problem.upper)
+            )
         reference = self._residual(self.of_nearest + q, problem.nearest_to_zero)
         goal = 0.5 * self.tolerance * np.max(reference, initial=0.0)
         rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))

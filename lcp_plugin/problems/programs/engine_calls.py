@@ -12,7 +12,6 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
-from ...core.solving.result import StageRecord
 from ...engines import (
     Engine,
     EngineAnswer,
@@ -55,24 +54,45 @@ TOLERANCES = MappingProxyType(
 )
 
 
-class EngineRun(NamedTuple):
-    """Result of an engine.
+class ProgramPoint(NamedTuple):
+    """Measured point of a run, as :class:`~lcp_plugin.core.certificates.measured.Measured`.
 
     Attributes
     ----------
     solution : QPSolution
-        Best of the engine's points: original, cleaned or polished.
+        Of an engine the best of its points: original, cleaned or polished.
     errors : KKTErrors
         Two measures of the solution.
+    passes : bool
+        Whether the measures meet the tolerance.
     says : EngineStatus
         Status that the engine reports for its last point.
-    stage : StageRecord
+    name : str
+    iterations : int
+    is_limited : bool
+        False: a later engine may have a better point.
     """
 
     solution: QPSolution
     errors: KKTErrors
-    says: EngineStatus
-    stage: StageRecord
+    passes: bool
+    says: EngineStatus = EngineStatus.GAVE_UP
+    name: str = ""
+    iterations: int = 0
+    is_limited: bool = False
+
+    @classmethod
+    def of(
+        cls, solution: QPSolution, tolerance: float, name: str, iterations: int = 0
+    ) -> ProgramPoint:
+        """Return the measured point of a solution."""
+        errors = solution.errors_for(tolerance)
+        return cls(solution, errors, bool(errors.meet(tolerance)), name=name, iterations=iterations)
+
+    @property
+    def residual(self) -> float:
+        """The larger of both measures."""
+        return float(self.errors.largest)
 
 
 def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[Engine, str]]:
@@ -109,7 +129,7 @@ def run_engine(
     units: str,
     *,
     is_verbose: bool = False,
-) -> EngineRun:
+) -> ProgramPoint:
     """Return the first point of an engine that passes the test, or its best point.
 
     Raises
@@ -123,7 +143,7 @@ def run_engine(
         )
     reduced = program.folded.reduced
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
-    errors = KKTErrors(np.inf, np.inf)
+    errors, passes = KKTErrors(np.inf, np.inf), False
     for scaled in _statements(reduced, units):
         point = _call_engine(engine, scaled.statement, is_verbose)
         iterations, says = iterations + point.iterations, point.says
@@ -132,17 +152,16 @@ def run_engine(
             back = scaled.outward(near)
             x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
             found = KKTErrors.of(reduced, x, y, tolerance)
-            is_better = found.largest < errors.largest or found.meet(tolerance)
-            if is_better and not (errors.meet(tolerance) and found.tolerated):
-                best, errors = (x, y), found
-            if (found.meet(tolerance) and not found.tolerated) or is_over():
+            is_good = bool(found.meet(tolerance))
+            is_better = found.largest < errors.largest or is_good
+            if is_better and not (passes and found.tolerated):
+                best, errors, passes = (x, y), found, is_good
+            if (is_good and not found.tolerated) or is_over():
                 break
-        if errors.meet(tolerance) or is_over():
+        if passes or is_over():
             break
     solution = QPSolution.from_reduced(program, *(best or nearest(program)))
-    return EngineRun(
-        solution, errors, says, StageRecord(engine.name, engine.solves, iterations, 0.0)
-    )
+    return ProgramPoint(solution, errors, passes, says, engine.name, iterations)
 
 
 def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:

@@ -179,9 +179,13 @@ class QPSolution:
 
     def errors_for(self, tolerance: float) -> KKTErrors:
         """Return both measures, or bounds of them if these meet the tolerance already."""
-        folded = self.program.folded
-        y = self.multipliers[: self.program.h.size + self.program.b.size][folded.left]
-        return KKTErrors.of(folded.reduced, self.x, y, tolerance)
+        return KKTErrors.of(self.program.folded.reduced, self.x, self.reduced_y, tolerance)
+
+    @property
+    def reduced_y(self) -> FloatVector:
+        """Multipliers of the rows that remain in `FoldedRows`."""
+        rows = self.program.h.size + self.program.b.size
+        return self.multipliers[:rows][self.program.folded.left]
 
     def __str__(self) -> str:
         lines = [f"{'objective':<16} {self.objective:.9g}"]

@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...auto import parse_call, solve_lcp
+from ...core.algorithm import Step
 from ...core.checks import FloatVector, checked_vector, restore_state
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
@@ -23,14 +24,18 @@ from ...core.errors import (
 )
 from ...core.settings import OF_SOLVE, Settings, Status, checked_callback
 from ...core.solving.base_result import NEXT, BaseResult
-from ...core.solving.result import Result, Sample, StageRecord, stage_lines
-from ...core.solving.run_log import say
+from ...core.solving.progress import Progress
+from ...core.solving.result import Sample, StageRecord, stage_lines
+from ...core.solving.run import Run
+from ...core.solving.run_log import RunLog, say
+from ...core.solving.stage import Stage
+from ...core.solving.termination import TerminationReason
 from ...engines import ENGINES, Engine, EngineStatus, engine_class
 from ...methods.interior_point import InteriorPoint
 from .conversion import optimality_conditions
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors
-from .engine_calls import NO_MINIMUM, EngineRun, attempts, nearest, run_engine
+from .engine_calls import NO_MINIMUM, ProgramPoint, attempts, nearest, run_engine
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import VECTORS, QuadraticProgram
 from .solution import QPSolution
@@ -78,8 +83,6 @@ class QuadraticProgramResult(BaseResult):
         Stages of the run, in order.
     history : tuple of Sample
         With ``record=True``, the start and the end of an external solver, or the samples of a run on the LCP.
-    z : ndarray or None, shape (n + rows,)
-        Solution of the complementarity problem, if a run computed it: a start for a further run.
     begun : str
         Same meaning as in :class:`lcp_plugin.Result`.
     contradiction : str
@@ -97,7 +100,6 @@ class QuadraticProgramResult(BaseResult):
     proof: QPInfeasibility | QPUnboundedness | None = None
     stages: tuple[StageRecord, ...] = ()
     history: tuple[Sample, ...] = ()
-    z: FloatVector | None = None
     begun: str = ""
     contradiction: str = ""
     doubtful: QPInfeasibility | QPUnboundedness | None = None
@@ -113,6 +115,11 @@ class QuadraticProgramResult(BaseResult):
     def x(self) -> FloatVector:
         """Minimizer, or the best point found, shape (n,)."""
         return self.solution.x
+
+    @property
+    def z(self) -> FloatVector | None:
+        """X and the multipliers of the rows that are not bounds: a start for a further run; None with a proof."""
+        return None if self.proof is not None else np.concatenate([self.x, self.solution.reduced_y])
 
     @property
     def objective(self) -> float | None:
@@ -215,26 +222,26 @@ def solve_program(
         "auto" if engine else algorithm,
         {**({} if engine else options), "tolerance": tolerance, **wishes},
     )[1]
-    run = _ProgramRun(program, settings, wishes, callback, start)
-    with time_limit(min(settings.max_seconds, seconds_left())):
-        try:
+    name = algorithm if isinstance(algorithm, str) else algorithm.name
+    run = ProgramRun(program, name, settings, wishes, callback, clock, start)
+    if engine is not None:
+        plan = run.engine_stages(engine)
+    elif name == "auto":
+        plan = run.all_stages()
+    else:
+        plan = iter([run.lcp_stage(algorithm, options)])
+    try:
+        with time_limit(settings.max_seconds):
             refuse_nonconvex(program)
-            if engine is not None:
-                run.follow(run.engine_runs(engine))
-            elif isinstance(algorithm, str) and algorithm == "auto":
-                run.follow(run.all_runs())
-            else:
-                run.follow(iter([run.solve_lcp(algorithm, options)]))
-        except KeyboardInterrupt:
-            run.is_interrupted = True
-        except UnsupportedModel:
-            if not settings.prove_infeasibility or program.is_convex is not False:
-                raise
-            run.proof = program.facts.proof_of_contradiction()
-            if run.proof is None:
-                raise
-        name = algorithm if isinstance(algorithm, str) else algorithm.name
-        return run.result(name, clock.read())
+    except UnsupportedModel:
+        if not settings.prove_infeasibility or program.is_convex is not False:
+            raise
+        run.proof = program.facts.proof_of_contradiction()
+        if run.proof is None:
+            raise
+        return run.result(TerminationReason.NO_SOLUTION)
+    found: QuadraticProgramResult = run.solve(run.with_proof(plan))
+    return found
 
 
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
@@ -251,32 +258,57 @@ def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
     return algorithm
 
 
-class _ProgramRun:
-    """Points of one solve, the best point, and a proof."""
+class Named(NamedTuple):
+    """Name of a stage that runs no algorithm of this package."""
+
+    name: str
+
+
+class ProgramProgress(Progress):
+    """Progress of a run whose limit of iterations holds for each external solver."""
+
+    def limit(self) -> TerminationReason | None:
+        """Return the limit that the call, or a run on the complementarity problem, has reached."""
+        if self.end is None and is_over():
+            self.end = TerminationReason.TIME_LIMIT
+        return self.end
+
+
+class ProgramRun(Run):
+    """Run of a program: points of external solvers and of a run on its complementarity problem, and a proof.
+
+    Attributes
+    ----------
+    best : ProgramPoint or None
+    latest : ProgramPoint or None
+        The point of the present stage.
+    doubtful : QPInfeasibility or QPUnboundedness or None
+        A proof that excludes no solution.
+    """
+
+    best: ProgramPoint | None
 
     def __init__(
         self,
         program: QuadraticProgram,
+        name: str,
         settings: Settings,
         wishes: dict[str, Any],
         callback: Any,
+        clock: Clock,
         start: FloatVector | None,
     ) -> None:
-        self.program, self.settings, self.wishes = program, settings, wishes
-        self.callback, self.start = callback, start
-        self.best: EngineRun | None = None
-        self.lcp_result: Result | None = None
+        log = RunLog(program) if settings.verbose else None
+        super().__init__(ProgramProgress(settings, callback, clock, log))
+        self.program, self.name, self.wishes, self.start = program, name, wishes, start
+        self.latest: ProgramPoint | None = None
+        self.doubtful: QPInfeasibility | QPUnboundedness | None = None
         self.passing: FloatVector | None = None  # z of a run on the LCP whose x passes
-        self.proof: QPInfeasibility | QPUnboundedness | None = None
-        self.doubtful: QPInfeasibility | QPUnboundedness | None = None  # excludes no solution
-        self.stages, self.history = list[StageRecord](), tuple[Sample, ...]()
-        self.is_interrupted, self.is_left = False, False
-        self.says = EngineStatus.GAVE_UP
 
-    # --- Sources of points -------------------------------------------------------------------------------------------
+    # --- The plan ----------------------------------------------------------------------------------------------------
 
-    def all_runs(self) -> Iterator[EngineRun]:
-        """Yield the runs of auto; a program with bounds only is a complementarity problem of n unknowns."""
+    def all_stages(self) -> Iterator[Stage]:
+        """Yield the stages of auto; a program with bounds only is a complementarity problem of n unknowns."""
         reduced = self.program.folded.reduced
         rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
         if not rows and not matrices.has_curvature:
@@ -284,50 +316,70 @@ class _ProgramRun:
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.
-            yield self.solve_lcp("auto", {}, ends_before="lemke")
-        yield from self.engine_runs(None)
+            yield self.lcp_stage("auto", {}, ends_before="lemke")
+        yield from self.engine_stages(None)
         if not is_lcp_first and reduced.n + rows <= FEW:
-            yield self.solve_lcp("auto", {})
+            yield self.lcp_stage("auto", {})
 
-    def engine_runs(self, engine: Engine | None) -> Iterator[EngineRun]:
-        """Yield the runs of external solvers."""
-        most = (
-            min(self.settings.max_iterations, MAX_STEPS)
-            if "max_iterations" in self.wishes
-            else None
-        )
+    def with_proof(self, plan: Iterator[Stage]) -> Iterator[Stage]:
+        """Yield the stages of a plan, then search for a proof.
+
+        Without proofs, the plan ends if two solvers report infeasible, or unbounded.
+        """
+        is_wanted, before = self.settings.prove_infeasibility, None
+        for stage in plan:
+            yield stage
+            says = None if self.latest is None else self.latest.says
+            if not is_wanted and says in NO_MINIMUM and says is before:
+                return
+            before = says
+        if is_wanted:
+            self._search_proof()
+
+    def engine_stages(self, engine: Engine | None) -> Iterator[Stage]:
+        """Yield a stage for each attempt of an external solver."""
         for asked, units in attempts(self.program, engine):
-            steps = {} if most is None else {asked.steps: most}
+            steps = {}
+            if "max_iterations" in self.wishes:
+                steps[asked.steps] = min(self.wishes["max_iterations"], MAX_STEPS)
             one = type(asked)(**{**asked.options, **steps})
-            first = Sample(0, 0.0, 0.0, None, one.name)
-            if self.callback is not None and self.callback(first, nearest(self.program)[0]):
-                self.is_interrupted = True
-                return
-            clock = Clock()
-            tolerance, is_verbose = self.settings.tolerance, self.settings.verbose
-            found = run_engine(self.program, one, tolerance, units, is_verbose=is_verbose)
-            last = Sample(found.stage.iterations, 0.0, clock.read(), found.errors.largest, one.name)
-            self.history += (first, last) if self.settings.record else ()
-            self.is_interrupted = bool(
-                self.callback is not None and self.callback(last, found.solution.x)
-            )
-            yield found
-            if self.is_interrupted:
-                return
+            yield Stage(one, one.solves, steps=self._engine_steps(one, units))
 
-    def _vertex_by_costs(self) -> EngineRun:
-        """Return the vertex of a box that the costs push to."""
-        solution = QPSolution.from_reduced(self.program, *nearest(self.program))
-        errors = solution.errors_for(self.settings.tolerance)
-        says = (
-            EngineStatus.OPTIMAL if errors.meet(self.settings.tolerance) else EngineStatus.UNBOUNDED
+    def _engine_steps(self, engine: Engine, units: str) -> Iterator[Step]:
+        """Yield the start and the point of an external solver."""
+        yield Step(nearest(self.program)[0], iterations=0)
+        found = run_engine(
+            self.program,
+            engine,
+            self.settings.tolerance,
+            units,
+            is_verbose=self.settings.verbose,
         )
-        return EngineRun(solution, errors, says, StageRecord("costs", "boxes", 0, 0.0))
+        yield Step(found.solution.x, iterations=found.iterations, measured=found)
 
-    def solve_lcp(
-        self, algorithm: Any, options: dict[str, Any], ends_before: str = ""
-    ) -> EngineRun:
-        """Return the point of a run on the complementarity problem of the program; `ends_before` may end it."""
+    def _vertex_by_costs(self) -> Stage:
+        """Return a stage with the vertex of a box that the costs push to."""
+        solution = QPSolution.from_reduced(self.program, *nearest(self.program))
+        found = ProgramPoint.of(solution, self.settings.tolerance, "costs")
+        if not found.passes:
+            found = found._replace(says=EngineStatus.UNBOUNDED)
+        return Stage(
+            Named("costs"), "boxes", steps=[Step(solution.x, iterations=0, measured=found)]
+        )
+
+    def lcp_stage(self, algorithm: Any, options: dict[str, Any], ends_before: str = "") -> Stage:
+        """Return a stage with a run on the complementarity problem of the program; `ends_before` may end it."""
+        return Stage(
+            Named("lcp"),
+            "complementarity problems",
+            steps=self._lcp_steps(algorithm, options, ends_before),
+        )
+
+    def _lcp_steps(
+        self, algorithm: Any, options: dict[str, Any], ends_before: str
+    ) -> Iterator[Step]:
+        """Yield the point of a run on the complementarity problem, which shows its own steps."""
+        progress, n = self.progress, self.program.n
         problem = optimality_conditions(self.program, self.settings.tolerance)
         wishes = {**options, **self.wishes, "max_seconds": seconds_left()}
         if self.start is not None and self.start.size == problem.n:
@@ -345,21 +397,27 @@ class _ProgramRun:
         except (UnsuitableMatrix, UnsuitableProblem) as refusal:
             stated = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
-        self.lcp_result, self.history = result, result.history
-        is_left = self.is_left or self.passing is not None
-        self.is_interrupted |= result.status is Status.INTERRUPTED and not is_left
-        z, n = result.z if self.passing is None else self.passing, self.program.n
+        progress.samples += result.history
+        z = result.z if self.passing is None else self.passing
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
-        errors = solution.errors_for(self.settings.tolerance)
-        stage = StageRecord(result.algorithm, "complementarity problems", result.iterations, 0.0)
-        return EngineRun(solution, errors, EngineStatus.GAVE_UP, stage)
+        found = ProgramPoint.of(
+            solution, self.settings.tolerance, result.algorithm, result.iterations
+        )
+        if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.wishes:
+            progress.end = progress.end or TerminationReason.STEP_LIMIT
+        elif result.status is Status.MAX_SECONDS:
+            progress.end = progress.end or TerminationReason.TIME_LIMIT
+        is_watched, progress.is_watched = progress.is_watched, False
+        yield Step(solution.x, iterations=result.iterations, measured=found, label=result.algorithm)
+        progress.is_watched = is_watched
 
     def _ends_run(self, ends_before: str, sample: Sample, z: FloatVector) -> bool:
         """Return whether a run on the complementarity problem ends: x passes the test, or the callback stops it."""
-        if self.callback is not None and self.callback(sample, z):
+        progress = self.progress
+        if progress.callback is not None and progress.callback(sample, z):
+            progress.end = TerminationReason.INTERRUPTED
             return True
         if sample.label == ends_before:
-            self.is_left = True
             return True
         if sample.residual is None or sample.residual > SMALL_RESIDUAL:
             return False
@@ -371,27 +429,20 @@ class _ProgramRun:
 
     # --- Selection of the result -------------------------------------------------------------------------------------
 
-    def follow(self, runs: Iterator[EngineRun]) -> None:
-        """Take runs until a point passes, a proof is found, or a limit is reached."""
-        before, is_proof_wanted = EngineStatus.GAVE_UP, self.settings.prove_infeasibility
-        for run in runs:
-            self.stages.append(run.stage)
-            if self.best is None or run.errors.largest < self.best.errors.largest:
-                self.best = run
-            self.says = run.says
-            passes = run.errors.meet(self.settings.tolerance)
-            if is_proof_wanted and (
-                run.errors.tolerated > 1.0 or self._is_far(run.solution.x)
-                if passes
-                else run.says in NO_MINIMUM
-            ):
-                self._search_proof()
-            is_told = not is_proof_wanted and run.says in NO_MINIMUM and run.says is before
-            if passes or self.proof is not None or is_told or self.is_interrupted or is_over():
-                return
-            before = run.says
-        if is_proof_wanted and not self._is_stopped and not is_over():
+    def measure(self, stage: Stage, step: Step) -> ProgramPoint | None:
+        """Return the point of a step; None at the start of a stage."""
+        self.latest = step.measured
+        return self.latest
+
+    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+        """Return the reason, or NO_SOLUTION if a proof is found; some points start a search."""
+        found = self.latest
+        if found is None or not self.settings.prove_infeasibility:
+            return end
+        is_far = found.passes and (found.errors.tolerated > 1.0 or self._is_far(found.solution.x))
+        if is_far or (not found.passes and found.says in NO_MINIMUM):
             self._search_proof()
+        return end if self.proof is None else TerminationReason.NO_SOLUTION
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the one that shows this except for rounding."""
@@ -401,20 +452,6 @@ class _ProgramRun:
         elif found is not None and found.doubt:
             self.doubtful = found
 
-    @property
-    def _is_stopped(self) -> bool:
-        """True if the caller, or a limit set by the caller, ended the run on the LCP."""
-        return self.is_interrupted or (
-            self.lcp_result is not None
-            and (
-                self.lcp_result.status is Status.MAX_SECONDS
-                or (
-                    self.lcp_result.status is Status.MAX_ITERATIONS
-                    and "max_iterations" in self.wishes
-                )
-            )
-        )
-
     def _is_far(self, x: FloatVector) -> bool:
         """Return whether x is so large that a test in double precision may accept a descent as a minimum."""
         size = np.abs(x).max(initial=0.0)
@@ -423,20 +460,15 @@ class _ProgramRun:
         limits = np.abs(self.program.constraints.limit)
         return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 
-    def status(self) -> Status:
+    def status(self, end: TerminationReason) -> Status:
         """Return the status: of the proof, SOLVED, of a limit, or for the accuracy of the best point."""
-        tolerance = self.settings.tolerance
         if self.proof is not None:
-            return self.proof.status
-        if self.best is not None and self.best.errors.meet(tolerance):
-            return Status.SOLVED
-        if self.is_interrupted:
-            return Status.INTERRUPTED
-        if is_over():
-            return Status.MAX_SECONDS
-        if self._is_stopped and self.lcp_result is not None:
-            return self.lcp_result.status
-        if self.says is EngineStatus.STOPPED and "max_iterations" in self.wishes:
+            return self.proof.status  # type: ignore[no-any-return]
+        status = super().status(end)
+        if status is not Status.STALLED:
+            return status
+        is_short = self.latest is not None and self.latest.says is EngineStatus.STOPPED
+        if is_short and "max_iterations" in self.wishes:
             return Status.MAX_ITERATIONS
         is_near = self._is_nearly_optimal or self.doubtful is not None
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
@@ -449,39 +481,34 @@ class _ProgramRun:
         primal, gap, _ = self.best.errors
         return bool(primal <= NEARLY.primal and gap <= max(self.settings.tolerance, NEARLY.gap))
 
-    def result(self, name: str, seconds: float) -> QuadraticProgramResult:
+    def result(self, end: TerminationReason) -> QuadraticProgramResult:
         """Return the result."""
-        program, status = self.program, self.status()
+        program, status, best = self.program, self.status(end), self.best
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
-        if self.best is None or (is_rounding and self.doubtful is not None):
-            x, y = nearest(program)
-            if isinstance(self.doubtful, QPUnboundedness):
-                x = np.clip(numbers(self.doubtful.point), program.lower, program.upper)
-            solution = QPSolution.from_reduced(program, x, y)
-            stage = StageRecord(name, "", 0, 0.0)
-        else:
-            solution, stage = self.best.solution, self.best.stage
+        if best is None or (is_rounding and self.doubtful is not None):
+            solution = QPSolution.from_reduced(program, *nearest(program))
+            best = ProgramPoint(solution, KKTErrors(np.inf, np.inf), passes=False, name=self.name)
+        proof, solution, x = self.proof or self.doubtful, best.solution, best.solution.x
+        if isinstance(proof, QPUnboundedness) and (proof is self.proof or is_rounding):
+            x = np.clip(numbers(proof.point), program.lower, program.upper)
+            solution = QPSolution.from_reduced(program, x, nearest(program)[1])
         if self.proof is not None:
-            x = solution.x
-            if isinstance(self.proof, QPUnboundedness):
-                x = np.clip(numbers(self.proof.point), program.lower, program.upper)
             solution = QPSolution.without_multipliers(program, x)
         if self.settings.verbose:
             say(
                 f"{status.name}: {ADVICE.get(status, status.value) if self.proof is None else self.proof}"
             )
-        by = f"auto: {stage.name.removeprefix('auto: ')}" if name == "auto" else name
+        by = f"auto: {best.name.removeprefix('auto: ')}" if self.name == "auto" else self.name
         return QuadraticProgramResult(
             status,
             solution,
             by,
-            stage.iterations,
-            seconds,
+            best.iterations,
+            self.progress.clock.read(),
             self.settings.tolerance,
             self.proof,
-            tuple(self.stages),
-            self.history if self.settings.record else (),
-            None if self.lcp_result is None else self.lcp_result.z,
+            self.progress.records(),
+            tuple(self.progress.samples),
             doubtful=self.doubtful,
         )
 

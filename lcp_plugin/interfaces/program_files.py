@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +28,8 @@ from .nl.model import lcp_in_nl, program_in_nl
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
 MAXIMIZE = re.compile(rb"(?im)^(?:OBJSENSE\s+)?MAX(?:IMI[SZ]E|IMUM)?[ \t\r]*$")  # also on one line
+LEFT_OUT = re.compile(r"WARNING: +((?:Column|Variables) .*(?:duplicate nonzero|same name).*)")
+KEYWORDS = {"RANGES", "QUADOBJ", "QMATRIX", "QSECTION", "ENDATA"}  # after RHS or BOUNDS
 Arrays = dict[str, Any]
 
 
@@ -354,17 +356,23 @@ def _from_mps(source: Path) -> LoadedProgram:
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""
 
         def enableCallbacks(self) -> None:
-            self.setOptionValue("output_flag", False)
+            self.setOptionValue("log_to_console", False)
             super().enableCallbacks()  # type: ignore[no-untyped-call]
 
     reader: Any = QuietHighs()  # type: ignore[no-untyped-call]
-    reader.setOptionValue("output_flag", False)
+    reader.setOptionValue("log_to_console", False)
     content, is_mps = source.read_bytes(), source.suffix.lower() != ".lp"
     with tempfile.TemporaryDirectory() as folder:  # HiGHS goes by the ending of the name
-        copy = Path(folder) / f"program{'.mps' if is_mps else '.lp'}"
+        copy, log = Path(folder) / f"program{'.mps' if is_mps else '.lp'}", Path(folder) / "log"
         copy.write_bytes(MAXIMIZE.sub(b"OBJSENSE\n    MAX", content) if is_mps else content)
+        reader.setOptionValue("log_file", str(log))
         if reader.readModel(str(copy)) == highspy.HighsStatus.kError:
-            raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it")
+            is_cut = is_mps and b"ENDATA" not in content
+            rest = ", and it has no line ENDATA: is it complete?" if is_cut else ""
+            raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it{rest}")
+        text = log.read_text("utf-8", "replace") if log.exists() else ""
+    if left_out := LEFT_OUT.findall(text):
+        warnings.warn(f"{source}: {'; '.join(left_out[:3])}", ModelWarning, stacklevel=2)
     model = reader.getModel()
     linear, hessian = model.lp_, model.hessian_
     kinds = enumerate(linear.integrality_)
@@ -393,22 +401,72 @@ def _from_mps(source: Path) -> LoadedProgram:
             A,
             linear.row_lower_,
             linear.row_upper_,
-            _lower_bounds(source, content, linear) if is_mps else linear.col_lower_,
-            linear.col_upper_,
-            sense * float(linear.offset_) + 0.0,
+            *(
+                _bounds(source, content, linear)
+                if is_mps
+                else (linear.col_lower_, linear.col_upper_)
+            ),
+            sense * (_constant(content, linear) if is_mps else float(linear.offset_)) + 0.0,
         ),
     )
     names = list(linear.col_names_)
     return LoadedProgram(program, sense, names if len(names) == n else None)
 
 
-def _lower_bounds(source: Path, content: bytes, linear: Any) -> Any:
-    """Return the lower bounds of the variables, −∞ for a negative upper bound without a lower one."""
+def _section(content: bytes, name: str) -> Iterator[list[str]]:
+    """Yield the words of each line in a section of an MPS file."""
+    _, _, rest = content.partition(b"\n" + name.encode())
+    for line in rest.splitlines()[1:]:
+        words = line.decode("utf-8", "replace").split()
+        if (
+            words
+            and words[0].upper() in KEYWORDS | {"COLUMNS", "RHS", "BOUNDS"}
+            and line[:1] != b" "
+        ):
+            return
+        if words and not words[0].startswith("*"):
+            yield words
+
+
+def _constant(content: bytes, linear: Any) -> float:
+    """Return the constant of the objective, the first free row; HiGHS takes the constant of any free row."""
+    free = [words[1] for words in _section(content, "ROWS") if words[0].upper() == "N"]
+    if len(free) < 2:
+        return float(linear.offset_)
+    pairs = (words[len(words) % 2 :] for words in _section(content, "RHS"))
+    values = [
+        float(value)
+        for words in pairs
+        for row, value in zip(words[::2], words[1::2], strict=False)
+        if row == free[0]
+    ]
+    return -values[0] if values else 0.0
+
+
+def _bounds(source: Path, content: bytes, linear: Any) -> tuple[Any, Any]:
+    """Return the bounds of the variables; of several for one variable the last, of which HiGHS takes the first.
+
+    The lower bound is −∞ for a negative upper bound without a lower one.
+    """
     lower, upper = np.array(linear.col_lower_), np.array(linear.col_upper_)
-    columns = np.flatnonzero((lower == 0.0) & (upper < 0.0))
-    lines = (line.split() for line in content.partition(b"\nBOUNDS")[2].splitlines())
-    given = {words[-2] for words in lines if len(words) > 2 and words[0].upper() == b"LO"}
-    open_below = [j for j in columns if str(linear.col_names_[j]).encode() not in given]
+    columns = {name: j for j, name in enumerate(linear.col_names_)}
+    known, default = set[int](), set[int]()  # of the latter the lower bound is 0 by default
+    for first, *words in _section(content, "BOUNDS"):
+        kind, name = first.upper(), (words[-1:] or [""])[0]
+        has_value = kind in ("LO", "UP", "FX") or (name not in columns and len(words) > 1)
+        j = columns.get(words[-2] if has_value and len(words) > 1 else name)
+        if j is None or kind not in ("LO", "UP", "FX", "FR", "MI", "PL"):
+            continue
+        if j not in known:
+            lower[j], upper[j] = 0.0, np.inf
+            known.add(j)
+            default.add(j)
+        if kind not in ("UP", "PL"):
+            default.discard(j)
+            lower[j] = float(words[-1]) if kind in ("LO", "FX") else -np.inf
+        if kind not in ("LO", "MI"):
+            upper[j] = float(words[-1]) if kind in ("UP", "FX") else np.inf
+    open_below = sorted(j for j in default if upper[j] < 0.0)
     lower[open_below] = -np.inf
     if open_below:
         name = linear.col_names_[open_below[0]]
@@ -418,4 +476,4 @@ def _lower_bounds(source: Path, content: bytes, linear: Any) -> Any:
             ModelWarning,
             stacklevel=2,
         )
-    return lower
+    return lower, upper

@@ -282,6 +282,43 @@ def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: P
     assert solve(load_problem(tmp_path / "q.mps")).objective == pytest.approx(12.0)
 
 
+@pytest.mark.parametrize(
+    ("bounds", "lower", "upper"),
+    [
+        (" FR BND x\n UP BND x -1\n", -np.inf, -1.0),
+        (" UP BND x -1\n FR BND x\n", -np.inf, np.inf),
+        (" UP BND x 5\n UP BND x 3\n", 0.0, 3.0),
+        (" FX BND x 1\n UP BND x 4\n", 1.0, 4.0),
+        (" FR x\n LO x -4\n", -4.0, np.inf),
+    ],
+)
+def test_a_later_bound_in_mps_replaces_an_earlier_one(
+    bounds: str, lower: float, upper: float, tmp_path: Path
+) -> None:
+    """The bounds of x are read in the order of the lines."""
+    pytest.importorskip("highspy")
+    text = MPS.format(sense="", right="2", constant="", bounds=bounds)
+    (tmp_path / "p.mps").write_text(text)
+    program = load_problem(tmp_path / "p.mps")
+    assert (program.lower[0], program.upper[0]) == (lower, upper)
+    assert (program.lower[1], program.upper[1]) == (0.0, 4.0)
+
+
+def test_an_mps_file_that_leaves_something_out_is_read_with_a_message(tmp_path: Path) -> None:
+    """The right-hand side of a second free row is no constant; a repeated entry warns; ENDATA is required."""
+    pytest.importorskip("highspy")
+    path = tmp_path / "p.mps"
+    text = MPS.format(sense="", right="2", constant="\n RHS other 5", bounds="")
+    path.write_text(text.replace(" G c1", " N other\n G c1"))
+    assert load_problem(path).constant == 0.0
+    path.write_text(text.replace(" RHS other 5\n", "").replace("RHS\n", " y c1 7\nRHS\n", 1))
+    with pytest.warns(ModelWarning, match='"y" has duplicate nonzero 7 in row "c1"'):
+        assert load_problem(path).G.toarray().tolist() == [[-1.0, -1.0]]
+    path.write_text(text.replace("ENDATA\n", ""))
+    with pytest.raises(UnreadableFile, match="no line ENDATA"):
+        load_problem(path)
+
+
 def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
     """M, q and mu are a contact problem, as W, b and friction are."""
     np.savez(tmp_path / "c.npz", M=np.eye(3), q=[-1.0, 0.25, 0.0], mu=[0.5])

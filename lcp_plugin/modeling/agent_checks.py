@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
@@ -47,14 +48,12 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
 
 def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
     """Raise UnsupportedModel, or issue a ModelWarning, for agents that do not fit together or are not convex."""
-    decided: set[tuple[int, int]] = set()
-    for variable, columns in (one for agent in agents for one in agent.entries):
-        keys = {(variable.id, column) for column in columns.tolist()}
-        if keys & decided:
+    decisions = [(one, k) for agent in agents for one, own in agent.entries for k in own.tolist()]
+    for (_, name, _), count in Counter((one.id, one.name(), k) for one, k in decisions).items():
+        if count > 1:
             raise UnsupportedModel(
-                f"two agents decide {variable.name()}; list each variable, or entry of one, in over=[…] of one agent"
+                f"over=[…] lists {name} twice; list each variable, or entry of one, once, in over=[…] of one agent"
             )
-        decided |= keys
     programs = [agent.program for agent in agents]
     rules = Convexity([*others, *programs, *(row for one in programs for row in one.constraints)])
     for agent in agents:
@@ -134,12 +133,8 @@ class Convexity:
         found = {}
         for one in self.model.variables:
             span = self.model.spans[one.id]
-            is_nonneg, is_nonpos = (
-                bool((lower[span] >= 0.0).all()),
-                bool((upper[span] <= 0.0).all()),
-            )
-            nonpos = is_nonpos and not is_nonneg
-            found[one.id] = cp.Parameter(one.shape, nonneg=is_nonneg, nonpos=nonpos)
+            nonneg, nonpos = bool((lower[span] >= 0.0).all()), bool((upper[span] <= 0.0).all())
+            found[one.id] = cp.Parameter(one.shape, nonneg=nonneg, nonpos=nonpos and not nonneg)
         return found
 
     def hold(self, row: StandardRows, entries: Sequence[Any]) -> bool:

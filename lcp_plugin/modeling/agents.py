@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any
@@ -137,11 +136,6 @@ class Optimal(Condition):
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.entries = [entries_of(one) for one in decisions]
-        chosen = Counter((one.id, k) for one, columns in self.entries for k in columns.tolist())
-        if len(chosen) < chosen.total():
-            raise UnsupportedModel(
-                f"over=[{', '.join(map(str, decisions))}] lists an entry twice; list each decision once"
-            )
         self.checked_for: list[bytes] | None = None  # parameters with which convexity was checked
         rows = [one for row in program.constraints for one in row.args]
         super().__init__([program.objective.args[0], *rows, *decisions])

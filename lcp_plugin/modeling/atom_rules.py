@@ -51,8 +51,8 @@ def refused(node: Any) -> UnsupportedModel:
             "and a pair: complements(s >= 0, x + s >= 0) makes s = max(−x, 0) and x + 2 s = |x|"
         )
     return UnsupportedModel(
-        f"{name_of(node)} is not affine, and of the atom {type(node).__name__} no derivative is known here; write it "
-        "with products, quotients, powers, exp, log, log1p, logistic, entr and sums, or linearise"
+        f"{name_of(node)} is not affine, and the atom {type(node).__name__} has no derivative here; write it with "
+        "products, quotients, powers, exp, log, log1p, logistic, entr and sums, or linearize"
     )
 
 
@@ -68,19 +68,12 @@ def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
 
 def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     """Apply the derivatives that cvxpy gives, which are constant if the atom is affine."""
-    offsets = [
-        one.offset.reshape(one.shape, order="F") if isinstance(one, Rows) else one
-        for one in arguments
-    ]
-    # Anywhere inside their domains; a power is not differentiated at zero.
-    values = [
-        np.ones(one.shape) if isinstance(one, Rows) else atoms.dense(one) for one in arguments
-    ]
-    parts = [
-        one.applied(_own_jacobian(node, k, values), node.shape)
-        for k, one in enumerate(arguments)
-        if isinstance(one, Rows)
-    ]
+    rows = {k: one for k, one in enumerate(arguments) if isinstance(one, Rows)}
+    offsets, values = arguments.copy(), list(map(atoms.dense, arguments))
+    for k, one in rows.items():
+        offsets[k] = one.offset.reshape(one.shape, order="F")
+        values[k] = np.ones(one.shape)  # inside each domain; a power is not differentiated at zero
+    parts = [one.applied(_own_jacobian(node, k, values), node.shape) for k, one in rows.items()]
     whole = added(parts, node.shape)
     offset = np.ravel(atoms.dense_numeric(node, offsets), order="F").astype(np.float64)
     return Rows(whole.blocks, offset, node.shape, whole.level)
@@ -174,12 +167,8 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
 
 
 def _axes(node: Any) -> list[int]:
-    shape, axis = node.args[0].shape, getattr(node, "axis", None)
-    return (
-        list(range(len(shape)))
-        if axis is None
-        else [one % len(shape) for one in np.atleast_1d(axis)]
-    )
+    count, axis = len(node.args[0].shape), getattr(node, "axis", None)
+    return list(range(count)) if axis is None else [one % count for one in np.atleast_1d(axis)]
 
 
 def _elementary(function: Function) -> Rule:
@@ -273,9 +262,8 @@ def _entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _relative_entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(
-        functions.RELATIVE_ENTROPY, *(Rows.of(one).spread(node.shape) for one in arguments)
-    )
+    both = [Rows.of(one).spread(node.shape) for one in arguments]
+    return compiler.emit(functions.RELATIVE_ENTROPY, *both)
 
 
 def _kl_divergence(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:

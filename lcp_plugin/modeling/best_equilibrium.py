@@ -11,7 +11,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 from cvxpy import settings
-from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
+from cvxpy.constraints import NonNeg
 from cvxpy.problems.problem import SolverStats
 
 from ..core.errors import UnsupportedModel
@@ -22,7 +22,7 @@ from ._compat import CVXPY_STATUS, dense, statistics
 from .constraint import Complements, complements
 from .model import Model
 from .reading import rewritten
-from .stated_terms import expression_of, sense_of
+from .stated_terms import EQUATIONS, INEQUALITIES, expression_of, sense_of
 
 
 def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:
@@ -56,11 +56,11 @@ def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumPro
         whole += [binary, first + _chosen(one, one.integer_idx)]
     statement.integers = np.concatenate(whole)
     for one, row in zip(others, rows, strict=True):
-        if not isinstance(one, (Equality, Zero, Inequality, NonPos, NonNeg)):
+        if not isinstance(one, (*EQUATIONS, *INEQUALITIES)):
             raise UnsupportedModel(
                 f"the constraint {one} is neither an equation nor an inequality; write it as such"
             )
-        low = 0.0 if isinstance(one, (Equality, Zero, NonNeg)) else -np.inf
+        low = 0.0 if isinstance(one, (*EQUATIONS, NonNeg)) else -np.inf
         high = np.inf if isinstance(one, NonNeg) else 0.0
         statement.constrain(model.reader.rows(row), low, high)
     model.add_pairs([*pairs, *kinks])

@@ -204,20 +204,13 @@ class Model:
             )
         expression, scale, offset = side.expression, weights, shift
         if is_new:
-            columns, expression, scale, offset = (
-                self.statement.named(rows, expression),
-                None,
-                1.0,
-                0.0,
-            )
+            columns = self.statement.named(rows, expression)
+            expression, scale, offset = None, 1.0, 0.0
         with np.errstate(all="ignore"):
             ends = (low - offset) / scale, (high - offset) / scale
         low, high = np.minimum(*ends), np.maximum(*ends)
-        if (
-            (low == np.inf).any()
-            or (high == -np.inf).any()
-            or (ends[0] * scale > ends[1] * scale).any()
-        ):
+        is_crossed = (low == np.inf) | (high == -np.inf) | (ends[0] * scale > ends[1] * scale)
+        if is_crossed.any():
             raise UnsupportedModel(
                 f"{side} has a lower bound above its upper bound, or beyond the largest double"
             )
@@ -386,10 +379,7 @@ class Model:
         return z
 
     def write_back(
-        self,
-        problem: Any,
-        result: Any,
-        found: tuple[FloatVector, FloatVector, float] | None,
+        self, problem: Any, result: Any, found: tuple[FloatVector, FloatVector, float] | None
     ) -> None:
         """Give a cvxpy problem its status, values, dual values and statistics.
 
@@ -470,10 +460,8 @@ def friction_of(side: Side) -> FloatVector | None:
     """Return the coefficients of the contacts of a side, None of one without friction."""
     if side.friction is None:
         return None
-    return np.array(
-        np.broadcast_to(bound_value(side.friction, side), (side.expression.size // side.rows,)),
-        float,
-    )
+    contacts = np.zeros(side.expression.size // side.rows)
+    return np.asarray(contacts + bound_value(side.friction, side))
 
 
 def sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:

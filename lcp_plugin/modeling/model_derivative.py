@@ -29,9 +29,8 @@ from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem
 
 Changes = dict[int, Any]
-SAME = (
-    1e-8  # of z and w: a larger difference of w shows that parameters have changed since the solve
-)
+#: Relative to z and w. A larger difference of w shows that parameters have changed since the solve.
+SAME = 1e-8
 
 
 class ParametricRows:
@@ -80,10 +79,8 @@ class ParametricRows:
         }
 
     def _vector(self, values: Changes) -> FloatVector:
-        parts = [
-            values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()
-        ]
-        return np.concatenate([*(_compat.by_columns(part) for part in parts), np.zeros(0)])
+        parts = [values.get(key, np.zeros(one.size)) for key, one in self._parameters.items()]
+        return np.concatenate([*map(_compat.by_columns, parts), np.zeros(0)])
 
     @staticmethod
     def _finite(values: Any) -> Any:
@@ -353,21 +350,9 @@ def differentiable_parameters(problem: Any) -> list[Any]:
     UnsupportedModel
         If one is an integer, a Boolean or complex, or has entries that are tied to each other.
     """
-    bounds = [
-        bound
-        for variable in problem.variables()
-        if variable.attributes.get("bounds") is not None
-        for bound in variable.attributes["bounds"]
-    ]
-    stated = [
-        parameter
-        for bound in bounds
-        if isinstance(bound, cp.Expression)
-        for parameter in bound.parameters()
-    ]
-    parameters = list(
-        {parameter.id: parameter for parameter in (*problem.parameters(), *stated)}.values()
-    )
+    bounds = [end for one in problem.variables() for end in one.attributes.get("bounds") or ()]
+    owners = [problem, *(end for end in bounds if isinstance(end, cp.Expression))]
+    parameters = list({p.id: p for owner in owners for p in owner.parameters()}.values())
     for parameter in parameters:
         if name := restricting_attribute(parameter):
             raise UnsupportedModel(

@@ -96,13 +96,8 @@ def parameter_lines(problem: Any, along: Any) -> Lines:
             raise InvalidOption(
                 f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
             )
-        lines = {
-            one: (
-                np.array(leaf_value(one), float),
-                np.broadcast_to(np.asarray(step, float), one.shape),
-            )
-            for one, step in along.items()
-        }
+        steps = {p: np.broadcast_to(np.asarray(step, float), p.shape) for p, step in along.items()}
+        lines = {one: (np.array(leaf_value(one), float), step) for one, step in steps.items()}
     else:
         raise InvalidOption(
             f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"

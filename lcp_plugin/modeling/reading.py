@@ -22,13 +22,7 @@ from ..expressions.functions import SAME
 from ..expressions.rows import Compiler, Rows, as_matrix
 from . import _compat as atoms
 from ._compat import name_of, postorder
-from .atom_rules import (
-    Rule,
-    affine_rule,
-    linearised,
-    refused,
-    rule_of,
-)
+from .atom_rules import Rule, affine_rule, linearised, refused, rule_of
 
 Values = dict[int, Any]
 
@@ -143,12 +137,10 @@ class Reader:
             if not isinstance(result, Rows):
                 self._take_constant(root, result)
             rows = Rows.of(result).spread(root.shape)
-            rows = replace(
-                rows,
-                blocks={key: as_matrix(block, rows.size) for key, block in rows.blocks.items()},
-            )
+            blocks = {key: as_matrix(block, rows.size) for key, block in rows.blocks.items()}
+            rows = replace(rows, blocks=blocks)
             if self._held is None:
-                entries = [as_matrix(block, rows.size).data for block in rows.blocks.values()]
+                entries = [block.data for block in blocks.values()]
                 if not all(np.isfinite(values).all() for values in (rows.offset, *entries)):
                     raise UnsupportedModel(
                         f"{name_of(root)} is not finite, multiplied out: its data overflow, or are divided by 0; write "
@@ -253,12 +245,8 @@ class Reader:
 def hidden_parameters(node: Any) -> list[Any]:
     """Return the parameters that an atom holds but has not among its arguments."""
     data = (node.get_data() or []) if node.args else []
-    return [
-        parameter
-        for part in data
-        if isinstance(part, cp.Expression)
-        for parameter in part.parameters()
-    ]
+    stated = [part for part in data if isinstance(part, cp.Expression)]
+    return [parameter for part in stated for parameter in part.parameters()]
 
 
 def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:

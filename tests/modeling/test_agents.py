@@ -666,8 +666,10 @@ REFUSED: dict[str, Any] = {
         "list of constraints",
     ),
     "a decision twice": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x, x]),
-        "list each decision once",
+        lambda x, y: cp.Problem(
+            cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x, x])]
+        ),
+        "lists var.* twice",
     ),
     "a foreign shared constraint": (
         lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[x], shared=[x >= 0]),
@@ -697,7 +699,7 @@ REFUSED: dict[str, Any] = {
         lambda x, y: cp.Problem(
             cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x]) for _ in range(2)]
         ),
-        "two agents decide",
+        "over=.* twice",
     ),
 }
 

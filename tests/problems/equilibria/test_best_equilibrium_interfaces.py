@@ -114,7 +114,7 @@ def test_what_is_not_taken_is_said() -> None:
         InvalidOption, match="tolerance must be a number > 0 and < 1, as it is relative, got 1"
     ):
         solver.solve(bard(), options={"tolerance": 1})
-    with pytest.raises(InvalidOption, match="takes no algorithm, got 'psor'"):
+    with pytest.raises(InvalidOption, match="has no option algorithm, got 'psor'"):
         solver.solve(bard(), options={"algorithm": "psor"})
 
 

@@ -28,6 +28,7 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
     UnsupportedModel,
+    WorkerLost,
 )
 from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
@@ -45,6 +46,7 @@ BUILTIN_BASE = {
     UnknownAlgorithm: LookupError,
     UnreadableFile: OSError,
     NotConverged: RuntimeError,
+    WorkerLost: RuntimeError,
     UnsupportedModel: ValueError,
 }
 NAN, INF = float("nan"), float("inf")

@@ -21,6 +21,7 @@ ROW = (
     "| `extragradient` | predictor and corrector | two projected steps | monotone M "
     "| PSD, symmetric or not, for step < 1 | 2 products with M | step, looks_ahead |"
 )
+BAD_VALUES = '    "step": NO_POSITIVE_NUMBER,\n    "looks_ahead": [None, 1, "yes"],\n'
 TESTS = (
     "tests/methods/test_extragradient.py",
     "tests/house/test_architecture.py",
@@ -64,6 +65,11 @@ def test_an_algorithm_is_a_file_and_a_line(tmp_path: Path) -> None:
     text = manual.read_text(encoding="utf-8")
     assert "\n| `lemke` |" in text
     manual.write_text(text.replace("\n| `lemke` |", f"\n{ROW}\n| `lemke` |"), encoding="utf-8")
+    values = tmp_path / "tests" / "core" / "test_rejections.py"
+    head, tail = values.read_text(encoding="utf-8").split("BAD_VALUES: dict[str, list[Any]] = {\n")
+    values.write_text(
+        f"{head}BAD_VALUES: dict[str, list[Any]] = {{\n{BAD_VALUES}{tail}", encoding="utf-8"
+    )
     (tmp_path / TESTS[0]).write_text(TEST, encoding="utf-8")
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *TESTS],

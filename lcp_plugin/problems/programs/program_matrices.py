@@ -19,7 +19,7 @@ from ...core.checks import (
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
-from .criterion import ProgramComponents, largest
+from .criterion import BLUR, ProgramComponents, largest
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = (
@@ -203,14 +203,19 @@ class ProgramMatrices:
 
     @cached_property
     def is_nearly_semidefinite(self) -> bool:
-        """True if P + n 2⁻²⁴ diag(P) is semidefinite, with the largest entry of a row for a diagonal entry of 0."""
+        """True if P + n 2⁻²⁴ diag(P) is semidefinite, with the largest entry of a row for a diagonal entry of 0.
+
+        Diagonal entries that are negative by a rounding error of the largest entry of P count as 0.
+        """
         if self.is_semidefinite:
             return True
-        d, n = self.P.diagonal(), self.P.shape[0]
-        if (d < 0.0).any():
-            return False
-        d = np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
-        unit = scaled_to(self.P, 1.0 / np.sqrt(or_one(d)))
+        P, d, n = self.P, self.P.diagonal(), self.P.shape[0]
+        if (least := d.min()) < 0.0:
+            if least < -BLUR * abs(P).max():
+                return False
+            P = self.sparse_P - sp.diags_array(np.minimum(d, 0.0))
+        d = np.where(d > 0.0, d, largest_in_rows(sp.csr_array(P)))
+        unit = scaled_to(P, 1.0 / np.sqrt(or_one(d)))
         return unit is None or factorised(unit, n * SINGLE_PRECISION) is not None
 
     @cached_property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -48,6 +49,8 @@ FEW = (
 OF_THE_LCP = (
     1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
 )
+SHARED = 20.0  # times the first external solver's seconds: for all of them
+LEAST_SHARED = 2.0  # seconds of the processor: a smaller program is given to every engine
 MAX_STEPS = 2**31 - 1  # of an external solver, which counts in 32 bits
 SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
 
@@ -337,13 +340,17 @@ class ProgramRun(Run):
             self._search_proof()
 
     def engine_stages(self, engine: Engine | None) -> Iterator[Stage]:
-        """Yield a stage for each attempt of an external solver."""
+        """Yield a stage for each attempt of an external solver, until their common time is over."""
+        began, most = time.thread_time(), math.inf  # which a busy machine does not change
         for asked, units in attempts(self.program, engine):
+            if time.thread_time() - began > most:
+                return
             steps = {}
             if "max_iterations" in self.wishes:
                 steps[asked.steps] = min(self.wishes["max_iterations"], MAX_STEPS)
             one = type(asked)(**{**asked.options, **steps})
             yield Stage(one, one.solves, steps=self._engine_steps(one, units))
+            most = min(most, max(SHARED * (time.thread_time() - began), LEAST_SHARED))
 
     def _engine_steps(self, engine: Engine, units: str) -> Iterator[Step]:
         """Yield the start and the point of an external solver."""
@@ -475,11 +482,16 @@ class ProgramRun(Run):
 
     @property
     def _is_nearly_optimal(self) -> bool:
-        """True if the measures of the best point are small, but above the tolerance."""
+        """True if the measures of the best point are small, but above the tolerance.
+
+        Only rows count if P has a negative eigenvalue, at rounding level: the gap of an unbounded direction is large.
+        """
         if self.best is None:
             return False
         primal, gap, _ = self.best.errors
-        return bool(primal <= NEARLY.primal and gap <= max(self.settings.tolerance, NEARLY.gap))
+        is_small = gap <= max(self.settings.tolerance, NEARLY.gap)
+        is_small = is_small or self.program.is_convex is False
+        return bool(primal <= NEARLY.primal and is_small)
 
     def result(self, end: TerminationReason) -> QuadraticProgramResult:
         """Return the result."""

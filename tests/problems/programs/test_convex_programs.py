@@ -573,6 +573,34 @@ def test_a_stiff_difference_of_two_unknowns_ends_soon() -> None:
     assert not result.is_solved or result.objective == pytest.approx(-5e5)
 
 
+def test_negative_curvature_at_rounding_level_is_solved_or_left_to_rounding() -> None:
+    """P = diag(−1e-15, 10): a free x₁ has a minimum if its cost has one, and no gap that is small otherwise."""
+    P = np.diag([-1e-15, 10.0])
+    found = solve(QuadraticProgram(P, [1.0, 1.0], [[-1.0, 0.0]], [-1.0])).require_solved()
+    np.testing.assert_allclose(found.x, [1.0, -0.1], atol=1e-9)
+    flat = solve(QuadraticProgram(P, [0.0, 1.0], [[-1.0, 0.0]], [-1.0]))
+    assert flat.status is Status.PRECISION_LIMIT
+    assert flat.x[1] == pytest.approx(-0.1, abs=1e-6)
+    x = cp.Variable(2)
+    objective = 0.5 * cp.quad_form(x, cp.psd_wrap(P)) + cp.sum(x)
+    problem = cp.Problem(cp.Minimize(objective), [x[0] >= 1.0])
+    assert problem.solve(solver=QPSolver()) == pytest.approx(0.95)
+    for refused in (np.diag([-1e-10, 10.0]), np.array([[-1e-15, 1e-3], [1e-3, 10.0]])):
+        with pytest.raises(UnsupportedModel, match="not convex"):
+            solve(QuadraticProgram(refused, [1.0, 1.0], lower=0.0))
+
+
+def test_x_and_z_of_a_result_are_one_point() -> None:
+    """The z of a result is its x with the multipliers of the rows, from any solver."""
+    far = 2.0**30 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    for program in (
+        QuadraticProgram(far, [-1.0, 0.5], [[1.0, 1.0]], [3.0], lower=0.0),
+        QuadraticProgram(np.diag([-1e-15, 10.0]), [0.0, 1.0], [[-1.0, -1.0]], [-1.0]),
+    ):
+        result = solve(program)
+        assert np.array_equal(result.z, np.append(result.x, result.solution.inequality))
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("curvature", [-1e-10, -1.0])
 def test_negative_curvature_of_a_fixed_unknown_is_no_obstacle(

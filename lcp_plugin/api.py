@@ -12,6 +12,7 @@ import numpy as np
 
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.lcp import LCP
+from .core.options import OF_CLASS
 from .core.problem_classes import class_of, refusal, with_article
 from .core.solving.result import Result
 
@@ -211,4 +212,10 @@ def solver_of(name: str) -> Callable[..., Any]:
 @cache
 def options_of(name: str) -> Mapping[str, Any]:
     """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
-    return {option: None for option in [*inspect.signature(solver_of(name)).parameters][1:]}
+    known = dict.fromkeys([*inspect.signature(solver_of(name)).parameters][1:])
+    if name in OF_CLASS:
+        known = dict.fromkeys([*known, *OF_CLASS[name].__annotations__])
+        del known["options"]
+        if "x0" in known:  # which z0 is another name of
+            known.pop("z0")
+    return known

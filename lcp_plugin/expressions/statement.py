@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,6 +14,7 @@ from ..core.certificates.criterion import row_data
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
+from ..core.options import ConeOptions, NonlinearOptions
 from ..core.representation import format_count
 from ..core.solving.result import Result
 from ..problems.cones.data import Blocks
@@ -461,10 +461,10 @@ def solve_from(
     if isinstance(problem, Blocks):
         from ..problems.cones.solving import solve_cones as run  # compiled loops, not for a model
 
-        _refuse_unknown(options, "a model with cones", list(inspect.signature(run).parameters)[1:])
+        _refuse_unknown(options, "a model with cones", ["algorithm", *ConeOptions.__annotations__])
     if isinstance(problem, NonlinearProblem):
-        known = ["z0", *list(inspect.signature(solve_nonlinear).parameters)[2:]]
-        _refuse_unknown(options, "a nonlinear model", known)
+        known = [name for name in NonlinearOptions.__annotations__ if name != "x0"]
+        _refuse_unknown(options, "a nonlinear model", ["algorithm", *known])
         z0: Any = options.get("z0", np.zeros_like(problem.lower)) if is_given else start
         # The derivative is ours; the result is compared with the language's own evaluation at the end.
         own = {

@@ -77,15 +77,8 @@ def solve_cones(
     algorithm: str | ConeAlgorithm = "auto",
     *,
     z0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    record: bool = False,
     callback: Callback | None = None,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-    verbose: bool = False,
+    **options: Any,
 ) -> ConeResult:
     """Solve a :class:`ConeProblem` or :class:`FrictionalContact`, and certify the result.
 
@@ -100,8 +93,9 @@ def solve_cones(
     tolerance : float
         SOLVED means that the measured residual of the returned z is at most this: see
         :mod:`lcp_plugin.problems.cones.certificate`.
-    max_iterations, max_seconds, absolute_tolerance, record, callback, prove_infeasibility, threads, verbose
-        As for :func:`lcp_plugin.solve`.
+    callback, **options
+        Also max_iterations, max_seconds, absolute_tolerance, record, prove_infeasibility, threads, verbose: as for
+        :func:`lcp_plugin.solve`.
 
     Returns
     -------
@@ -112,25 +106,16 @@ def solve_cones(
     InvalidOption, UnknownAlgorithm
         For a wrong option.
     """
-    settings = Settings(
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-        max_seconds=max_seconds,
-        absolute_tolerance=absolute_tolerance,
-        record=record,
-        threads=threads,
-        verbose=verbose,
-        prove_infeasibility=prove_infeasibility,
-    )
+    settings = Settings(**options)
     chosen, clock = _checked_algorithm(algorithm), Clock()
-    log = RunLog(problem) if verbose else None
+    log = RunLog(problem) if settings.verbose else None
     progress = Progress(settings, checked_callback(callback), clock, log)
     with threads_for(settings.threads):
         stack = ConeStack.of(problem)
         z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
         run = ConeRun(problem, stack, progress, z, chosen)
         result: ConeResult = run.solve(run.plan())
-    if verbose:
+    if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
 

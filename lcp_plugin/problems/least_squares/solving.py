@@ -41,13 +41,8 @@ def solve_least_squares(
     problem: BoundedLeastSquares,
     *,
     x0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    record: bool = False,
     callback: Callback | None = None,
-    threads: int | None = None,
-    verbose: bool = False,
+    **options: Any,
 ) -> LeastSquaresResult:
     """Minimize ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x| over lower ≤ x ≤ upper.
 
@@ -63,8 +58,9 @@ def solve_least_squares(
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, obeyed at the end of the current step; a run of PIQP is one step.
-    record, callback, threads, verbose
-        As for :func:`lcp_plugin.solve`; all loops run in BLAS or scipy, which `threads` does not change.
+    callback, **options
+        Also record, threads, verbose: as for :func:`lcp_plugin.solve`; all loops run in BLAS or scipy, which `threads`
+        does not change.
 
     Returns
     -------
@@ -90,14 +86,7 @@ def solve_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    settings = Settings(
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-        max_seconds=max_seconds,
-        record=record,
-        threads=threads,
-        verbose=verbose,
-    )
+    settings = Settings(**options)
     log = RunLog(problem) if settings.verbose else None
     progress = Progress(settings, checked_callback(callback), Clock(), log)
     start = None if x0 is None else problem.checked_start(x0)

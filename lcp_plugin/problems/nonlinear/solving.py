@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -39,15 +40,9 @@ def solve_nonlinear(
     x0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     *,
-    tolerance: float = 1e-8,
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    record: bool = False,
     callback: Callback | None = None,
     check_jacobian: bool = True,
-    threads: int | None = None,
-    verbose: bool = False,
+    **options: Any,
 ) -> Result:
     """Return the solution of a nonlinear complementarity problem by Josephy–Newton, measured with F itself.
 
@@ -71,8 +66,8 @@ def solve_nonlinear(
     absolute_tolerance : float
         Absolute residual, in the unit of x, as for :func:`lcp_plugin.solve`. A row below it is not compared with its
         terms.
-    record, callback
-        Same as in :func:`lcp_plugin.solve`, with one sample per Newton step.
+    callback : callable, optional
+        Same as in :func:`lcp_plugin.solve`, with one sample per Newton step, also of `record`.
     check_jacobian : bool
         Compare the `jacobian` with differences of F near the start. ``explain()`` names the row with the largest
         deviation.
@@ -80,6 +75,8 @@ def solve_nonlinear(
         Number of threads, see :func:`lcp_plugin.solve`. F itself is called in the calling thread.
     verbose : bool
         Print the run, one line per Newton step at geometric intervals.
+    **options
+        The options above.
 
     Returns
     -------
@@ -115,15 +112,7 @@ def solve_nonlinear(
             f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F), or "
             "solve(problem) for an LCP"
         )
-    settings = Settings(
-        tolerance,
-        max_iterations,
-        max_seconds,
-        absolute_tolerance,
-        record,
-        threads=threads,
-        verbose=verbose,
-    )
+    settings = Settings(**options)
     method_of(algorithm, {})
     checked_callback(callback)
     start = _checked_start(problem, x0)

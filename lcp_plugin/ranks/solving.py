@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.algorithm import Step
+from ..core.certificates.measured import Measured
 from ..core.checks import FloatVector, read_only
+from ..core.deadline import Clock
 from ..core.errors import InvalidOption, NotConverged
 from ..core.kernels.threads import threads_for
 from ..core.settings import Settings, Status, checked_callback
+from ..core.solving.progress import Progress
 from ..core.solving.result import Sample
+from ..core.solving.run import Run
+from ..core.solving.stage import Stage
+from ..core.solving.termination import TerminationReason
 from .certificate import CertificateOnRanks, RowDataOnRanks, error_bound, measured
 from .collective import Interruptions
 from .methods import chain
 
 if TYPE_CHECKING:
+    from .halo import Halo
     from .problem import RowsOnRanks
 
 GROWTH = 1.05  # of the steps between two measurements
@@ -122,112 +130,127 @@ def solve_on_ranks(
     if z0 is not None:
         z = np.clip(problem.own_part(z0, "z0"), problem.lower, problem.upper)
     with threads_for(settings.threads), Interruptions() as is_interrupted:
-        return _Run(problem, settings, callback, is_interrupted).follow(methods, z)
+        run = RunOnRanks(problem, ProgressOnRanks(settings, callback, ranks, is_interrupted))
+        found: ResultOnRanks = run.result(run.follow_all(run.plan(methods, z)))
+    return found
 
 
-class _Run:
-    """The loop over the methods' iterates: it measures, watches the limits and keeps the best point."""
+class ProgressOnRanks(Progress):
+    """Progress of a run whose limits and callback end it at the same step on all ranks.
 
-    def __init__(
-        self,
-        problem: RowsOnRanks,
-        settings: Settings,
-        callback: Callable[[Sample, FloatVector], Any] | None,
-        is_interrupted: Callable[[], bool],
-    ) -> None:
-        self.problem, self.settings, self.callback = problem, settings, callback
-        self.is_interrupted, self.began = is_interrupted, time.perf_counter()
-        self.data = RowDataOnRanks(problem)
-        has_callback = problem.halo.anywhere(callback is not None)
-        self.has_callback, self.is_watched = has_callback, has_callback or settings.verbose
-        self.best: CertificateOnRanks | None = None
-        self.iterations, self.work, self.next_check = 0, 0.0, 0
+    Parameters
+    ----------
+    settings : Settings
+    callback : callable or None
+    halo : Halo
+    is_interrupted : callable
+        Returns whether this rank was interrupted by Ctrl-C.
+    """
 
-    def follow(self, methods: Any, z: FloatVector) -> ResultOnRanks:
-        """Run the methods one after the other; return the result."""
-        names, end = [], Status.STALLED
-        for name, iterates in methods:
-            names.append(name)
-            start = z if self.best is None else self.best.z
-            end = self._take(name, iterates(self.problem, start.copy()))
-            if end is not Status.STALLED:
-                break
-        assert self.best is not None
-        if self.best.is_solved(self.settings.tolerance, self.settings.absolute_tolerance):
-            end = Status.SOLVED
-        elif end is Status.STALLED and self.best.is_at_rounding_level:
-            end = Status.PRECISION_LIMIT
-        bound = error_bound(self.data, self.best.z) if self.settings.error_bound else None
-        return ResultOnRanks(
-            read_only(self.best.z),
-            read_only(self.best.w),
-            end,
-            self.best,
-            " → ".join(names),
-            self.iterations,
-            self.work,
-            self._seconds(),
-            bound,
-        )
+    def __init__(self, settings: Settings, callback: Any, halo: Halo, is_interrupted: Any) -> None:
+        # The time limit of the loop is a limit of one rank: all ranks decide in `count`.
+        super().__init__(replace(settings, max_seconds=None), callback, Clock())
+        self.halo, self.max_seconds = halo, settings.max_seconds
+        self.is_interrupted = is_interrupted
+        self.has_callback = halo.anywhere(callback is not None)
+        self.is_watched = self.has_callback or settings.verbose
 
-    def _seconds(self) -> float:
-        return self.problem.halo.largest(time.perf_counter() - self.began)
-
-    def _take(self, name: str, iterates: Any) -> Status:
-        """Take the iterates of one method; return its status, STALLED if another may continue."""
-        settings, first = self.settings, self.iterations
-        for z, work in iterates:
-            if self.iterations > first or work:
-                self.iterations += 1
-            self.work += work
-            limit = self._limit()
-            is_due = self.iterations >= self.next_check or limit is not None
-            if is_due or self.is_watched:
-                found = self._measured(z)
-                self.next_check = math.ceil(self.iterations * GROWTH) + (name != "multigrid")
-                if found.is_solved(settings.tolerance, settings.absolute_tolerance):
-                    return Status.SOLVED
-                if not math.isfinite(found.scaled_residual) or found.is_at_rounding_level:
-                    return Status.STALLED
-                if self._reported(name, found, z):
-                    return Status.INTERRUPTED
-            if limit is not None:
-                return limit
-        return Status.STALLED
-
-    def _limit(self) -> Status | None:
-        """Return the limit reached, the same on all ranks."""
-        late = time.perf_counter() - self.began >= self.settings.max_seconds
-        late, interrupted = self.problem.halo.all_largest(float(late), float(self.is_interrupted()))
+    def count(self, stage: Stage, step: Step) -> None:
+        """Count a step, and decide with the other ranks whether a limit is reached."""
+        super().count(stage, step)
+        is_late = self.clock.elapsed >= self.max_seconds
+        late, interrupted = self.halo.all_largest(float(is_late), float(self.is_interrupted()))
         if interrupted:
-            return Status.INTERRUPTED
-        if late:
-            return Status.MAX_SECONDS
-        return Status.MAX_ITERATIONS if self.iterations >= self.settings.max_iterations else None
+            self.end = TerminationReason.INTERRUPTED
+        elif late:
+            self.end = TerminationReason.TIME_LIMIT
+        else:
+            self.limit()
 
-    def _measured(self, z: FloatVector) -> CertificateOnRanks:
-        found = measured(self.data, z)
-        best = self.best
-        if best is None or not found.relative_residual > best.relative_residual:
-            self.best = found
-        return found
-
-    def _reported(self, name: str, found: CertificateOnRanks, z: FloatVector) -> bool:
-        """Call the callback, print a line on rank 0; return whether a callback requests a stop."""
-        ranks = self.problem.halo
-        sample = Sample(
-            self.iterations,
-            self.work,
-            time.perf_counter() - self.began,
-            found.relative_residual,
-            name,
-        )
-        if self.settings.verbose and ranks.rank == 0:
-            print(f"{name:>10} {self.iterations:>8} {found.relative_residual:>12.2e}", flush=True)
+    def report(
+        self,
+        stage: Stage,
+        residual: float | None,
+        shown: Callable[[], Any],
+        measure: Callable[[], float],
+        *,
+        is_last: bool,
+    ) -> bool:
+        """Print a line on rank 0, and call back; return whether a callback of any rank returned True."""
+        name, callback = stage.algorithm.name, self.callback
+        if self.settings.verbose and self.halo.rank == 0:
+            print(f"{name:>10} {self.iteration:>8} {residual:>12.2e}", flush=True)
         if not self.has_callback:
             return False
-        callback = self.callback
-        wants = ranks.together(
-            lambda: callback is not None and bool(callback(sample, read_only(z.copy())))
+        sample = Sample(self.iteration, self.work, self.seconds, residual, name)
+        wants = self.halo.together(lambda: callback is not None and bool(callback(sample, shown())))
+        return self.halo.anywhere(wants)
+
+
+class RunOnRanks(Run):
+    """Run of an LCP whose rows are spread over ranks: it measures at geometric intervals."""
+
+    progress: ProgressOnRanks
+    certificate: CertificateOnRanks  # of the best point
+
+    def __init__(self, problem: RowsOnRanks, progress: ProgressOnRanks) -> None:
+        super().__init__(progress)
+        self.problem, self.data, self.next_check = problem, RowDataOnRanks(problem), 0
+
+    def plan(self, methods: Any, z: FloatVector) -> Iterator[Stage]:
+        """Yield the methods one after the other, each from the best point."""
+        for name, iterates in methods:
+            points = iterates(self.problem, (z if self.best is None else self.best.z).copy())
+            steps = (
+                Step(point, work=work, iterations=int(k > 0 or work > 0.0))
+                for k, (point, work) in enumerate(points)
+            )
+            yield Stage(SimpleNamespace(name=name), steps=steps)
+
+    def measure(self, stage: Stage, step: Step) -> Measured | None:
+        """Return the measured point of a step; None if no measurement is due."""
+        progress, settings = self.progress, self.settings
+        is_due = progress.iteration >= self.next_check or progress.end is not None
+        if not (is_due or progress.is_watched):
+            return None
+        found = self._latest = measured(self.data, step.z)
+        is_sweep = stage.algorithm.name != "multigrid"
+        self.next_check = math.ceil(progress.iteration * GROWTH) + is_sweep
+        return Measured(
+            found.z,
+            found.relative_residual,
+            found.is_solved(settings.tolerance, settings.absolute_tolerance),
+            found.is_at_rounding_level,
         )
-        return ranks.anywhere(wants)
+
+    def keep(self, found: Measured) -> None:
+        """Keep a better point, and its certificate."""
+        super().keep(found)
+        if self.best is found:
+            self.certificate = self._latest
+
+    def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:
+        """Return STALLED at rounding level, and if a residual is not finite."""
+        if found is None or not (found.is_limited or not math.isfinite(found.residual)):
+            return None
+        return TerminationReason.STALLED
+
+    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+        """Return the reason why the stage ended: the next method may do better at rounding level."""
+        return end
+
+    def result(self, end: TerminationReason) -> ResultOnRanks:
+        """Return the result, the same on all ranks except z and w."""
+        found, progress = self.certificate, self.progress
+        bound = error_bound(self.data, found.z) if self.settings.error_bound else None
+        return ResultOnRanks(
+            read_only(found.z),
+            read_only(found.w),
+            self.status(end),
+            found,
+            " → ".join(stage.algorithm.name for stage in progress.stages),
+            progress.iteration,
+            progress.work,
+            progress.halo.largest(progress.clock.read()),
+            bound,
+        )

@@ -135,8 +135,17 @@ def _number(value: Any, name: str) -> float:
     return float(value)
 
 
-def _relative(value: Any, name: str) -> float:
-    if _number(value, name) >= 1.0:
+def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool = True) -> float:
+    """Return a relative tolerance in [0, 1), or in (0, 1).
+
+    Raises
+    ------
+    InvalidOption
+        For other numbers, and for values that are not numbers.
+    """
+    if not (_number(value, name) or may_be_zero):
+        raise InvalidOption(f"{name} must be a number > 0, got {value!r}")
+    if value >= 1.0:
         raise InvalidOption(
             f"{name} must be less than 1, got {value!r}: it is relative, and the start has residual 1; "
             "use 1e-8, the default of most problem classes"
@@ -174,7 +183,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "tolerance": _relative,
+    "tolerance": checked_tolerance,
     "max_iterations": _count,
     "max_seconds": _number,
     "absolute_tolerance": _number,

@@ -108,16 +108,14 @@ def stack_of(M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> 
 
 def _components(sizes: FloatVector) -> Any:
     """Return the component of each row, numbered through the stack; None if each M is connected."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     count, n = sizes.shape[:2]
-    linked = (sizes > 0.0) | (sizes.swapaxes(-1, -2) > 0.0) | np.eye(n, dtype=bool)
-    labels = np.broadcast_to(np.arange(n), (count, n))
-    while True:
-        lowest = np.where(linked, labels[:, None, :], n).min(-1)
-        lowest = np.take_along_axis(lowest, lowest, -1)
-        if (lowest == labels).all():
-            break
-        labels = lowest
-    return labels + n * np.arange(count)[:, None] if labels.any() else None
+    k, i, j = sizes.nonzero()
+    links = coo_array((np.ones(k.size), (k * n + i, k * n + j)), shape=(count * n, count * n))
+    labels = connected_components(links, directed=False)[1].reshape(count, n)
+    return None if (labels == labels[:, :1]).all() else labels
 
 
 def select_problems(stack: RowData, items: Any) -> RowData:

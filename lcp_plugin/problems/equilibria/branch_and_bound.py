@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from ...core.checks import FloatVector, checked_vector, is_number
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
-from ...core.settings import Status
+from ...core.settings import Status, checked_tolerance
 from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
@@ -108,10 +108,7 @@ def minimize_over_solutions(
         raise InvalidOption(
             f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}; solve takes every kind"
         )
-    if not (is_number(tolerance) and 0.0 < tolerance < 1.0):
-        raise InvalidOption(
-            f"tolerance must be a number > 0 and < 1, as it is relative, got {tolerance!r}"
-        )
+    checked_tolerance(tolerance, may_be_zero=False)
     for name, limit in {"max_nodes": max_nodes, "max_seconds": max_seconds}.items():
         if limit is not None and not (is_number(limit) and limit >= 0):
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")

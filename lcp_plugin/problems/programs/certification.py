@@ -23,6 +23,7 @@ from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.matrix.matrix import largest_in_rows
 from ...core.problem_classes import class_of, refusal
 from ...core.rounding import compensated_product
+from ...core.settings import checked_tolerance
 from ...core.solving.base_result import BaseResult
 from ...proofs.bounds.curvature import constrained_curvature
 from ...proofs.bounds.solution_bounds import norm_above
@@ -94,7 +95,7 @@ def certify(
         If it has not been solved, or x or the multipliers do not fit it. For other problem classes the message names
         the right call.
     InvalidOption
-        For another claim, a tolerance that is not a positive number, an impossible limit.
+        For another claim, a tolerance that is not a number in (0, 1), an impossible limit.
 
     Notes
     -----
@@ -202,8 +203,7 @@ def _answer(
 
 
 def _check_options(tolerance: Any, max_seconds: Any) -> None:
-    if not is_number(tolerance) or not 0.0 < tolerance < math.inf:
-        raise InvalidOption(f"tolerance must be a number > 0, got {tolerance!r}")
+    checked_tolerance(tolerance, may_be_zero=False)
     if max_seconds is not None and (not is_number(max_seconds) or not max_seconds > 0.0):
         raise InvalidOption(f"max_seconds must be a number > 0 or None, got {max_seconds!r}")
 

@@ -37,7 +37,6 @@ the terms of the rows, weighted with their multipliers, counts as 0.
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -475,13 +474,3 @@ def _halves(a: FloatVector) -> tuple[FloatVector, FloatVector]:
     scaled = (2.0**27 + 1.0) * a
     high = scaled - (scaled - a)
     return high, a - high
-
-
-def checked_tolerance(tolerance: Any) -> float:
-    """Return the tolerance as a float; raise InvalidOption if it is not in (0, 1)."""
-    from ...core.errors import InvalidOption
-
-    is_number = isinstance(tolerance, (int, float, np.number)) and not isinstance(tolerance, bool)
-    if not is_number or not 0.0 <= tolerance < math.inf:
-        raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
-    return float(tolerance)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...core.checks import FloatVector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
-from .criterion import PROGRAM_TOLERANCE, KKTErrors, checked_tolerance
+from ...core.settings import checked_tolerance
+from .criterion import PROGRAM_TOLERANCE, KKTErrors
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -163,7 +164,7 @@ class QPSolution:
         Raises
         ------
         InvalidOption
-            If the tolerance is not a number ≥ 0.
+            If the tolerance is not a number in [0, 1).
         """
         return bool(self.errors_for(checked_tolerance(tolerance)).meet(tolerance))
 

@@ -484,6 +484,7 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
         InvalidOption,
         "tolerance must be a number > 0",
     ),
+    (lambda: certify(SIMPLE, [0.5, 1.5], tolerance=5), InvalidOption, "must be less than 1, got 5"),
     (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
     (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
     (lambda: certify([[1.0]]), InvalidProblem, "got list"),

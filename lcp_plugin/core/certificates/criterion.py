@@ -157,15 +157,15 @@ class RowData:
         high = self.bound_residuals(moved, at, limit)
         relative = self.worst(np.where(high == 0.0, 0.0, high / limit))
         terms = self.worst(self.term_residuals(moved, at, power))
-        found = Measured(moved, relative, False, terms=terms, rows=at)
-        return found._replace(passes=self.are_solved(found, tolerance))
+        passes = self.are_solved(moved, at, relative, terms, tolerance)
+        return Measured(moved, relative, passes, terms=terms, rows=at)
 
-    def are_solved(self, found: Measured, tolerance: float) -> Any:
-        """Return whether the points, measured with their rows, are SOLVED at a tolerance."""
-        passes = (found.residual <= tolerance) & (found.terms <= tolerance)
-        if np.any(passes):
-            passes &= ~self.are_refuted(found.z, found.rows, tolerance, passes)
-        return passes
+    def are_solved(
+        self, z: FloatVector, at: RowsAtPoint, relative: Any, terms: Any, tolerance: float
+    ) -> Any:
+        """Return whether points with these relative residuals are SOLVED at a tolerance."""
+        passes = (relative <= tolerance) & (terms <= tolerance)
+        return passes & ~self.are_refuted(z, at, tolerance, passes)
 
     def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
         """Return an upper bound of every |r_i(z)|, which is compared with `limit`."""
@@ -271,6 +271,8 @@ class RowData:
 
     def are_refuted(self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any) -> Any:
         """Return a mask of the problems that pass only by the rounding level of a row, but have no solution."""
+        if not np.count_nonzero(passes):
+            return np.False_
         is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
         if not (self.start.any() or self.anywhere(is_doubtful)):
             return np.False_

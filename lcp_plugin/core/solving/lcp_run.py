@@ -14,7 +14,7 @@ from ..certificates.measured import Measured
 from ..certificates.residuals import Certificate, ratio
 from ..checks import FloatVector
 from ..deadline import Clock
-from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
 from ..settings import Settings, Status
@@ -83,13 +83,6 @@ class LCPRun(Run):
             if len(self.progress.stages) == 1 or stage.iterations > 0:
                 raise
 
-    def _take(self, stage: Stage, step: Any) -> TerminationReason | None:
-        if not isinstance(step, Step):  # of an algorithm from outside
-            raise InvalidOption(
-                f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
-            )
-        return super()._take(stage, step)
-
     def measure(self, stage: Stage, step: Step) -> Measured | None:
         """Return the residual of a step if it is known or due, proved if it may be small enough."""
         test, progress, self.unmeasured = self.test, self.progress, step.z
@@ -98,20 +91,20 @@ class LCPRun(Run):
             progress.work += 1.0
             stage.record(float(found.residual))
             return Measured(step.z, stage.residuals[-1][1], passes=True)
-        change = step.residual if step.increment is None else step.increment
-        increment = None if change is None else ratio(change, test.reference)
-        known = step.residual if test.is_uniform else None
+        known, increment = step.residual if test.is_uniform else None, None
         if known is not None:
             residual = ratio(known, test.reference)
-        elif not stage.residuals or stage.is_due(increment, test.goal):
+        else:
+            change = step.residual if step.increment is None else step.increment
+            increment = None if change is None else ratio(change, test.reference)
+            if stage.residuals and not stage.is_due(increment, test.goal):
+                return None
             residual = test.measure(step.z)
             progress.work += 1.0 if progress.iteration > 0 else 0.0  # the start is always measured
-        else:
-            return None
         may_pass = residual <= test.goal
         if may_pass:
             residual = test.certify(step.z)
-        stage.record(residual, increment if known is None else None)
+        stage.record(residual, increment)
         if progress.iteration == 0:
             self.start_residual = residual
         if may_pass:
@@ -121,7 +114,8 @@ class LCPRun(Run):
 
     @np.errstate(all="ignore")
     def _is_solved(self, found: Measured) -> bool:
-        return bool(row_data(self.problem).are_solved(found, self.settings.tolerance))
+        given = found.z, found.rows, found.residual, found.terms, self.settings.tolerance
+        return bool(row_data(self.problem).are_solved(*given))
 
     def keep(self, found: Measured) -> None:
         """Keep a copy of a point that passes, or whose residual is the smallest."""

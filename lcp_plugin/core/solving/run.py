@@ -14,6 +14,7 @@ from typing import Any
 from ..algorithm import Step
 from ..checks import read_only
 from ..deadline import OutOfTimeError, time_limit
+from ..errors import InvalidOption
 from ..settings import Status
 from .advice import NOTHING_TO_DO
 from .progress import Callback, Progress
@@ -164,9 +165,13 @@ class Run:
                 end = progress.end = TerminationReason.TIME_LIMIT
         return self.end_of_stage(stage, end)
 
-    def _take(self, stage: Stage, step: Step) -> TerminationReason | None:
+    def _take(self, stage: Stage, step: Any) -> TerminationReason | None:
         """Count, measure and report one step; return why the run ends with it, or None."""
         progress = self.progress
+        if not isinstance(step, Step):  # of an algorithm from outside
+            raise InvalidOption(
+                f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
+            )
         progress.count(stage, step)
         found = self.measure(stage, step)
         if found is not None:

@@ -173,14 +173,13 @@ class AgentProgram:
         self.reader = Reader(takes_integers=True)
         roots = [self.goal, *(one.expression for one in self.standard)]
         nodes = enumerate(uninfluenced(roots, self.own), FIRST_KEY)
-        #: Expressions behind the sources, by their keys.
-        self.sources = {one.id if isinstance(one, cp.Variable) else k: one for k, one in nodes}
-        self.reader.hold(self.sources)
-        self.sources |= {one.id: one for one, _ in self.entries}
+        sources = {one.id if isinstance(one, cp.Variable) else k: one for k, one in nodes}
+        self.reader.hold(sources)
+        sources |= {one.id: one for one, _ in self.entries}
+        #: Expressions behind the sources as vectors, by their keys; a function is added at its first use.
+        self.sources = {key: vector_of(one) for key, one in sources.items()}
         self.rows: dict[int, tuple[Complements, Any]] = {}
-        #: Sources as vectors, and the arguments of functions, by their keys.
-        self.vectors: dict[int, Any] = {}
-        self.values: dict[int, list[Any]] = {}
+        self.values: dict[int, list[Any]] = {}  # the arguments of functions, by their keys
         self.bounds: list[SimpleBound] = []
         self._state()
 
@@ -216,10 +215,8 @@ class AgentProgram:
 
         def distribute(rows: Rows, weights: Any) -> None:
             for key in active.intersection(rows.blocks):
-                if isinstance(block := rows.blocks[key], float):
-                    found[key].append(block * weights)
-                else:
-                    found[key].append(sp.csc_array(block.T) @ weights)
+                block = rows.blocks[key]
+                found[key].append(times(block if isinstance(block, float) else block.T, weights))
 
         for rows, weights in weighted:
             distribute(rows, weights)
@@ -302,13 +299,7 @@ class AgentProgram:
     def _expression(self, rows: Rows) -> Any:
         """Return rows as a vector of cvxpy: a sum of multiples of sources and a constant."""
         parts = [cp.Constant(rows.offset)] if rows.offset.any() or not rows.blocks else []
-        for key, block in rows.blocks.items():
-            source = self._vector(key)
-            if not isinstance(block, float):
-                source = cp.Constant(sp.csc_array(block)) @ source
-            elif block != 1.0:
-                source = -source if block == -1.0 else block * source
-            parts.append(source)
+        parts += [times(block, self._source(key)) for key, block in rows.blocks.items()]
         return AddExpression(parts) if len(parts) > 1 else parts[0]
 
     def _source(self, key: int) -> Any:
@@ -319,16 +310,19 @@ class AgentProgram:
             self.sources[key] = function_of(function.name)[0](*self.values[key])
         return self.sources[key]
 
-    def _vector(self, key: int) -> Any:
-        """Return the expression of a source as a vector, always the same one."""
-        if key not in self.vectors:
-            self.vectors[key] = vector_of(self._source(key))
-        return self.vectors[key]
-
 
 def vector_of(expression: Any) -> Any:
     """Return an expression as a vector, column by column."""
     return expression if expression.ndim == 1 else cp.vec(expression, order="F")
+
+
+def times(block: Any, vector: Any) -> Any:
+    """Return a block times a vector of cvxpy; a number is a multiple of the identity."""
+    if not isinstance(block, float):
+        return cp.Constant(sp.csc_array(block)) @ vector
+    if abs(block) == 1.0:
+        return vector if block == 1.0 else -vector
+    return block * vector
 
 
 def joined(parts: Sequence[Any]) -> Any:

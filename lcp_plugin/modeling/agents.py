@@ -181,8 +181,9 @@ class Optimal(Condition):
         Returns
         -------
         float or None
-            Best value of the program less its present value, or the largest violation of its constraints if that is
-            larger; None with a ModelWarning if no solver finds the best value.
+            Difference of the present value and the best value of the program, or the largest violation of its
+            constraints if that is larger. If SCIP's best point is not confirmed, the largest gain that its bound
+            permits. None with a ModelWarning if no solver finds the best value.
 
         Raises
         ------

@@ -573,9 +573,8 @@ def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
 
 def test_pyomos_command_finds_the_solver_by_its_entry_point() -> None:
     """Pyomo imports the entry points of pyomo.command before it reads its arguments."""
-    project = tomllib.loads((Path(lcp_plugin.__file__).parents[1] / "pyproject.toml").read_text())[
-        "project"
-    ]
+    source = Path(__file__).parents[3] / "pyproject.toml"
+    project = tomllib.loads(source.read_text(encoding="utf-8"))["project"]
     assert project["entry-points"]["pyomo.command"] == {"lcp_plugin": lcp_plugin.pyomo.__name__}
 
 

@@ -38,6 +38,7 @@ MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementa
 SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
+SECONDS_OF_START = 1.0  # least limit of the descent from a start
 FIRST = 300  # nodes · pairs before SCIP: 9 nodes close 30 pairs that take SCIP 5 s
 MOST_UNASKED = 2000  # nodes if prove is False: a proof of SCIP's status may be too expensive
 
@@ -118,10 +119,12 @@ def minimize_over_solutions(
         start = None if x0 is None else checked_vector(x0, "x0", problem.program.n)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
-    with time_limit(math.inf if max_seconds is None else float(max_seconds)):
-        search = BranchAndBound(
-            problem, float(tolerance), math.inf if max_nodes is None else max_nodes
-        )
+    search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
+    limit = math.inf if max_seconds is None else float(max_seconds)
+    if start is not None and limit < SECONDS_OF_START:  # the result is not worse than the start
+        with time_limit(SECONDS_OF_START):
+            search.local.from_point(start)
+    with time_limit(limit):
         log = _Log() if verbose else None
         watchers = [one for one in (log, callback) if one is not None]
         return search.run(lambda: any([bool(one(search)) for one in watchers]), start, prove)

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from collection.truth import ExactData
+from exact_criterion import failures
 from small_families import FAMILIES, definite_stack, draw, told
 
 from lcp_plugin import LCP, Status, solve, solve_batch
@@ -129,3 +130,13 @@ def test_a_stack_within_boxes_is_solved_at_once(limit: float) -> None:
     M, q = (A @ A.T / 20 + 0.1 * np.eye(20))[None], rng.normal(size=(100, 20))
     *_, is_solved = solve_stack(M, q, *bounds, None, 1e-8)
     assert is_solved.all()
+
+
+def test_a_point_of_nearly_singular_rows_passes_the_rule_at_a_tolerance_of_rounding() -> None:
+    """At 1e-16, SOLVED points pass the rule in rational arithmetic; a point that fails is followed by other stages."""
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        A = np.vander(rng.integers(1, 9, 3) + 1e-4 * rng.random(3), 3)
+        problem = LCP(A @ A.T, rng.standard_normal(3))
+        result = solve(problem, tolerance=1e-16)
+        assert not result.is_solved or failures(problem, result.z, tolerance=1e-16) == []

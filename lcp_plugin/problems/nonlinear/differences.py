@@ -8,8 +8,10 @@ A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import count
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -73,8 +75,8 @@ class Differences:
         value: FloatVector,
         lower: FloatVector,
         upper: FloatVector,
-    ) -> sp.csr_array:
-        """Return the derivative at x, given value = F(x), by steps within the bounds.
+    ) -> Any:
+        """Return the derivative at x, dense if the pattern is full, given F(x), by steps within the bounds.
 
         If F is not defined on one side of x, the step goes to the other side. Entries that neither side gives are
         NaN.
@@ -90,9 +92,9 @@ class Differences:
                 derivative[places] = np.where(np.isfinite(known), known, found)
                 if np.isfinite(derivative[places]).all():
                     break
-        return sp.csr_array(
-            sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape)
-        )
+        found = sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape)
+        is_full = pattern.nnz == math.prod(pattern.shape)
+        return found.toarray() if is_full else sp.csr_array(found)
 
 
 def _steps(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:

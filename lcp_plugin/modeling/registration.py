@@ -46,7 +46,6 @@ def is_complementarity_problem(problem: Any) -> bool:
     Examples
     --------
     >>> import cvxpy as cp
-    import numpy as np
     >>> is_complementarity_problem(cp.Problem(cp.Minimize(0)))
     False
     """

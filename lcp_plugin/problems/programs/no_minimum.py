@@ -369,6 +369,7 @@ def numbers(fractions: Any) -> FloatVector:
     return np.array([float(value) for value in fractions], dtype=np.float64)
 
 
+@np.errstate(all="ignore")
 def proof_of_no_minimum(
     program: QuadraticProgram, *, exactly: bool = False
 ) -> QPInfeasibility | QPUnboundedness | None:

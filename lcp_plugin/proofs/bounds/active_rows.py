@@ -50,6 +50,7 @@ class ActiveRows(NamedTuple):
     system: FreeSystem | None
 
 
+@np.errstate(all="ignore")
 def settled_rows(
     problem: LCP, z: FloatVector, w: FloatVector, system: FreeSystem | None = None
 ) -> ActiveRows:

@@ -38,6 +38,7 @@ LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not 
 MOST_PRODUCTS = 45.0  # per entry of M; at most 32 occurred in cases that multigrid helps
 
 
+@np.errstate(all="ignore")
 def build_hierarchy(
     matrix: Any, coarsest: int = COARSEST, *, scales_rows: bool = False
 ) -> Hierarchy:

@@ -98,18 +98,66 @@ class StandardRows(NamedTuple):
     @classmethod
     def of(cls, constraint: Any, change: Any = lambda node: node) -> StandardRows:
         """Return the rows of a cvxpy constraint, each node of its expression changed."""
-        is_bound = not isinstance(constraint, EQUATIONS) and expression_of(constraint).is_affine()
-        expression = rewritten(expression_of(constraint), _finite if is_bound else change)
+        is_infinite = has_infinite_bound(constraint)
+        expression = rewritten(expression_of(constraint), _finite if is_infinite else change)
         if isinstance(constraint, cp.constraints.NonNeg):
             expression = -expression
         return cls(constraint, expression, isinstance(constraint, EQUATIONS))
 
 
+def has_infinite_bound(constraint: Any) -> bool:
+    """Return whether constants make entries of an affine inequality hold for all variables.
+
+    Raises
+    ------
+    UnsupportedModel
+        If data are infinite or NaN otherwise.
+    """
+    wrong = [
+        leaf
+        for leaf in (*constraint.constants(), *constraint.parameters())
+        if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all()
+    ]
+    if not wrong:
+        return False
+    expression, words = expression_of(constraint), name_of(constraint)
+    if isinstance(constraint, EQUATIONS) or not expression.is_affine():
+        raise UnsupportedModel(
+            f"{words} in an agent's program has data that are not finite, which only affine inequalities may have; "
+            "repair them, or leave the constraint out"
+        )
+    if parameters := [leaf.name() for leaf in wrong if isinstance(leaf, cp.Parameter)]:
+        raise UnsupportedModel(
+            f"the parameter {parameters[0]} of {words} in an agent's program is not finite; give it a finite value, "
+            "or write a constant bound"
+        )
+
+    def at_zero(node: Any) -> Any:
+        return cp.Constant(np.zeros(node.shape)) if isinstance(node, cp.Variable) else node
+
+    if (value := rewritten(expression, at_zero).value) is None:  # a parameter has no value yet
+        return True
+    value = -dense(value) if isinstance(constraint, cp.constraints.NonNeg) else dense(value)
+    if np.isnan(value).any():
+        raise UnsupportedModel(
+            f"{words} in an agent's program is not finite where its variables are 0; repair its data"
+        )
+    if (value == np.inf).any():
+        raise UnsupportedModel(
+            f"no value of the variables satisfies {words} in an agent's program; repair its infinite bound"
+        )
+    return True
+
+
+def _entries(value: Any) -> Any:
+    return value.data if sp.issparse(value) else value
+
+
 def _finite(node: Any) -> Any:
     """Return a constant with NO_BOUND instead of ∞, and every other node unchanged."""
-    if not isinstance(node, cp.Constant) or not np.isinf(values := dense(node.value)).any():
+    if not isinstance(node, cp.Constant) or not np.isinf(_entries(node.value)).any():
         return node
-    return cp.Constant(np.clip(values, -NO_BOUND, NO_BOUND))
+    return cp.Constant(np.clip(dense(node.value), -NO_BOUND, NO_BOUND))
 
 
 class AgentProgram:

@@ -25,7 +25,8 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     Parameters
     ----------
     program : cvxpy.Problem
-        The program of one agent, with affine equations and convex inequalities. Infinite bounds are left out.
+        The program of one agent, with affine equations and convex inequalities. An affine inequality that an infinite
+        constant makes true for all variables is left out, by entries; parameters must be finite.
     over : list of cvxpy.Variable, or of entries of variables
         The agent's decisions, for example ``[x]`` or ``[x[0]]``. Other variables of the program are data of it.
     shared : cvxpy constraint, or list of them

@@ -235,6 +235,30 @@ def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
     np.testing.assert_allclose(best.dual_value, [2 * (3 - expected), np.zeros(2)])
 
 
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        (lambda v: v >= np.inf, "no value of the variables satisfies inf <= v"),
+        (lambda v: v <= -np.inf, "no value of the variables satisfies v <= -inf"),
+        (lambda v: 2 * v >= np.inf, "no value of the variables satisfies inf <= 2.0 . v"),
+        (lambda v: cp.NonNeg(v - np.inf), "no value of the variables satisfies"),
+        (lambda v: v <= cp.Parameter(name="cap", value=np.inf), "parameter cap of v <= cap"),
+        (lambda v: v <= np.nan, "v <= nan in an agent's program is not finite"),
+        (lambda v: v**2 <= np.inf, "only affine inequalities"),
+        (lambda v: cp.abs(v) <= -np.inf, "only affine inequalities"),
+        (lambda v: v == np.inf, "v == inf in an agent's program"),
+    ],
+)
+def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(
+    row: Any, expected: str
+) -> None:
+    """No finite v satisfies v ≥ ∞; the message has the user's constraint."""
+    v = cp.Variable(name="v")
+    best = optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [row(v)]), over=[v])
+    with pytest.raises(UnsupportedModel, match=expected):
+        cp.Problem(cp.Minimize(0), [best]).solve(method="LCP")
+
+
 def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_is_zero() -> None:
     """(x² − y)² at (3, 4) is 25, and 0 at (2, 4)."""
     x, y = cp.Variable(value=3.0), cp.Variable(value=4.0)

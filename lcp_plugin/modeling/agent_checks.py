@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,7 @@ from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
 from ._compat import name_of
 from .agent_conditions import StandardRows, with_data
-from .agents import Optimal
+from .agents import Optimal, check_different
 from .model import Model, level_of_caller
 from .reading import rewritten
 from .stated_terms import INEQUALITIES, dense_value, sense_of
@@ -48,12 +47,7 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
 
 def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
     """Raise UnsupportedModel, or issue a ModelWarning, for agents that do not fit together or are not convex."""
-    decisions = [(one, k) for agent in agents for one, own in agent.entries for k in own.tolist()]
-    for (_, name, _), count in Counter((one.id, one.name(), k) for one, k in decisions).items():
-        if count > 1:
-            raise UnsupportedModel(
-                f"over=[…] lists {name} twice; list each variable, or entry of one, once, in over=[…] of one agent"
-            )
+    check_different(entry for agent in agents for entry in agent.entries)
     programs = [agent.program for agent in agents]
     rules = Convexity([*others, *programs, *(row for one in programs for row in one.constraints)])
     for agent in agents:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any
@@ -102,7 +103,7 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
 
 def _listed(given: Any, kind: type) -> list[Any] | None:
     """Return one object of a type, or several, as a list; None if it is something else."""
-    found = [given] if isinstance(given, kind) or not isinstance(given, Iterable) else list(given)
+    found = [given] if isinstance(given, kind) or not np.iterable(given) else list(given)
     return found if all(isinstance(one, kind) for one in found) else None
 
 
@@ -117,6 +118,16 @@ def entries_of(expression: Any) -> tuple[Any, Indices]:
     raise UnsupportedModel(
         f"over has {name_of(expression)}, which is neither a variable nor entries of one; list variables, or x[i]"
     )
+
+
+def check_different(entries: Iterable[tuple[Any, Indices]]) -> None:
+    """Raise UnsupportedModel if an entry of a variable is listed twice as a decision."""
+    listed = Counter((one.id, one.name(), k) for one, own in entries for k in own.tolist())
+    for (_, name, _), count in listed.items():
+        if count > 1:
+            raise UnsupportedModel(
+                f"over=[…] lists {name} twice; list each variable, or entry of one, once, in over=[…] of one agent"
+            )
 
 
 class Optimal(Condition):
@@ -137,6 +148,7 @@ class Optimal(Condition):
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.entries = [entries_of(one) for one in decisions]
+        check_different(self.entries)
         self.checked_for: list[bytes] | None = None  # parameters with which convexity was checked
         rows = [one for row in program.constraints for one in row.args]
         super().__init__([program.objective.args[0], *rows, *decisions])

@@ -689,11 +689,13 @@ REFUSED: dict[str, Any] = {
         lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x], shared=None),
         "list of constraints",
     ),
-    "a decision twice": (
-        lambda x, y: cp.Problem(
-            cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x, x])]
-        ),
-        "lists var.* twice",
+    "over is an array": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=np.array(1.0)),
+        "list of variables",
+    ),
+    "shared is an array": (
+        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x], shared=np.array(1.0)),
+        "list of constraints",
     ),
     "a foreign shared constraint": (
         lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[x], shared=[x >= 0]),
@@ -734,6 +736,14 @@ def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(ca
     state, expected = REFUSED[case]
     with pytest.raises(UnsupportedModel, match=expected):
         state(cp.Variable(), cp.Variable()).solve(method="LCP")
+
+
+@pytest.mark.parametrize("listed", [lambda z: [z, z[0]], lambda z: [z[-1], z[2]], lambda z: [z, z]])
+def test_decisions_that_are_listed_twice_are_refused_at_the_call(listed: Any) -> None:
+    """Also an entry next to its variable, and an index from the end next to the same from the start."""
+    z = cp.Variable(3)
+    with pytest.raises(UnsupportedModel, match=r"lists var\d+ twice"):
+        optimal(cp.Problem(cp.Minimize(cp.sum_squares(z))), over=listed(z))
 
 
 @pytest.mark.parametrize("attribute", ["integer", "boolean"])

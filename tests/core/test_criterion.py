@@ -40,6 +40,7 @@ from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.structure import is_nearly_symmetric
 from lcp_plugin.core.settings import Settings
+from lcp_plugin.core.tuning import SEARCHED_UP_TO
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
@@ -333,6 +334,28 @@ def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) 
     result = solve(problem, name, z0=[1e200, 0.0])
     assert result.is_solved is (name not in ("npgs", "npj", "npsplitting"))
     assert not result.is_solved or not is_lie(problem, result.z)
+
+
+LARGE = 2.0**46  # next to it, a violation of 1 is at rounding level
+CONTRADICTORY = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
+
+
+def test_a_component_without_solution_is_refuted_after_a_call_on_another_component() -> None:
+    """A problem without a solution is not SOLVED after an earlier call at a loose tolerance."""
+    problem = LCP(np.kron(np.eye(2), CONTRADICTORY), [-1, 1, -LARGE, -1, 0, -LARGE])
+    start = [LARGE, LARGE, 0, LARGE, LARGE - 0.5, 0]
+    solve(problem, z0=start, tolerance=0.1)
+    assert not solve(problem).is_solved
+
+
+@pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])
+def test_every_component_without_solution_is_refuted_whatever_their_number(as_stored: Any) -> None:
+    """The limit of rows for a proof before SOLVED holds for each component, not for all of them."""
+    count = SEARCHED_UP_TO // 3 + 1
+    M, q = as_stored(np.kron(np.eye(count), CONTRADICTORY)), [-1, 0, -LARGE] * count
+    start = [LARGE, LARGE, 0] * count
+    assert not solve(LCP(M, q), z0=start).is_solved
+    assert not any(one.is_solved for one in solve_batch(LCP(M, q), [q, q], z0=[start, start]))
 
 
 def test_infeasible_is_infeasible_whatever_stands_beside() -> None:

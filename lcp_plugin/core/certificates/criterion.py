@@ -42,7 +42,7 @@ from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact, largest_in_rows
 from ..matrix.row_sums import BLOCK
-from ..matrix.structure import connected_components
+from ..matrix.structure import IntVector, connected_components
 from ..rounding import compensated_product
 from ..tuning import SEARCHED_UP_TO
 from .measured import Measured
@@ -112,7 +112,8 @@ class RowData:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
         self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
-        self._are_infeasible: dict[tuple[int, ...], bool] = {}  # by number of the problem
+        # By number of the problem and first row of the component.
+        self._are_infeasible: dict[tuple[int, ...], bool] = {}
         # Number of entries of each row, at most.
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
@@ -280,19 +281,33 @@ class RowData:
         is_doubtful = (at.violation > tolerance**DEMAND_POWER * demand) & (demand > 0.0)
         if not self.anywhere(is_doubtful):
             return np.False_
-        rows = self.largest(is_doubtful.astype(np.float64)) > 0.0  # of their components
         found = np.array(passes & is_doubtful.any(-1))
         for k in map(tuple, np.argwhere(found).tolist()):
-            if k not in self._are_infeasible:
-                self._are_infeasible[k] = self.is_infeasible(k, z[k], rows[k])
-            found[k] = self._are_infeasible[k]
+            parts = self._components_of(k, is_doubtful[k])
+            found[k] = any(self._is_part_infeasible(k, z[k], rows) for rows in parts)
         return found
 
-    def is_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: Any) -> bool:
-        """Return whether a proof excludes every solution of problem k, of which z is a candidate; from these rows."""
+    def _components_of(self, k: tuple[int, ...], mask: BoolVector) -> list[IntVector]:
+        """Return the rows of each component of problem k in which the mask is True somewhere."""
+        if self.labels is None:
+            return [np.arange(mask.size)]
+        labels = np.broadcast_to(self.labels, self.q.shape)[k]
+        rows = np.flatnonzero(np.isin(labels, labels[mask]))
+        rows = rows[np.argsort(labels[rows], kind="stable")]
+        return np.split(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
+
+    def _is_part_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
+        """Return whether a component of problem k has no solution; each component is searched once."""
+        key = (*k, int(rows[0]))
+        if key not in self._are_infeasible:
+            self._are_infeasible[key] = self.is_infeasible(k, z, rows)
+        return self._are_infeasible[key]
+
+    def is_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
+        """Return whether a proof from these rows excludes every solution of problem k, of which z is a candidate."""
         from ...proofs.no_solution.infeasibility import is_proved_infeasible
 
-        whole, rows = self.q.shape, np.flatnonzero(np.broadcast_to(rows, z.shape))
+        whole = self.q.shape
         if rows.size > SEARCHED_UP_TO:
             return False
         M = self.M[min(*k, len(self.M) - 1)] if self.M.ndim > 2 else self.M

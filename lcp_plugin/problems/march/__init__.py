@@ -82,7 +82,7 @@ class March(AnswerSequence[Result]):
 
     @property
     def status(self) -> list[Status]:
-        """The status of each step that was taken; all but the last are SOLVED."""
+        """The status of each kept step; all but the last are SOLVED."""
         return [Status.SOLVED] * (len(self) - 1) + [one.status for one in self[-1:]]
 
     @property
@@ -96,7 +96,9 @@ class March(AnswerSequence[Result]):
         return "\n".join(filter(None, [*self._summary(), last]))
 
     def _summary(self) -> list[str]:
-        steps = f"{self.taken} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        kept = f", {len(self)} kept" if len(self) < self.taken else ""
+        found = f"{self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        steps = f"{self.taken} of {len(self.forcing)} steps{kept}: {found}"
         return [steps, *([f"ended by {self.error}"] if self.error else [])]
 
     def __repr__(self) -> str:

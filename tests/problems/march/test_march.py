@@ -45,7 +45,8 @@ def test_keep_leaves_every_kth_step_and_the_last(keep: Any, steps: Any, algorith
     np.testing.assert_array_equal(some[-1].certificate.problem.q, whole[-1].certificate.problem.q)
     assert some.taken == 10
     assert some.all_solved
-    assert "10 of 10 steps" in some.explain()
+    kept = "" if keep == 1 else f", {len(steps)} kept"
+    assert f"10 of 10 steps{kept}: {len(steps)} SOLVED" in some.explain()
     long = heated(5, 150, algorithm=algorithm, keep=50)
     np.testing.assert_array_equal(long.z[1], heated(5, 150, algorithm=algorithm).z[99])
     if keep != 1:

@@ -10,22 +10,18 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
 
-from .errors import InvalidOption, WorkerLost
-
-MOST_JOBS = 64  # of one call: each carries its own copy of shared data, and several workers need several jobs each
-OF_FUNCTIONS = (
-    "define functions with def, and classes, at the top of a module that the workers can import (lambdas and local "
-    "functions do not pickle), or leave out executor"
-)
+from .errors import InvalidOption, LCPError, WorkerLost
 
 
 def run_on(
     executor: Executor,
-    work: Callable[[Any], Any],
+    function: Callable[[Any], Any],
     jobs: Sequence[Any],
     seconds_left: Callable[[], float] = lambda: math.inf,
 ) -> Iterator[tuple[int, Any]]:
-    """Yield (k, work(jobs[k])) as workers finish, until no seconds are left; a lost job runs a second time.
+    """Yield (k, function(jobs[k])) as jobs finish, until no seconds are left; a lost job is submitted a second time.
+
+    The second time is for dask and MPI: a ProcessPoolExecutor takes no further jobs after one of its workers died.
 
     Raises
     ------
@@ -36,33 +32,35 @@ def run_on(
     """
     if not isinstance(executor, Executor):
         raise InvalidOption(
-            f"executor must be a concurrent.futures.Executor, got {executor!r}; of dask: client.get_executor()"
+            f"executor must be a concurrent.futures.Executor, got {executor!r}; for dask, pass client.get_executor()"
         )
-    parcels = [_packed(work, job) for job in jobs]
-    waiting: dict[Future[Any], int] = {}
-    tries, lost = [0] * len(parcels), dict[int, Exception]()
+    pickled = [_pickled(function, job) for job in jobs]
+    waiting: dict[Future[Any], tuple[int, bool]] = {}
+    lost: dict[int, Exception] = {}
 
-    def submit(k: int) -> None:
+    def submit(k: int, *, is_first: bool) -> None:
         try:
-            waiting[executor.submit(_run_parcel, parcels[k])] = k
-            tries[k] += 1
+            waiting[executor.submit(_run_job, pickled[k])] = k, is_first
         except RuntimeError as error:  # broken, or shut down
             lost[k] = error
 
     try:
-        for k in range(len(parcels)):
-            submit(k)
+        for k in range(len(jobs)):
+            submit(k, is_first=True)
         while waiting:
             left = seconds_left()
             done = wait(waiting, None if left == math.inf else max(left, 0.0), FIRST_COMPLETED)[0]
             if not done:
                 return
             for future in done:
-                k = waiting.pop(future)
+                k, is_first = waiting.pop(future)
                 try:
                     value, raised = future.result()
-                except Exception as error:  # of the executor: its kinds differ
-                    submit(k) if tries[k] < 2 else lost.setdefault(k, error)
+                except Exception as error:  # each executor has its own classes for a lost worker
+                    if is_first:
+                        submit(k, is_first=False)
+                    else:
+                        lost[k] = error
                     continue
                 if raised is not None:
                     raise raised
@@ -71,27 +69,46 @@ def run_on(
         for future in waiting:
             future.cancel()
     if lost:
-        why = next(iter(lost.values()))
-        raise WorkerLost(
-            f"{len(lost)} of {len(parcels)} jobs were lost with their workers ({type(why).__name__}: {why}); look "
-            "for a worker without memory, and start again with a new executor"
-        )
+        raise _worker_lost(lost, len(jobs))
 
 
-def _packed(work: Callable[[Any], Any], job: Any) -> bytes:
+def _worker_lost(lost: dict[int, Exception], count: int) -> WorkerLost:
+    why = next(iter(lost.values()))
+    advice = "look for a worker without memory, and start again with a new executor"
+    if (
+        type(why) is RuntimeError
+    ):  # of submit after a shutdown; a BrokenExecutor if workers are lost
+        advice = "the executor was shut down: pass one that still accepts jobs"
+    reason = f"{type(why).__name__}: {why}"
+    return WorkerLost(f"{len(lost)} of {count} jobs were lost ({reason}); {advice}")
+
+
+def _pickled(function: Callable[[Any], Any], job: Any) -> bytes:
     try:
-        return pickle.dumps(partial(work, job), pickle.HIGHEST_PROTOCOL)
+        return pickle.dumps(partial(function, job), pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InvalidOption(f"the problems do not pickle ({error}); {OF_FUNCTIONS}") from error
+        raise InvalidOption(
+            f"the problems do not pickle ({error}); define functions with def, and classes, at the top of a module "
+            "that the workers can import (lambdas and local functions do not pickle), or leave out executor"
+        ) from error
 
 
-def _run_parcel(parcel: bytes) -> tuple[Any, Exception | None]:
-    """Return the value of the job, or its error: the executor raises its own errors."""
+def _run_job(pickled: bytes) -> tuple[Any, Exception | None]:
+    """Return the value of the job, or its error: an exception of the future means that the worker was lost."""
     with _one_blas_thread():
         try:
-            return pickle.loads(parcel)(), None
+            return pickle.loads(pickled)(), None
         except Exception as error:
-            return None, error
+            return None, _picklable(error)
+
+
+def _picklable(error: Exception) -> Exception:
+    """Return the error, or an LCPError with its type and text if it does not unpickle, which breaks a process pool."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return LCPError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def _one_blas_thread() -> AbstractContextManager[Any]:

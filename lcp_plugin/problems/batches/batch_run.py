@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from threading import Lock
@@ -13,7 +14,7 @@ from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm, WorkerLost
-from ...core.executors import MOST_JOBS, run_on
+from ...core.executors import run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...core.solving.base_result import BaseResult
@@ -27,6 +28,9 @@ from ..many.chunks import run_in_chunks
 from .stated import Listed
 
 MOST_ITERATIONS = 200  # of a stack
+# Jobs per batch on an executor: 4 for each of 16 workers level out unequal times. More jobs cost memory, because each
+# has its copy of a shared M, and all are in memory at once; of more than 64 workers, some have no job.
+MAX_JOBS = 64
 REPORTING = Lock()  # threads call the callback one after another
 
 
@@ -114,8 +118,8 @@ class BatchRun:
                 problems[k] = self.problems[k]
             except LCPError as error:
                 self._keep_error(k, error)
-        jobs = []
-        for part in np.array_split([*problems], max(min(MOST_JOBS, len(problems)), 1)):
+        jobs, count = [], min(MAX_JOBS, len(problems))
+        for part in np.array_split([*problems], count) if count else []:
             chosen = [problems[k] for k in part.tolist()]
             starts = [self.problems.start(k) for k in part.tolist()]
             jobs.append((part, type(self), chosen, starts, self.algorithm, options))
@@ -128,7 +132,8 @@ class BatchRun:
     @classmethod
     def of(cls, problems: list[Any], starts: list[Any], *given: Any) -> BatchRun:
         """Return the run of a list of problems with their starts, or None without a start."""
-        return cls(Listed(problems, None if starts[:1] == [None] else starts), *given)
+        has_starts = any(start is not None for start in starts)
+        return cls(Listed(problems, starts if has_starts else None), *given)
 
     def take(self, items: Any, run: BatchRun) -> None:
         """Take the results of the run of these problems; the others stay open."""
@@ -325,9 +330,18 @@ class BatchAnswers(AnswerSequence[Any]):
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; velocities of contacts, 1 for absent contacts."""
-        return self.problems.slacks(self.z)
+        return self._compute("w", lambda problems: problems.slacks(self.z))
 
     @property
     def motion(self) -> Any:
         """Impulses and velocities per contact, a ContactMotion with a batch axis in front."""
-        return self.problems.motion(self.z, self.w)
+        return self._compute("motion", lambda problems: problems.motion(self.z, self.w))
+
+    def _compute(self, name: str, function: Callable[[Any], Any]) -> Any:
+        try:
+            return function(self.problems)
+        except AttributeError as error:
+            tables = ", ".join(one for one in BatchAnswers.__annotations__ if one in vars(self))
+            raise AttributeError(
+                f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
+            ) from error

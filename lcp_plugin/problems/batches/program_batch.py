@@ -123,7 +123,7 @@ class ProgramBatchRun(BatchRun):
     @classmethod
     def of(cls, problems: list[Any], starts: list[Any], *given: Any) -> BatchRun:
         """Return the run of a list of programs, one by one where a batch would take too much memory."""
-        together = QuadraticProgramBatch.of(problems, problems[0]) if problems else None
+        together = QuadraticProgramBatch.of(problems, problems[0])
         return BatchRun.of(problems, starts, *given) if together is None else cls(together, *given)
 
     def take(self, items: Any, run: BatchRun) -> None:

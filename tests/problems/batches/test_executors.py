@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,9 @@ from lcp_plugin import (
     study,
 )
 from lcp_plugin.algorithms import algorithm_class
-from lcp_plugin.core.errors import InvalidProblem, WorkerLost
+from lcp_plugin.core.errors import InvalidProblem, LCPError, WorkerLost
+from lcp_plugin.core.executors import run_on
+from lcp_plugin.problems.batches.batch_run import BatchRun
 
 RNG = np.random.default_rng(7)
 A = RNG.normal(size=(40, 4, 4))
@@ -33,6 +36,7 @@ M = A @ A.transpose(0, 2, 1) + np.eye(4)
 Q = RNG.normal(size=(40, 4))
 FIT = BoundedLeastSquares(RNG.normal(size=(7, 3)), np.zeros(7))
 PROGRAM = QuadraticProgram(np.eye(3), np.zeros(3), G=[[1, 1, 1]], h=[1], lower=0, constant=2.0)
+PAIR = [LCP([[2.0, 1.0], [1.0, 2.0]], q) for q in ([-1.0, 2.0], [-3.0, -3.0])]
 SLIDING = FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)
 
 
@@ -68,6 +72,9 @@ def pool() -> Iterator[ProcessPoolExecutor]:
 BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
     "arrays": ((M, Q), {}),
     "arrays with starts": ((M, Q), {"z0": np.ones(4)}),
+    "one start per array": ((M, Q), {"z0": np.ones((40, 4))}),
+    "a list with starts": ((PAIR,), {"z0": [np.ones(2), None]}),
+    "a list that starts without a start": ((PAIR,), {"z0": [None, np.ones(2)]}),
     "one matrix": ((LCP(M[0], Q[0]), Q), {"upper": 1.0}),
     "a list": (([LCP(M[k], Q[k]) for k in range(9)] + [LCP([[2.0]], [-1.0])],), {}),
     "a named algorithm": ((M, Q), {"algorithm": "lemke"}),
@@ -185,6 +192,58 @@ def test_an_invalid_problem_raises_its_own_error_only_when_it_is_read() -> None:
         _ = programs[1]
 
 
+def test_the_starts_of_a_chunk_reach_the_worker() -> None:
+    """A chunk keeps its starts if some problems have none, in any order; without any start it is solved as stacks."""
+    for starts in ([np.ones(2), None], [None, np.ones(2)]):
+        run = BatchRun.of(PAIR, starts, "auto", {})
+        assert all(run.problems.start(k) is one for k, one in enumerate(starts))
+    assert BatchRun.of(PAIR, [None, None], "auto", {}).problems.starts is None
+
+
+@pytest.mark.parametrize(
+    ("given", "count"),
+    [(([],), 0), ((M[0], np.empty((0, 4))), 0), ((M[0], np.full((3, 4), np.nan)), 3)],
+)
+def test_a_batch_without_a_valid_problem_sends_no_job(given: Any, count: int) -> None:
+    """The lengths and errors are equal with and without an executor."""
+    executor = Here()
+    there, here = solve_batch(*given, executor=executor), solve_batch(*given)
+    assert len(there) == len(here) == count
+    assert there.errors.keys() == here.errors.keys() == {*range(count)}
+    assert executor.count == 0
+
+
+class TwoArguments(Exception):
+    """An exception that pickles and does not unpickle."""
+
+    def __init__(self, text: str, other: int) -> None:
+        super().__init__(text)
+
+
+def raise_two_arguments(_: Any) -> None:
+    """Raise an exception that does not unpickle."""
+    raise TwoArguments("the text of the user", 1)
+
+
+def test_an_exception_that_does_not_unpickle_arrives_with_its_type_and_text() -> None:
+    """A process pool would break when it reads the exception, and report a lost worker."""
+    with ThreadPoolExecutor(1) as executor:
+        with pytest.raises(LCPError, match="TwoArguments: the text of the user") as raised:
+            [*run_on(executor, raise_two_arguments, [1])]
+        assert not isinstance(raised.value, WorkerLost)
+        assert isinstance(pickle.loads(pickle.dumps(raised.value)), LCPError)
+
+
+def test_an_executor_that_was_shut_down_is_named_as_the_reason() -> None:
+    """The message has nothing about memory, which is not the reason."""
+    executor = ThreadPoolExecutor(1)
+    executor.shutdown()
+    with pytest.raises(WorkerLost, match="was shut down: pass one") as lost:
+        solve_batch(M, Q, executor=executor)
+    assert "memory" not in str(lost.value)
+    assert {*lost.value.finished.status} == {Status.INTERRUPTED}
+
+
 def test_functions_that_do_not_pickle_are_refused_with_advice() -> None:
     """A local class cannot be sent to another process."""
 
@@ -236,3 +295,18 @@ def test_an_executor_of_dask_gives_the_same_results() -> None:
     with dask.Client(n_workers=2, threads_per_worker=1) as client:
         found = solve_batch(M, Q, executor=client.get_executor())
     np.testing.assert_allclose(found.x, solve_batch(M, Q).x, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["w", "motion"])
+@pytest.mark.parametrize("given", [(PROGRAM, Q[:2, :3]), (FIT, np.ones((2, 7))), ([FIT, PAIR[0]],)])
+def test_an_array_that_the_problems_lack_is_an_error_of_batch_answers(
+    name: str, given: tuple[Any, ...]
+) -> None:
+    """The message has the name of the public class and the arrays of the batch, not the name of an internal class."""
+    answers = solve_batch(*given)
+    with pytest.raises(
+        AttributeError, match=f"BatchAnswers .* no {name}; its arrays include status, x"
+    ):
+        getattr(answers, name)
+    with pytest.raises(AttributeError, match="has no motion"):
+        _ = solve_batch(PAIR).motion

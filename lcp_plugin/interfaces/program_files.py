@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import tempfile
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +31,16 @@ from .nl.model import lcp_in_nl, program_in_nl
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
 MAXIMIZE = re.compile(rb"(?im)^(?:OBJSENSE\s+)?MAX(?:IMI[SZ]E|IMUM)?[ \t\r]*$")  # also on one line
 LEFT_OUT = re.compile(r"WARNING: +((?:Column|Variables) .*(?:duplicate nonzero|same name).*)")
-KEYWORDS = {"RANGES", "QUADOBJ", "QMATRIX", "QSECTION", "ENDATA"}  # after RHS or BOUNDS
+REPEATED = {  # what HiGHS takes of repeated entries of a section, if it is silent
+    "COLUMNS": "",
+    "RHS": "first",
+    "RANGES": "first",
+    "BOUNDS": "",
+    "QUADOBJ": "sum, as of one triangle,",
+    "QSECTION": "sum, as of one triangle,",
+    "QMATRIX": "",
+}
+KEYWORDS = {*REPEATED, "ENDATA"}  # that end a section
 Arrays = dict[str, Any]
 
 
@@ -371,6 +382,8 @@ def _from_mps(source: Path) -> LoadedProgram:
             rest = ", and it has no line ENDATA: is it complete?" if is_cut else ""
             raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it{rest}")
         text = log.read_text("utf-8", "replace") if log.exists() else ""
+    if is_mps:
+        _check_names(source, content)
     if left_out := LEFT_OUT.findall(text):
         warnings.warn(f"{source}: {'; '.join(left_out[:3])}", ModelWarning, stacklevel=2)
     model = reader.getModel()
@@ -416,16 +429,65 @@ def _from_mps(source: Path) -> LoadedProgram:
 def _section(content: bytes, name: str) -> Iterator[list[str]]:
     """Yield the words of each line in a section of an MPS file."""
     _, _, rest = content.partition(b"\n" + name.encode())
-    for line in rest.splitlines()[1:]:
-        words = line.decode("utf-8", "replace").split()
-        if (
-            words
-            and words[0].upper() in KEYWORDS | {"COLUMNS", "RHS", "BOUNDS"}
-            and line[:1] != b" "
-        ):
+    for line in rest.decode("utf-8", "replace").split("\n")[1:]:
+        words = line.split()
+        if words and not line[0].isspace() and words[0].upper() in KEYWORDS:
             return
         if words and not words[0].startswith("*"):
             yield words
+
+
+def _check_names(source: Path, content: bytes) -> None:
+    """Raise UnreadableFile for repeated or unknown names, of which HiGHS makes rows and columns; warn of entries."""
+    rows = list(_section(content, "ROWS"))
+    columns = [words for words in _section(content, "COLUMNS") if words[1:2] != ["'MARKER'"]]
+    has_blanks = any(len(words) != 2 for words in rows) or any(len(w) % 2 == 0 for w in columns)
+    if has_blanks or not columns:  # names with blanks have fixed places in a line
+        return
+    names = {
+        "ROWS": [name for _, name in rows],
+        "COLUMNS": [name for name, _ in groupby(words[0] for words in columns)],
+    }
+    for section, own in names.items():
+        if name := _repeated(own):
+            raise UnreadableFile(
+                f"cannot read {source}: {name} in {section} is stated twice; rename one, or write its lines together"
+            )
+    known = {section: set(own) for section, own in names.items()}
+    for section, kept in REPEATED.items():
+        where = "ROWS" if section in ("COLUMNS", "RHS", "RANGES") else "COLUMNS"
+        entries: list[str] = []
+        for words in columns if section == "COLUMNS" else _section(content, section):
+            own = words[len(words) % 2 :: 2]
+            if section == "BOUNDS":
+                if (kind := words[0].upper()) not in ("LO", "UP", "FX", "FR", "MI", "PL"):
+                    continue
+                has_value = kind in ("LO", "UP", "FX")
+                own = (
+                    words[-2:-1]
+                    if has_value
+                    else sorted(known[where].intersection(words[1:])) or words[-1:]
+                )
+            elif where == "COLUMNS":
+                own = [words[0], *words[1::2]]
+            if not known[where].issuperset(own):
+                unknown = next(name for name in own if name not in known[where])
+                raise UnreadableFile(
+                    f'cannot read {source}: {unknown} of the line "{" ".join(words)}" in {section} is not in {where}'
+                )
+            if where == "COLUMNS":
+                own = [" ".join(sorted((own[0], other))) for other in own[1:]]
+            entries += own
+        if kept and (name := _repeated(entries)):
+            warnings.warn(
+                f"{source} repeats the entry of {name} in {section}; the {kept} holds",
+                ModelWarning,
+                stacklevel=3,
+            )
+
+
+def _repeated(names: Sequence[str]) -> str | None:
+    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def _constant(content: bytes, linear: Any) -> float:

@@ -319,6 +319,75 @@ def test_an_mps_file_that_leaves_something_out_is_read_with_a_message(tmp_path: 
         load_problem(path)
 
 
+QPS = """NAME T
+ROWS
+ N obj
+ G r1
+COLUMNS
+ x obj 1
+ x r1 1
+ y obj 1 r1 1
+RHS
+ RHS r1 4
+RANGES
+ R r1 2
+BOUNDS
+ UP BND x 3
+QUADOBJ
+ x x 2
+ x y 1
+ y y 2
+ENDATA
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (" G r1\n", " G r1\n L r1\n", "r1 in ROWS is stated twice"),
+        ("RHS\n", " x r1 7\nRHS\n", "x in COLUMNS is stated twice"),
+        ("y obj 1 r1 1", "y obj 1 r8 1", 'r8 of the line "y obj 1 r8 1" in COLUMNS is not in ROWS'),
+        ("RHS r1 4", "RHS r7 4", 'r7 of the line "RHS r7 4" in RHS is not in ROWS'),
+        ("UP BND x 3", "UP BND z 3", 'z of the line "UP BND z 3" in BOUNDS is not in COLUMNS'),
+        ("UP BND x 3", "FR BND z", 'z of the line "FR BND z" in BOUNDS is not in COLUMNS'),
+        (" x y 1", " x z 1", 'z of the line "x z 1" in QUADOBJ is not in COLUMNS'),
+    ],
+)
+def test_names_of_an_mps_file_that_are_repeated_or_unknown_are_refused(
+    old: str, new: str, expected: str, tmp_path: Path
+) -> None:
+    """HiGHS adds an unknown, or a row, of the same name or of the unknown one."""
+    pytest.importorskip("highspy")
+    path = tmp_path / "p.mps"
+    path.write_text(QPS)
+    assert load_problem(path).P.toarray().tolist() == [[2.0, 1.0], [1.0, 2.0]]
+    path.write_text(QPS.replace(old, new, 1))
+    with pytest.raises(UnreadableFile, match=expected):
+        load_problem(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected", "entries"),
+    [
+        ("r1 4", "r1 4 r1 5", "entry of r1 in RHS; the first", [[2, 1], [1, 2]]),
+        (" R r1 2", " R r1 2\n R r1 3", "entry of r1 in RANGES; the first", [[2, 1], [1, 2]]),
+        (" x y 1", " x y 1\n y x 1", "entry of x y in QUADOBJ; the sum", [[2, 2], [2, 2]]),
+        (" x x 2", " x x 2\n x x 2", "entry of x x in QUADOBJ; the sum", [[4, 1], [1, 2]]),
+    ],
+)
+def test_repeated_entries_of_an_mps_file_are_told_with_the_one_that_holds(
+    old: str, new: str, expected: str, entries: Any, tmp_path: Path
+) -> None:
+    """4 ≤ x + y ≤ 6, by the first right-hand side and the first range; quadratic terms are summed."""
+    pytest.importorskip("highspy")
+    path = tmp_path / "p.mps"
+    path.write_text(QPS.replace(old, new, 1))
+    with pytest.warns(ModelWarning, match=expected):
+        program = load_problem(path)
+    assert sorted(program.h.tolist()) == [-4.0, 6.0]
+    assert program.P.toarray().tolist() == entries
+
+
 def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
     """M, q and mu are a contact problem, as W, b and friction are."""
     np.savez(tmp_path / "c.npz", M=np.eye(3), q=[-1.0, 0.25, 0.0], mu=[0.5])

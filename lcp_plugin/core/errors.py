@@ -51,7 +51,7 @@ class NotConverged(LCPError, RuntimeError):
 
 
 class WorkerLost(LCPError, RuntimeError):
-    """Workers of an executor were lost, each job twice, or the executor with them.
+    """A job was lost twice with its worker, or the executor takes no further jobs: it is broken, or was shut down.
 
     Attributes
     ----------

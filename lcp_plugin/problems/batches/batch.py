@@ -155,7 +155,8 @@ def solve_batch(
     UnknownAlgorithm, InvalidOption
         See :func:`lcp_plugin.solve`.
     WorkerLost
-        If a chunk was lost twice, or the executor with it; its attribute `finished` has the results that arrived.
+        If a chunk was lost twice, or the executor is broken or was shut down; its attribute `finished` has the
+        results that arrived.
 
     Examples
     --------

@@ -244,7 +244,7 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
         return algorithm
     if isinstance(algorithm, Engine):
         raise refusal_of_engine(algorithm.name)
-    if isinstance(algorithm, type):
+    if isinstance(algorithm, type) and issubclass(algorithm, Algorithm):
         got = f"the class {algorithm.__name__}; write {algorithm.__name__}()"
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got {got}")
     raise UnknownAlgorithm(

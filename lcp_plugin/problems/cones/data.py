@@ -254,6 +254,11 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
     sizes: list[int] = []
     lower, upper = [np.empty(0)], [np.empty(0)]
     for number, cone in enumerate(cones):
+        if isinstance(cone, str):
+            raise InvalidProblem(
+                f"cones[{number}] = {cone!r} is a text; write a list of tuples, such as "
+                f'cones=[("nonnegative", {n})]; {NEED_CONES}'
+            )
         kind = cone[0] if isinstance(cone, (tuple, list)) and cone else cone
         if not isinstance(kind, str) or kind not in CONES:
             raise InvalidProblem(

@@ -55,6 +55,14 @@ BAD: dict[str, tuple[Any, str]] = {
     ),
     "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
     "no tuples": (lambda: CP(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
+    "a name without rows": (
+        lambda: CP(np.eye(3), np.zeros(3), ["nonnegative"]),
+        r"cones\[0\] = 'nonnegative' is a text; write a list of tuples.*\(\"nonnegative\", 3\)",
+    ),
+    "a tuple without a list": (
+        lambda: CP(np.eye(2), np.zeros(2), ("box", 0, 1)),
+        r"cones\[0\] = 'box' is a text; write a list of tuples",
+    ),
     "a name": (lambda: CP(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),
     "too few rows": (
         lambda: CP(np.eye(3), np.zeros(3), [("second_order", 2)]),

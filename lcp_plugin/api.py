@@ -189,6 +189,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         options["algorithm"] = algorithm
     elif algorithm != "auto":
         options["algorithm"] = algorithm
+    if callable(callback := options.get("callback")):  # it keeps the caller's floating-point state
+        options["callback"] = np.errstate(**np.geterr())(callback)
     known = options_of(name)
     if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x
         options["x0"] = options.pop("z0")

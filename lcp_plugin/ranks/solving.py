@@ -172,7 +172,7 @@ class ProgressOnRanks(Progress):
         stage: Stage,
         residual: float | None,
         shown: Callable[[], Any],
-        measure: Callable[[], float],
+        measure: Callable[[], float | None],
         *,
         is_last: bool,
     ) -> bool:

@@ -100,6 +100,26 @@ def calls(size: float) -> Calls:
     }
 
 
+@pytest.mark.parametrize(
+    "problem",
+    [
+        LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]),
+        QuadraticProgram(np.eye(2), [-1.0, 1.0], A=[[1.0, 1.0]], b=[1.0]),
+        NonlinearProblem(lambda x: x + x**3 - 1.0, lower=np.zeros(2)),
+        BoundedLeastSquares(np.eye(2), [1.0, -1.0], 0.0),
+        ConeProblem(np.eye(3), [-1.0, 2.0, 0.0], [("second_order", 3)]),
+    ],
+    ids=lambda problem: type(problem).__name__,
+)
+def test_a_callback_has_the_state_of_the_caller(problem: Any) -> None:
+    """NumPy raises, warns or is silent in a callback as it does where solve was called."""
+    states: list[Any] = []
+    with np.errstate(divide="raise", over="warn", under="ignore", invalid="raise"):
+        solve(problem, callback=lambda sample, z: states.append(np.geterr()))
+        assert states
+        assert all(state == np.geterr() for state in states)
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", calls(1.0))
 def test_no_exception_of_numpy_gets_out(name: str, size: float) -> None:

@@ -182,6 +182,17 @@ def limits_and_callbacks_end_all_ranks() -> None:
 
 
 @claim
+def a_callback_ends_the_run_at_a_step_that_ends_its_method() -> None:
+    M = sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20), format="csr")
+    x = 1.0 + np.random.default_rng(0).random(20)
+    rows = RowsOnRanks.from_problem(LCP(M, -(M @ x)))
+    first = rows.solve(z0=x, tolerance=0.0)  # x is at rounding level: each method ends at once
+    stopped = rows.solve(z0=x, tolerance=0.0, callback=lambda sample, z: True)
+    assert "→" in first.algorithm
+    assert "→" not in stopped.algorithm
+
+
+@claim
 def the_same_call_gives_the_same_bits() -> None:
     rows = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=20).problem)
     first, second = (rows.solve() for _ in range(2))

@@ -178,6 +178,28 @@ def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
     assert len(points) == 1
 
 
+def test_unknown_residuals_are_not_printed_as_nan(capsys: pytest.CaptureFixture[str]) -> None:
+    """The start of an external solver has no residual, so its line has a dash."""
+    solve(planted_program(12, 9, 3, 12, 0)[0], verbose=True)
+    printed = capsys.readouterr().out
+    assert "–" in printed
+    assert "nan" not in printed
+
+
+@pytest.mark.parametrize("limit", [{"max_seconds": 1e-9}, {"callback": lambda sample, z: True}])
+def test_auto_that_ends_at_the_start_names_the_solver_that_began(limit: dict[str, Any]) -> None:
+    """The name of the algorithm never is "auto: auto"."""
+    result = solve(planted_program(12, 9, 3, 12, 0)[0], **limit)
+    assert result.algorithm == ", ".join(["auto: " + stage.name for stage in result.stages])
+
+
+def test_auto_without_a_solver_has_its_own_name() -> None:
+    """A contradiction of a program that is not convex is proved before any solver begins."""
+    result = solve(QuadraticProgram(-np.eye(2), [1, 1], A=[[1, 1], [1, 1]], b=[1, 2], lower=0))
+    assert result.status is Status.INFEASIBLE
+    assert result.algorithm == "auto"
+
+
 def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
     """Engines support a step limit, record and callback, ignore a start, and reject bad values."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
@@ -191,7 +213,7 @@ def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
         record=True,
         callback=lambda sample, z: seen.append((sample.iteration, z.size)),
     )
-    assert len(watched.history) == 2
+    assert [sample.residual is None for sample in watched.history] == [True, False]
     assert seen == [(0, x.size), (watched.iterations, x.size)]
     assert np.array_equal(solve(program, "piqp", z0=x).x, watched.x)
     for name, wrong in (

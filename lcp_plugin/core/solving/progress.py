@@ -91,7 +91,7 @@ class Progress:
         stage: Stage,
         residual: float | None,
         shown: Callable[[], Any],
-        measure: Callable[[], float],
+        measure: Callable[[], float | None],
         *,
         is_last: bool,
     ) -> bool:
@@ -105,7 +105,7 @@ class Progress:
         shown : callable
             Returns the point that the callback receives.
         measure : callable
-            Returns the residual of a step that was not measured.
+            Returns the residual of a step that was not measured; None if it is unknown.
         is_last : bool
             The run ends with this step.
         """
@@ -125,8 +125,6 @@ class Progress:
             if is_recorded:  # at geometric intervals
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
                 self.samples.append(sample)
-        if wants_to_stop:
-            self.end = self.end or TerminationReason.INTERRUPTED
         return wants_to_stop
 
     def records(self) -> tuple[StageRecord, ...]:

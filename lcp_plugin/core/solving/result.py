@@ -58,7 +58,7 @@ class Sample:
     seconds : float
         Seconds of the algorithm so far, set-up included; the clock stops while a sample is measured.
     residual : float or None
-        Relative residual; None in a callback at a step at which it was not measured.
+        Relative residual; None at the start of an external solver, and in a callback at a step that was not measured.
     label : str
         Name of the current algorithm.
     """

@@ -190,14 +190,15 @@ class Run:
                 is_last=end is not None,
             )
             if wants_to_stop:
+                progress.end = progress.end or TerminationReason.INTERRUPTED
                 end = end or TerminationReason.INTERRUPTED
         if end is None and step.proof is not None:
             end = self.end_of_proof(step.proof)
         return end
 
-    def residual_of(self, step: Step) -> float:
+    def residual_of(self, step: Step) -> float | None:
         """Return the residual that a method reports with its step, for the history; the step was not measured."""
-        return math.nan if step.residual is None else step.residual
+        return step.residual
 
     def keep(self, found: Any) -> None:
         """Keep a measured point that passes, or whose residual is smaller than the best one; NaN counts as ∞."""

@@ -50,8 +50,8 @@ class RunLog:
     def step(self, stage: Stage, sample: Sample) -> None:
         """Print the line of an iteration."""
         self._next = max(stage.iterations + 1, math.ceil(stage.iterations * 1.5))
-        residual = math.nan if sample.residual is None else sample.residual
-        say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}")
+        residual = "–" if sample.residual is None else f"{sample.residual:.2e}"
+        say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19} {sample.seconds:>9.3f}")
 
     def end(self, result: Result) -> None:
         """Print the status, the residual and the advice."""

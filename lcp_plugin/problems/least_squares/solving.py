@@ -266,7 +266,7 @@ class LeastSquaresRun(Run):
         size = point.size_of_residual * point.problem.size
         return size / self.enclosures.reference if size > 0.0 else 0.0
 
-    def residual_of(self, step: Step) -> float:
+    def residual_of(self, step: Step) -> float | None:
         """Return the measure of a step for a sample."""
         is_start = step.residual == math.inf
         point = FacePoint(self.problem.scaled, self.nearest) if is_start else None

@@ -46,10 +46,9 @@ FAR = 1e6  # times the largest limit: an x out there may be on its way to infini
 FEW = (
     300  # unknowns and rows of a program whose LCP is tried where no external solver has a solution
 )
-OF_THE_LCP = (
-    1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
-)
-SHARED = 20.0  # times the first external solver's seconds: for all of them
+# Tolerance of a run on the LCP: so small that x nearly always passes the program's own test.
+OF_THE_LCP = 1e-12
+SHARED = 20.0  # all external solvers together may take this many times the seconds of the first one
 LEAST_SHARED = 2.0  # seconds of the processor: a smaller program is given to every engine
 MAX_STEPS = 2**31 - 1  # of an external solver, which counts in 32 bits
 SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
@@ -194,8 +193,9 @@ def solve_program(
         Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
     **options
         Options of :func:`lcp_plugin.solve`. Pass the z of an earlier result as `z0` to start a run on the
-        complementarity problem. External solvers ignore `z0`, and call a callback with their first and last point. With
-        ``prove_infeasibility=False``, the run ends STALLED if two solvers report infeasible or unbounded.
+        complementarity problem; external solvers ignore it. The run calls `callback` before an external solver
+        begins, with the start, and after it ends, with its point. With ``prove_infeasibility=False``, the run ends
+        STALLED if two solvers report infeasible or unbounded.
 
     Raises
     ------
@@ -499,7 +499,9 @@ class ProgramRun(Run):
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
         if best is None or (is_rounding and self.doubtful is not None):
             solution = QPSolution.from_reduced(program, *nearest(program))
-            best = ProgramPoint(solution, KKTErrors(np.inf, np.inf), passes=False, name=self.name)
+            begun = [stage.algorithm.name for stage in self.progress.stages]
+            name = begun[-1] if begun else ""
+            best = ProgramPoint(solution, KKTErrors(np.inf, np.inf), passes=False, name=name)
         proof, solution, x = self.proof or self.doubtful, best.solution, best.solution.x
         if isinstance(proof, QPUnboundedness) and (proof is self.proof or is_rounding):
             x = np.clip(numbers(proof.point), program.lower, program.upper)
@@ -510,7 +512,9 @@ class ProgramRun(Run):
             say(
                 f"{status.name}: {ADVICE.get(status, status.value) if self.proof is None else self.proof}"
             )
-        by = f"auto: {best.name.removeprefix('auto: ')}" if self.name == "auto" else self.name
+        by = self.name
+        if by == "auto" and best.name:
+            by = f"auto: {best.name.removeprefix('auto: ')}"
         return QuadraticProgramResult(
             status,
             solution,

@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +19,13 @@ from families import BOUNDED, DIRECT
 
 from lcp_plugin import LCP, NotConverged, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
+from lcp_plugin.core.deadline import Clock
+from lcp_plugin.core.settings import Settings
+from lcp_plugin.core.solving.progress import Progress
 from lcp_plugin.core.solving.result import Sample
+from lcp_plugin.core.solving.run import Run
+from lcp_plugin.core.solving.stage import Stage
+from lcp_plugin.core.solving.termination import TerminationReason
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
@@ -436,3 +443,17 @@ def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
     assert "; w is the same for all of them" in words
     assert " of them in" not in words
     assert "wrong in every digit" not in words
+
+
+def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage() -> None:
+    """No further method begins after a callback returned True, also if its step had stalled."""
+
+    class Stalling(Run):
+        def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason:
+            return TerminationReason.STALLED
+
+    seen: list[str] = []
+    progress = Progress(Settings(), lambda sample, z: seen.append(sample.label) or True, Clock())
+    stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
+    end = Stalling(progress).follow_all(stages)
+    assert (end, seen) == (TerminationReason.INTERRUPTED, ["a"])

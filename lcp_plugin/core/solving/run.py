@@ -143,7 +143,7 @@ class Run:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
                 for stage in plan:
                     end = self.follow(stage)
-                    if end not in FAILED:
+                    if end not in FAILED or progress.end is not None:
                         break
         except OutOfTimeError:
             progress.end = TerminationReason.TIME_LIMIT

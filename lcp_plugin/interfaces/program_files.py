@@ -438,7 +438,7 @@ def _section(content: bytes, name: str) -> Iterator[list[str]]:
 
 
 def _check_names(source: Path, content: bytes) -> None:
-    """Raise UnreadableFile for repeated or unknown names, of which HiGHS makes rows and columns; warn of entries."""
+    """Raise UnreadableFile for repeated names and unknown rows; warn of repeated entries and of unknown columns."""
     rows = list(_section(content, "ROWS"))
     columns = [words for words in _section(content, "COLUMNS") if words[1:2] != ["'MARKER'"]]
     has_blanks = any(len(words) != 2 for words in rows) or any(len(w) % 2 == 0 for w in columns)
@@ -453,29 +453,20 @@ def _check_names(source: Path, content: bytes) -> None:
             raise UnreadableFile(
                 f"cannot read {source}: {name} in {section} is stated twice; rename one, or write its lines together"
             )
-    known = {section: set(own) for section, own in names.items()}
+    known, added = {section: set(own) for section, own in names.items()}, list[str]()
     for section, kept in REPEATED.items():
         where = "ROWS" if section in ("COLUMNS", "RHS", "RANGES") else "COLUMNS"
         entries: list[str] = []
         for words in columns if section == "COLUMNS" else _section(content, section):
-            own = words[len(words) % 2 :: 2]
-            if section == "BOUNDS":
-                if (kind := words[0].upper()) not in ("LO", "UP", "FX", "FR", "MI", "PL"):
-                    continue
-                has_value = kind in ("LO", "UP", "FX")
-                own = (
-                    words[-2:-1]
-                    if has_value
-                    else sorted(known[where].intersection(words[1:])) or words[-1:]
-                )
-            elif where == "COLUMNS":
-                own = [words[0], *words[1::2]]
+            own = _names_of(section, words, known[where])
             if not known[where].issuperset(own):
                 unknown = next(name for name in own if name not in known[where])
-                raise UnreadableFile(
-                    f'cannot read {source}: {unknown} of the line "{" ".join(words)}" in {section} is not in {where}'
-                )
-            if where == "COLUMNS":
+                fault = f'{unknown} of the line "{" ".join(words)}" in {section} is not in {where}'
+                if where == "ROWS":
+                    raise UnreadableFile(f"cannot read {source}: {fault}")
+                added.append(fault)
+                known[where].update(own)
+            if where == "COLUMNS":  # pairs of columns
                 own = [" ".join(sorted((own[0], other))) for other in own[1:]]
             entries += own
         if kept and (name := _repeated(entries)):
@@ -484,6 +475,22 @@ def _check_names(source: Path, content: bytes) -> None:
                 ModelWarning,
                 stacklevel=3,
             )
+    if added:  # HiGHS writes variables without coefficients so
+        warnings.warn(f"{source}: {added[0]}; it is a new variable", ModelWarning, stacklevel=3)
+
+
+def _names_of(section: str, words: list[str], columns: set[str]) -> list[str]:
+    """Return the names of rows, or of columns, in a line of a section."""
+    if section in ("COLUMNS", "RHS", "RANGES"):
+        return words[len(words) % 2 :: 2]
+    if section != "BOUNDS":
+        return [words[0], *words[1::2]]
+    kind = words[0].upper()
+    if kind in ("LO", "UP", "FX"):
+        return words[-2:-1]
+    if kind not in ("FR", "MI", "PL"):
+        return []
+    return sorted(columns.intersection(words[1:]))[:1] or words[-1:]
 
 
 def _repeated(names: Sequence[str]) -> str | None:

@@ -259,6 +259,22 @@ def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(
         cp.Problem(cp.Minimize(0), [best]).solve(method="LCP")
 
 
+@pytest.mark.parametrize("check", ["convex", "local"])
+def test_a_parameter_that_becomes_infinite_is_refused(check: str) -> None:
+    """The minimum of (v − 3)² with v ≤ cap is min(3, cap), before and after the errors."""
+    v, cap = cp.Variable(name="v"), cp.Parameter(name="cap")
+    best = optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [v <= cap]), over=[v], check=check)
+    problem = cp.Problem(cp.Minimize(0), [best])
+    for value in (2.0, np.inf, -np.inf, 1.0):
+        cap.value = value
+        if np.isfinite(value):
+            problem.solve(method="LCP")
+            assert float(v.value) == pytest.approx(value)
+        else:
+            with pytest.raises(UnsupportedModel, match="the parameter cap of v <= cap"):
+                problem.solve(method="LCP")
+
+
 def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_is_zero() -> None:
     """(x² − y)² at (3, 4) is 25, and 0 at (2, 4)."""
     x, y = cp.Variable(value=3.0), cp.Variable(value=4.0)

@@ -374,7 +374,7 @@ def test_names_of_an_mps_file_that_are_repeated_or_unknown_are_refused(
 def test_a_column_of_an_mps_file_without_coefficients_is_told(
     old: str, new: str, line: str, tmp_path: Path
 ) -> None:
-    """HiGHS writes a variable without cost and rows in BOUNDS and QUADOBJ alone; it may be a wrong name also."""
+    """HiGHS writes a variable without cost and rows only in BOUNDS and QUADOBJ; it may be a wrong name also."""
     pytest.importorskip("highspy")
     path = tmp_path / "p.mps"
     path.write_text(QPS.replace(old, new, 1))

@@ -36,6 +36,7 @@ PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
 SMALLEST = (
     1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
 )
+WELL_CONDITIONED = 1e8
 CHUNK = 2**17  # entries of matrices that stay in the cache
 LOW, FREE, HIGH = 0, 1, 2  # side of z_i: at its lower bound, between the bounds, at its upper bound
 
@@ -52,7 +53,7 @@ class Rounds(Algorithm):
         """Yield the start, the point at which the rounds end, and the ends of the paths."""
         yield Step(z0, work=0.0)
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
-        for label, z, entries in candidates(problem, data, z0):
+        for label, z, entries in candidates(data, z0):
             if np.isfinite(z).all():
                 found = measure(data, z, 0.0)
                 yield Step(found.z, work=entries / unit, label=label, measured=found)
@@ -68,7 +69,7 @@ def first_candidate(
     data = dense_data(problem)
     if not data.reference.all() or (z0 is not data.start and measure(data, z0, tolerance).passes):
         return None
-    label, z, entries = next(candidates(problem, data, z0))
+    label, z, entries = next(candidates(data, z0))
     found = measure(data, z, tolerance)
     return (found, label, entries / max(problem.matrix.nonzeros, 1)) if found.passes else None
 
@@ -378,26 +379,21 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 }
 
 
-def candidates(
-    problem: LCP, data: RowData, z0: FloatVector
-) -> Iterator[tuple[str, FloatVector, float]]:
+def candidates(data: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     entries = float(z0.size**3)
     is_cold = z0 is data.start or bool((z0 == data.start).all())
     first = guess(data) if is_cold else z0  # a start names an active set
     if first is not None:
         yield "rounds", rounds(data, first), entries
-    from ..lemke.canonical_box import canonical_box  # its package is loaded for few problems
-    from ..lemke.games import bimatrix_players
-
-    box = canonical_box(problem)
-    M, q, width = box.M, box.q, box.upper
-    players = bimatrix_players(M, q) if np.isposinf(width).all() else None
-    # x_0 covers all rows of the other player if no cost is 0.
-    if players is not None and ((M > 0.0) == (players[:, None] != players)).all():
-        yield "game", box.recover(path(M, q, width, game=players)), 3.0 * entries
-    for name, covering in COVERINGS.items() if box.is_finite else ():
-        z = box.recover(path(M, q, width, covering(q)) if q.size else q)
+    M, q, width, back = _canonical(data.M, data.q, data.lower, data.upper)
+    game = (
+        _rows_of_first_player(M, q) if q.size and not M[0, 0] and np.isposinf(width).all() else None
+    )
+    if game is not None:
+        yield "game", back(path(M, q, width, game=game)), 3.0 * entries
+    for name, covering in COVERINGS.items():
+        z = back(path(M, q, width, covering(q)) if q.size else q)
         yield name, np.clip(z, data.lower, data.upper), 3.0 * entries
         if np.isfinite(z).all():
             yield "rounds", rounds(data, z), entries
@@ -433,7 +429,7 @@ def _exchange(T: FloatVector, factor: FloatVector, row: int, column: int) -> Non
 def path(  # noqa: PLR0912, PLR0915 - one loop
     M: FloatVector, q: FloatVector, width: FloatVector, r: Any = None, game: Any = None
 ) -> FloatVector:
-    """Return x, 0 ≤ x ≤ width > 0, at the end of Lemke's path w = M x + q + t r, NaN if the path is lost.
+    """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if the path is lost.
 
     The path belongs to a perturbed q, for which no two rows block at once. x is the solution for the unperturbed q in
     the last basis. For a game, the path is Lemke and Howson's.
@@ -448,11 +444,12 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
     T[:, :n], T[:, n] = M * unit[:, None], r
     v = q * unit
     v = v + PERTURBED * np.abs(v).max() * np.random.default_rng(1).uniform(1.0, 2.0, n)
-    value = float((-v / r).max()) if game is None else 0.0
+    fixed = width == 0.0
+    value = float(np.where(fixed, 0.0, -v / r).max()) if game is None else 0.0
     if value <= 0.0 and game is None:
         return np.zeros(n)
     v = v + value * r
-    low, high, side = np.zeros(n), np.full(n, np.inf), [LOW] * n
+    low, high, side = np.where(fixed, -np.inf, 0.0), np.full(n, np.inf), [LOW] * n
     basis, other = list(range(n, 2 * n)), [*range(n), 2 * n]  # x_i = i, w_i = n + i, t = 2n
     t, column, direction, t_row, u = 2 * n, n, -1.0, -1, width.tolist()
     driven = t
@@ -497,7 +494,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
             t_row, low[row], high[row] = row, 0.0, math.inf
         else:
             i = driven - n
-            low[row] = -math.inf if side[i] == HIGH else 0.0
+            low[row] = -math.inf if side[i] == HIGH or fixed[i] else 0.0
             high[row] = 0.0 if side[i] == HIGH else math.inf
         t_row = -1 if row == t_row and driven != t else t_row
         basis[row], other[column] = driven, leaving
@@ -514,3 +511,48 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
     else:
         return np.full(n, np.nan)
     return _solve_active_set(M, q, 0.0, width, np.array(side))
+
+
+def _canonical(
+    M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector, FloatVector, Callable[[FloatVector], FloatVector]]:
+    """Return (M, q, width, back) of the problem in the form 0 ≤ x ≤ width; free rows are eliminated, or split."""
+    free = (lower == -np.inf) & (upper == np.inf)
+    flips = (lower == -np.inf) & ~free
+    base, sign = np.where(flips, upper, np.where(free, 0.0, lower)), np.where(flips, -1.0, 1.0)
+    b, A, n = sign * (q + M @ base), sign[:, None] * M * sign, q.size
+    if not free.any():
+        return A, b, upper - lower, lambda x: base + sign * x
+    E, R = np.flatnonzero(free), np.flatnonzero(~free)
+    to, block = A[np.ix_(R, E)], A[np.ix_(E, E)]
+    try:
+        S = np.linalg.solve(block, -np.column_stack([A[np.ix_(E, R)], b[E]]))
+        is_regular = bool(np.abs(S).max() < WELL_CONDITIONED)
+    except LinAlgError:
+        is_regular = False
+    if is_regular:
+
+        def back(x: FloatVector) -> FloatVector:
+            z = np.empty(n)
+            z[R], z[E] = x, S[:, :-1] @ x + S[:, -1]
+            return base + sign * z
+
+        reduced = A[np.ix_(R, R)] + to @ S[:, :-1]
+        return reduced, b[R] + to @ S[:, -1], (upper - lower)[R], back
+    A = np.block([[A, -A[:, E]], [-A[E], block]])
+    width = np.concatenate([upper - lower, np.full(E.size, np.inf)])
+
+    def join(x: FloatVector) -> FloatVector:
+        z = x[:n].copy()
+        z[E] -= x[n:]
+        return base + sign * z
+
+    return A, np.concatenate([b, -b[E]]), width, join
+
+
+def _rows_of_first_player(M: FloatVector, q: FloatVector) -> Any:
+    """Return the rows of the first player of a bimatrix game, bool, or None."""
+    first = M[0] == 0.0
+    same = first[:, None] == first
+    is_game = (q < 0.0).all() and not first.all() and ((M > 0.0) == ~same).all()
+    return first if is_game else None

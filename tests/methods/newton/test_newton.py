@@ -181,6 +181,7 @@ sums = [sp.kron(sp.eye_array(a), np.ones((1, b))), sp.kron(np.ones((1, a)), sp.e
 supply = np.r_[np.full(a, float(b)), np.full(b, float(a))]
 free = sp.csr_array((a * b, a * b))
 problem = LCP.from_qp(free, cost, A=sp.vstack(sums).tocsr(), b=supply, lower=np.zeros(a * b))
+np.seterr(all="ignore")  # as `solve` does
 print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)))
 """
 

@@ -288,7 +288,7 @@ def test_an_answer_by_a_wrong_matrix_is_none(monkeypatch, is_defined):
     ("form", "message"),
     [
         (lambda u: S @ cp.abs(u.x), r"abs\(x\) is not smooth.*and a pair"),
-        (lambda u: cp.lambda_max(u.Y) + u.s, r"lambda_max\(Y\) is not affine.*linearise"),
+        (lambda u: cp.lambda_max(u.Y) + u.s, r"lambda_max\(Y\) is not affine.*linearize"),
         (
             lambda u: u.x + cp.Parameter(4, name="load"),
             r"parameter load has no value; set load.value",

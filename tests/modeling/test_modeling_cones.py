@@ -160,7 +160,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "bounds of entries": (
         lambda: solved(complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))),
-        "bounds of their own",
+        "holds variables with bounds",
     ),
     "LCP.from_cvxpy": (
         lambda: LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])),

@@ -29,32 +29,29 @@ GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the line
 PATIENCE = 60  # points without GAIN; each halving is a point
 STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
 
-NewtonSteps = Iterator[tuple[Any, Any, Any, float]]
-
 
 def newton_steps(
-    stack: ConeStack, z: Any, steps: int, goal: float, widest: float = PROXIMAL
-) -> NewtonSteps:
+    stack: ConeStack, z: Any, steps: int, goal: float
+) -> Iterator[tuple[Any, Any, Any, float]]:
     """Yield the open problems, points, residuals and work, for the start and each step.
 
-    Steps use a nonmonotone line search on ‖R‖₂. The first proximal term is at most `widest`. A problem whose residual
-    is at most `goal` is left out.
+    Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """
     open_ones, here, at = np.arange(stack.B), stack, z
     found = here.measure(at)
     yield open_ones, at, found.largest, 1.0
-    norms, wide = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, widest)
+    norms, widest = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, PROXIMAL)
     best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
         going = np.isfinite(found.norm) & (found.largest > goal) & (since < PATIENCE)
         if not going.any():
             return
         if not going.all():
-            kept = (open_ones, at, norms, wide, best, since)
-            open_ones, at, norms, wide, best, since = (one[going] for one in kept)
+            kept = (open_ones, at, norms, widest, best, since)
+            open_ones, at, norms, widest, best, since = (one[going] for one in kept)
             here, found = here.take(going), NaturalMap(*(one[going] for one in found))
         by_z, by_w = here.derivative(*found[1:6])
-        epsilon = np.maximum(np.minimum(wide, 0.1 * found.largest), least)
+        epsilon = np.maximum(np.minimum(widest, 0.1 * found.largest), least)
         step = None
         while step is None and epsilon.min() <= 1.0:
             try:
@@ -78,8 +75,8 @@ def newton_steps(
             for whole, part in zip(found, shorter, strict=True):
                 whole[is_short] = part
         is_poor = (t < 1.0) | (found.norm >= before)
-        narrower = np.where(found.norm > GAIN * before, EASIER * epsilon, wide)
-        wide = np.where(is_poor, PROXIMAL, narrower)
+        narrower = np.where(found.norm > GAIN * before, EASIER * epsilon, widest)
+        widest = np.where(is_poor, PROXIMAL, narrower)
         norms[:, count % MEMORY] = found.norm
         tried = 1 - np.log2(t).astype(np.int64)  # each halving costs as much as a step
         since = np.where(found.norm < GAIN * best, 0, since + tried)
@@ -94,24 +91,27 @@ def accuracy_of(stack: ConeStack) -> tuple[float, float]:
     return LEAST_PROXIMAL, EXACT
 
 
-def best_of_newton(stack: ConeStack, steps: NewtonSteps) -> tuple[Any, Any, Any]:
-    """Return the point of the smallest residual of each problem, this residual, and the number of steps."""
-    shape = (stack.B, stack.k, stack.m)
-    best, least, counts = np.empty(shape), np.full(stack.B, np.inf), np.full(stack.B, -1)
-    for some, at, sizes, _ in steps:
-        is_better = (sizes < least[some]) | (counts[some] < 0)
-        best[some[is_better]], least[some[is_better]] = at[is_better], sizes[is_better]
-        counts[some] += 1
-    return best, least, counts
-
-
 def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
     """Return points and residuals after the linear systems of two active sets, if these reduce the residual.
 
     The linear systems are solved because a small residual does not imply a small error if M is ill-conditioned.
     """
-    steps = newton_steps(stack, z, LAST_STEPS, accuracy_of(stack)[1], widest=0.0)
-    return best_of_newton(stack, steps)[:2]
+    least, exact = accuracy_of(stack)
+    found = stack.measure(z)
+    best, smallest, shift = z, found.largest, least * stack.d[..., None, None]
+    for _ in range(LAST_STEPS):
+        if (found.largest <= exact).all():
+            break
+        by_z, by_w = stack.derivative(*found[1:6])
+        try:
+            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found.R)
+        except np.linalg.LinAlgError:
+            break
+        found = stack.measure(z)
+        is_better = found.largest < smallest
+        best = np.where(is_better[:, None, None], z, best)
+        smallest = np.where(is_better, found.largest, smallest)
+    return best, smallest
 
 
 def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:

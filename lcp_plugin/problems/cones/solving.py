@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from itertools import chain, islice, takewhile
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,7 @@ from .methods import (
     path_points,
     sweep_points,
 )
-from .newton import EXACT, best_of_newton, newton_steps, polish_points
+from .newton import EXACT, newton_steps, polish_points
 from .stack import Array, ConeStack
 from .sweeps import sweep_blocks
 
@@ -153,11 +152,16 @@ def solve_cone_stack(
         here = stack.take(~is_solved)
         swept[left] = sweep_blocks(here, swept[left], count, STOP * tolerance)
         iterations[left] += count // SWEEPS_PER_STEP
+        best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
-        newton = newton_steps(here, swept[left], steps, goal)
-        timely = chain(islice(newton, 1), takewhile(lambda _: has_time(), newton))
-        best, least, counts = best_of_newton(here, timely)
-        iterations[left] += counts
+        for number, step in enumerate(newton_steps(here, best, steps, goal)):
+            open_ones, at, sizes, _ = step
+            is_better = sizes < least[open_ones]
+            best[open_ones[is_better]] = at[is_better]
+            least[open_ones[is_better]] = sizes[is_better]
+            iterations[left[open_ones]] += number > 0
+            if not has_time():
+                break
         done = least <= goal
         best[done] = polish_points(here.take(done), best[done])[0]
         found = Measures(here, here.snap(best), tolerance)

@@ -235,6 +235,15 @@ def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
     np.testing.assert_allclose(best.dual_value, [2 * (3 - expected), np.zeros(2)])
 
 
+def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
+    """Set the value, or skip the test where cvxpy refuses an infinite one (until 1.8)."""
+    try:
+        parameter.value = value
+    except ValueError as error:
+        pytest.skip(f"cvxpy {cp.__version__}: {error}")
+    return parameter
+
+
 @pytest.mark.parametrize(
     ("row", "expected"),
     [
@@ -242,7 +251,7 @@ def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
         (lambda v: v <= -np.inf, "no value of the variables satisfies v <= -inf"),
         (lambda v: 2 * v >= np.inf, "no value of the variables satisfies inf <= 2.0 . v"),
         (lambda v: cp.NonNeg(v - np.inf), "no value of the variables satisfies"),
-        (lambda v: v <= cp.Parameter(name="cap", value=np.inf), "parameter cap of v <= cap"),
+        (lambda v: v <= set_value(cp.Parameter(name="cap"), np.inf), "parameter cap of v <= cap"),
         (lambda v: v <= np.nan, "v <= nan in an agent's program is not finite"),
         (lambda v: v**2 <= np.inf, "only affine inequalities"),
         (lambda v: cp.abs(v) <= -np.inf, "only affine inequalities"),
@@ -266,7 +275,7 @@ def test_a_parameter_that_becomes_infinite_is_refused(check: str) -> None:
     best = optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [v <= cap]), over=[v], check=check)
     problem = cp.Problem(cp.Minimize(0), [best])
     for value in (2.0, np.inf, -np.inf, 1.0):
-        cap.value = value
+        set_value(cap, value)
         if np.isfinite(value):
             problem.solve(method="LCP")
             assert float(v.value) == pytest.approx(value)

@@ -236,7 +236,7 @@ def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
 
 
 def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
-    """Set the value; skip the test if cvxpy refuses infinite values (up to 1.8)."""
+    """Set the value; skip the test if cvxpy raises ValueError for ∞ (up to 1.8)."""
     try:
         parameter.value = value
     except ValueError as error:

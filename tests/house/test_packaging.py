@@ -178,9 +178,5 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"',
         'python -m pytest --full -n 2 "${strict[@]}"',
-        "python tests/on_other_machines.py --part --only Haswell --only Sandybridge --only Prescott --only emulated "
-        '--only "two threads"',
-        "python tests/run_on_cvxpy_versions.py --if-possible --python 3.11 oldest",
-        "python tests/run_on_cvxpy_versions.py --if-possible --python 3.13 newest",
         "python -m sphinx -q -W -c examples/manual examples site",
     ]

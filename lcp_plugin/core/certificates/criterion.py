@@ -18,7 +18,7 @@ rounding errors included, and if every row i satisfies the componentwise test
   the largest T_k of rows that are off their bounds or violated. Such rows are at rounding level, as in the far field of
   a grid. A small row (T_i ≤ 2⁻⁴² u_i) is not tolerated if a chain of small rows leads to a small row with q_k ≠ 0, or
   with an unknown at a bound other than 0: this row sets the unit of the chain, and counts as small up to
-  T_k ≤ 2⁻³⁸ d_k ‖z_P‖∞. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other. A v_i
+  T_k ≤ 2⁻⁴⁰ d_k ‖z_P‖∞. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other. A v_i
   that underflow explains is also tolerated.
 - A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then a proof that no z has
   permitted signs of w is searched for first, in components of up to 300 rows; with a proof, z does not pass.
@@ -51,7 +51,7 @@ VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
-LEADING = 2.0**-38  # of ‖z_P‖: a row with q_k ≠ 0 up to 16 small ones sets the unit of its neighbors
+LEADING = 2.0**-40  # of ‖z_P‖: a row with q_k ≠ 0 up to 4 small ones sets the unit of its neighbors
 
 
 class RowsAtPoint(NamedTuple):

@@ -179,7 +179,8 @@ class ProgressOnRanks(Progress):
         """Print a line on rank 0, and call back; return whether a callback of any rank returned True."""
         name, callback = stage.algorithm.name, self.callback
         if self.settings.verbose and self.halo.rank == 0:
-            print(f"{name:>10} {self.iteration:>8} {residual:>12.2e}", flush=True)
+            shown_residual = "–" if residual is None else f"{residual:.2e}"
+            print(f"{name:>10} {self.iteration:>8} {shown_residual:>12}", flush=True)
         if not self.has_callback:
             return False
         sample = Sample(self.iteration, self.work, self.seconds, residual, name)

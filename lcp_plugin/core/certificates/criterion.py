@@ -112,8 +112,8 @@ class RowData:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
         self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
-        # By number of the problem and first row of the component.
-        self._are_infeasible: dict[tuple[int, ...], bool] = {}
+        # By number of the problem and rows of the components.
+        self._are_infeasible: dict[tuple[Any, ...], bool] = {}
         # Number of entries of each row, at most.
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
@@ -283,33 +283,26 @@ class RowData:
             return np.False_
         found = np.array(passes & is_doubtful.any(-1))
         for k in map(tuple, np.argwhere(found).tolist()):
-            parts = self._components_of(k, is_doubtful[k])
-            found[k] = any(self._is_part_infeasible(k, z[k], rows) for rows in parts)
+            rows = self._small_components(k, is_doubtful[k])
+            key = (*k, rows.tobytes())
+            if key not in self._are_infeasible:
+                self._are_infeasible[key] = bool(rows.size) and self.is_infeasible(k, z[k], rows)
+            found[k] = self._are_infeasible[key]
         return found
 
-    def _components_of(self, k: tuple[int, ...], mask: BoolVector) -> list[IntVector]:
-        """Return the rows of each component of problem k in which the mask is True somewhere."""
+    def _small_components(self, k: tuple[int, ...], mask: BoolVector) -> IntVector:
+        """Return the rows of components of problem k in which the mask is True somewhere, each of up to 300 rows."""
         if self.labels is None:
-            return [np.arange(mask.size)]
+            return np.arange(mask.size if mask.size <= SEARCHED_UP_TO else 0)
         labels = np.broadcast_to(self.labels, self.q.shape)[k]
-        rows = np.flatnonzero(np.isin(labels, labels[mask]))
-        rows = rows[np.argsort(labels[rows], kind="stable")]
-        return np.split(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
-
-    def _is_part_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
-        """Return whether a component of problem k has no solution; each component is searched once."""
-        key = (*k, int(rows[0]))
-        if key not in self._are_infeasible:
-            self._are_infeasible[key] = self.is_infeasible(k, z, rows)
-        return self._are_infeasible[key]
+        is_small = np.bincount(labels)[labels] <= SEARCHED_UP_TO
+        return np.flatnonzero(np.isin(labels, labels[mask]) & is_small)
 
     def is_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
         """Return whether a proof from these rows excludes every solution of problem k, of which z is a candidate."""
         from ...proofs.no_solution.infeasibility import is_proved_infeasible
 
         whole = self.q.shape
-        if rows.size > SEARCHED_UP_TO:
-            return False
         M = self.M[min(*k, len(self.M) - 1)] if self.M.ndim > 2 else self.M
         q, lower, upper = (
             np.broadcast_to(one, whole)[k][rows] for one in (self.q, self.lower, self.upper)

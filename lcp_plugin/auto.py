@@ -244,11 +244,12 @@ def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
         return algorithm
     if isinstance(algorithm, Engine):
         raise refusal_of_engine(algorithm.name)
-    if isinstance(algorithm, type) and issubclass(algorithm, Algorithm):
-        got = f"the class {algorithm.__name__}; write {algorithm.__name__}()"
-        raise UnknownAlgorithm(f"algorithm must be a name or an object, got {got}")
+    got = repr(algorithm)
+    if isinstance(algorithm, type):
+        got = f"the class {algorithm.__name__}"
+        got += f"; write {algorithm.__name__}()" if issubclass(algorithm, Algorithm) else ""
     raise UnknownAlgorithm(
-        f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
+        f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {got}"
     )
 
 

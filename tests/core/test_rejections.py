@@ -222,7 +222,7 @@ RUNS = [
     run(r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'", "piqp", error=UnknownAlgorithm),
     run(r"did you mean 'clarabel'\?", "clarable", error=UnknownAlgorithm),
     run(r"algorithm must be a name or an object.*PSOR\(", PSOR, error=UnknownAlgorithm),
-    run(r"such as PSOR\(relaxation=1.5\), got <class '.*LCP'>$", LCP, error=UnknownAlgorithm),
+    run(r"such as PSOR\(relaxation=1.5\), got the class LCP$", LCP, error=UnknownAlgorithm),
     run(
         r"psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep", "psor", relaxtion=1.0
     ),

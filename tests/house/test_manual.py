@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import multiprocessing
 import re
 import textwrap
+from collections.abc import Iterator
 from importlib.util import find_spec
 
 import pytest
@@ -29,10 +31,20 @@ BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.S |
 ONE_SCREEN = 60  # lines
 
 
+@pytest.fixture
+def spawned() -> Iterator[None]:
+    """Start worker processes afresh: a process with threads is not to be forked."""
+    before = multiprocessing.get_start_method(allow_none=True)
+    multiprocessing.set_start_method("spawn", force=True)
+    yield
+    multiprocessing.set_start_method(before, force=True)
+
+
+@pytest.mark.usefixtures("spawned")
 @pytest.mark.parametrize("name", GUIDES)
 def test_the_code_of_a_guide_prints_what_stands_below_it(name: str) -> None:
     """Its blocks run one after the other; a script for ranks is the one that tests/distributed runs."""
-    namespace: dict[str, object] = {"__name__": "guide"}
+    namespace: dict[str, object] = {"__name__": "__main__"}
     blocks = BLOCK.findall(guide(name))
     assert blocks
     for code, printed in blocks:

@@ -599,8 +599,10 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
     """max_seconds=0 ends with MAX_SECONDS, or with what is known without a step."""
     answer = solved(sample, max_seconds=0.0)
     assert answer.status in (Status.MAX_SECONDS, *sample.ends)
-    has_none = sample.kind == "EquilibriumProgram" and sample.x is None and answer.x is None
-    assert has_none or answer.x.shape[0] >= 2
+    if answer.x is None:  # a search has found no solution yet
+        assert sample.kind == "EquilibriumProgram"
+    else:
+        assert answer.x.shape[0] >= 2
 
 
 # --- Sequences of answers --------------------------------------------------------------------------------------------

@@ -324,3 +324,11 @@ def test_a_time_limit_ends_lemke_before_its_other_starts() -> None:
     result = solve(LCP(M, rng.standard_normal(1200)), "lemke", max_seconds=0.01)
     assert result.status is Status.MAX_SECONDS
     assert time.process_time() - began - factorization < 1.01 + factorization
+
+
+def test_a_time_limit_ends_starts_that_have_no_path() -> None:
+    """A start in a singular active set gives no path, so only the loop over the starts can read the clock."""
+    problem = LCP(np.full((30, 30), -1.0), np.full(30, -1.0))
+    result = solve(problem, "lemke", restarts=100_000, max_seconds=0.1)
+    assert result.status is Status.MAX_SECONDS
+    assert result.seconds < 1.1

@@ -16,7 +16,7 @@ CLASSES = (
 # The classes that a function takes, or whose results it takes; LCP alone if it is not listed.
 TAKES: dict[str, tuple[str, ...]] = {
     "solve": CLASSES,
-    "solve_batch": tuple(name for name in CLASSES if name != "NonlinearProblem"),
+    "solve_batch": CLASSES,
     "prepare": ("LCP", "QuadraticProgram"),
     "march": ("LCP", "ConeProblem", "FrictionalContact"),
     "trace": ("LCP", "QuadraticProgram", "BoundedLeastSquares"),

@@ -96,7 +96,8 @@ OVER_CONES = (
 KINDS = {
     "LCP": tuple(way for way in WAYS if way not in ("certify", "qpsolvers")),
     "NonlinearProblem": (
-        *("solve", "derivative", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
+        *("solve", "solve_batch", "derivative", "pickle"),
+        *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "QuadraticProgram": (
         *("solve", "solve_batch", "prepare", "trace", "certify", "pickle"),
@@ -159,7 +160,8 @@ def by_solve(sample: Sample, folder: Path) -> None:
 
 
 def by_batch(sample: Sample, folder: Path) -> None:
-    batches = [solve_batch([sample.problem, sample.problem])]
+    starts = {"z0": [*sample.start.values()] * 2} if sample.start else {}
+    batches = [solve_batch([sample.problem, sample.problem], **starts)]
     if sample.kind == "QuadraticProgram":
         P, c, G, h, A, b, lower, upper = sample.program
         stack = QuadraticProgramBatch(P, np.stack([c, c]), G, h, A, b, lower=lower, upper=upper)
@@ -610,9 +612,7 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
 
 def one_of_each_kind() -> list[Any]:
     """Return a problem of each class that solve_batch accepts."""
-    return list(
-        {one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values()
-    )
+    return list({one.kind: one.problem for one in SOLVABLE}.values())
 
 
 def test_time_ends_a_batch_of_several_kinds() -> None:

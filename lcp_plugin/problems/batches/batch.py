@@ -112,16 +112,16 @@ def solve_batch(
         With one LCP and a q of shape (B, n), all problems share the cached properties of its matrix, as after
         :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
         mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
-        A sequence may contain problems of different sizes and of all classes that :func:`lcp_plugin.solve` takes
-        without further data; do not pass q, lower or upper with it. Small LCPs of one size, small problems over the
-        same cones, and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
-        (B, n, n) are not copied: do not change their entries while you use the result.
+        A sequence may contain problems of different sizes and of all classes; do not pass q, lower or upper with it.
+        Small LCPs of one size, small problems over the same cones, and programs of one shape are solved as stacks;
+        others are solved one by one. Arrays of shape (B, n, n) are not copied: do not change their entries while you
+        use the result.
     q : array, shape (B, n) or (n,)
         For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
         b, shape (B, m).
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
-        Warm starts; for a list of LCPs a list of vectors or None.
+        Warm starts; for a list of problems a list of vectors or None.
     algorithm : str or Algorithm
     callback : callable, optional
         Called as ``callback(finished, count)``, numbers of problems, after each stack or chunk, and after each problem

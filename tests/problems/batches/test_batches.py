@@ -9,7 +9,15 @@ import pytest
 import scipy.sparse as sp
 from small_families import FAMILIES, definite_stack, draw, told
 
-from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, Status, solve, solve_batch
+from lcp_plugin import (
+    LCP,
+    InvalidProblem,
+    NonlinearProblem,
+    QuadraticProgram,
+    Status,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.core.errors import InvalidOption
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
@@ -169,3 +177,12 @@ def test_one_problem_takes_many_q() -> None:
             InvalidProblem, match=r"needs many problems, got one .*; write solve_batch"
         ):
             solve_batch(one)
+
+
+def test_nonlinear_problems_begin_at_their_own_starts() -> None:
+    """A list of problems with starts as z0: x² = a has two roots, and the start chooses one."""
+    problems = [NonlinearProblem(lambda x, a=a: x**2 - a, lower=[-INF]) for a in (1.0, 4.0)]
+    answers = solve_batch(problems, z0=[[3.0], [-3.0]])
+    assert answers.all_solved
+    np.testing.assert_allclose(answers.z.ravel(), [1.0, -2.0], rtol=1e-7)
+    assert [answer.z.tolist() for answer in answers] == answers.z.tolist()

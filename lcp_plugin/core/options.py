@@ -28,11 +28,16 @@ class Watching(Limits, total=False):
     """Options of a run with iterations that can be watched."""
 
     max_iterations: int | None
-    absolute_tolerance: float
     record: bool
     callback: Callable[[Any, Any], Any] | None
     threads: int | None
     verbose: bool
+
+
+class Residuals(Watching, total=False):
+    """Options of a run that compares residuals in the unit of z."""
+
+    absolute_tolerance: float
 
 
 class AlgorithmOptions(TypedDict, total=False):
@@ -53,7 +58,7 @@ class AlgorithmOptions(TypedDict, total=False):
     hands_over: bool
 
 
-class LCPOptions(Watching, AlgorithmOptions, total=False):
+class LCPOptions(Residuals, AlgorithmOptions, total=False):
     """Options for an LCP, and for a QuadraticProgram without an engine's own."""
 
     z0: ArrayLike | None
@@ -70,7 +75,7 @@ class BatchOptions(Limits, total=False):
     threads: int | None
 
 
-class NonlinearOptions(Watching, total=False):
+class NonlinearOptions(Residuals, total=False):
     """Options for a NonlinearProblem."""
 
     x0: ArrayLike | None
@@ -78,23 +83,18 @@ class NonlinearOptions(Watching, total=False):
     check_jacobian: bool
 
 
-class ConeOptions(Watching, total=False):
+class ConeOptions(Residuals, total=False):
     """Options for a ConeProblem and a FrictionalContact."""
 
     z0: ArrayLike | None
     prove_infeasibility: bool
 
 
-class LeastSquaresOptions(Limits, total=False):
+class LeastSquaresOptions(Watching, total=False):
     """Options for a BoundedLeastSquares."""
 
     x0: ArrayLike | None
     z0: ArrayLike | None
-    max_iterations: int | None
-    record: bool
-    callback: Callable[[Any, Any], Any] | None
-    threads: int | None
-    verbose: bool
 
 
 class EquilibriumOptions(Limits, total=False):

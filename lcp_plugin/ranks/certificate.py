@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +11,8 @@ from scipy.sparse import csgraph
 
 from ..core.certificates.criterion import RowData, RowsAtPoint
 from ..core.checks import FloatVector
-from ..core.kernels.floats import EPSILON, NEGLIGIBLE, TINY
-from ..core.matrix.matrix import largest_in_rows
+from ..core.kernels.floats import EPSILON, TINY
+from ..core.matrix.matrix import largest_products
 from ..core.rounding import compensated_product, lower_end
 from ..systems.comparison_sums import comparison_product
 
@@ -132,13 +131,9 @@ class RowDataOnRanks(RowData):
             high = self.residual_ends(z, *ends)[1]
         return high
 
-    @cached_property
-    def demand(self) -> FloatVector:
-        """Demand of each row: a_i of :mod:`lcp_plugin.core.certificates.criterion`."""
-        at, size = self.rows(self.start), self.absolute.rows
-        w = np.where(np.abs(at.w) > NEGLIGIBLE * at.terms, np.abs(at.w), 0.0)
-        shares = self.problem.halo.whole(w / self.scale)
-        return np.maximum(w, largest_in_rows(size, size.data * shares[size.indices]))
+    def largest_products(self, x: FloatVector) -> FloatVector:
+        """Return max_j |m_ij| x_j of each row, x ≥ 0."""
+        return largest_products(self.absolute.rows, self.problem.halo.whole(x))
 
 
 @np.errstate(all="ignore")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from ..core.settings import Settings, Status, checked_callback
 from ..core.solving.progress import Progress
 from ..core.solving.result import Sample
 from ..core.solving.run import Run
-from ..core.solving.stage import Stage
+from ..core.solving.stage import Named, Stage
 from ..core.solving.termination import TerminationReason
 from .certificate import CertificateOnRanks, RowDataOnRanks, error_bound, measured
 from .collective import Interruptions
@@ -206,7 +205,7 @@ class RunOnRanks(Run):
                 Step(point, work=work, iterations=int(k > 0 or work > 0.0))
                 for k, (point, work) in enumerate(points)
             )
-            yield Stage(SimpleNamespace(name=name), steps=steps)
+            yield Stage(Named(name), steps=steps)
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
         """Return the measured point of a step; None if no measurement is due."""

@@ -199,8 +199,8 @@ def attack_least_squares(rng: np.random.Generator, count: int) -> list[str]:
             at = np.clip(climbed(rng, x, step), problem.lower, problem.upper)
             with np.errstate(all="ignore"):
                 judged = Optimality.of(enclosures, at, tolerance=1e-8)
-            if judged.value < lowest and excess(case, at, least) > MOST:
-                x, lowest = at, judged.value
+            if judged.residual < lowest and excess(case, at, least) > MOST:
+                x, lowest = at, judged.residual
         if lowest <= 1e-8:
             fallen.append(f"{x.tolist()} of {case}: {lowest}, off by {excess(case, x, least)}")
     return fallen

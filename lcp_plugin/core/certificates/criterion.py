@@ -40,7 +40,7 @@ import numpy as np
 from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
-from ..matrix.matrix import Matrix, fact, largest_in_rows
+from ..matrix.matrix import Matrix, fact, largest_products
 from ..matrix.row_sums import BLOCK
 from ..matrix.structure import IntVector, connected_components
 from ..rounding import compensated_product
@@ -82,7 +82,7 @@ class RowData:
     """M, q, bounds, d and components of one problem or of a stack: the data of the criterion.
 
     A class of problems with another product or other rows replaces `anywhere`, `worst`, `largest`, `follow_chains` or
-    `demand`.
+    `largest_products`.
 
     Parameters
     ----------
@@ -241,12 +241,11 @@ class RowData:
         at = self.rows(self.start)
         w = np.abs(at.w)
         w = np.where(w > NEGLIGIBLE * at.terms, w, 0.0)
-        shares = w / self.scale
-        if isinstance(self.absolute, np.ndarray):
-            of_neighbors = (self.absolute * shares[..., None, :]).max(-1, initial=0.0)
-            return np.asarray(np.maximum(w, of_neighbors))
-        sizes = self.absolute.data * shares[..., self.absolute.indices]
-        return np.maximum(w, largest_in_rows(self.absolute, sizes))
+        return np.maximum(w, self.largest_products(w / self.scale))
+
+    def largest_products(self, x: FloatVector) -> FloatVector:
+        """Return max_j |m_ij| x_j of each row, x ≥ 0."""
+        return largest_products(self.absolute, x)
 
     def term_residuals(self, z: FloatVector, at: RowsAtPoint, power: float = POWER) -> FloatVector:
         """Return the least tolerance at which each row passes the componentwise test; ∞ and NaN pass at none.

@@ -167,6 +167,13 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
     return largest
 
 
+def largest_products(sizes: Any, x: FloatVector) -> FloatVector:
+    """Return max_j |m_ij| x_j of each row, x ≥ 0; `sizes` is |M|, of one problem or, dense, of a stack."""
+    if sp.issparse(sizes):
+        return largest_in_rows(sizes, sizes.data * x[..., sizes.indices])
+    return np.asarray((sizes * x[..., None, :]).max(-1, initial=0.0))
+
+
 def residual_scales(diagonal: FloatVector, largest: FloatVector) -> FloatVector:
     """Return D of the scaled residual from the diagonal and the largest |entry| of each row, arrays of one shape."""
     # The product may underflow to 0, which no diagonal of 0 may pass.

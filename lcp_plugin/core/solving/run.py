@@ -90,12 +90,14 @@ class Run:
         """Return the result of the run."""
         raise NotImplementedError
 
-    def result_at(self, certificate: Any, status: Status, **others: Any) -> Result:
-        """Return the result of a run that ends with this certificate; `others` are further fields of the result."""
+    def result_at(
+        self, certificate: Any, status: Status, kind: type[Result] = Result, **others: Any
+    ) -> Result:
+        """Return the result of a run that ends with this certificate; `others` are further fields of its class."""
         progress, settings, stages = self.progress, self.settings, self.progress.records()
         if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        result = Result(
+        result = kind(
             z=certificate.z,
             w=certificate.w,
             status=status,

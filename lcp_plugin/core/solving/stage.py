@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..algorithm import Step
 from ..checks import FloatVector
@@ -14,6 +14,12 @@ from .result import StageRecord
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
 PROGRESS = 0.99  # a residual that has not fallen below this share of an earlier one has not fallen
+
+
+class Named(NamedTuple):
+    """Name of a stage that runs no algorithm of this package."""
+
+    name: str
 
 
 @dataclass(eq=False)

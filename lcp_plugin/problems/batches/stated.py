@@ -152,15 +152,12 @@ class Listed:
                 alike.setdefault((id(one.A), id(one.weights), one.ridge), []).append(k)
         for items in alike.values():
             base = self.problems[items[0]]
-            _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
-            for first in range(0, len(items), size):
-                part = items[first : first + size]
-                names = ("b", "lower", "upper", "l1")
-                b, lower, upper, l1 = (
-                    np.array([getattr(self.problems[k], one) for k in part]) for one in names
-                )
-                stack = base.stack(b, lower, upper, l1)
-                yield np.array(part), partial(solve_least_squares_stack, stack, tolerance)
+            yield from _stacks_of(base, np.array(items), partial(self._stack, base), tolerance)
+
+    def _stack(self, base: BoundedLeastSquares, items: Any) -> BoundedLeastSquares:
+        chosen = [self.problems[k] for k in items]
+        names = ("b", "lower", "upper", "l1")
+        return base.stack(*(np.array([getattr(one, name) for one in chosen]) for name in names))
 
     def objectives(self, z: Any) -> Any:
         """Return the cost of least squares problems, NaN for others, shape (B,)."""
@@ -183,6 +180,23 @@ class Listed:
         stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
         z, *others = solve_cone_stack(stack, stack.origin, tolerance, has_time, is_warm=False)
         return pattern.flat(z), *others
+
+
+def _stacks_of(
+    base: BoundedLeastSquares,
+    items: Any,
+    stack: Callable[[Any], BoundedLeastSquares],
+    tolerance: float,
+) -> Stacks:
+    """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
+    _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
+
+    def solve(part: Any) -> Any:
+        return solve_least_squares_stack(stack(part), tolerance)
+
+    for first in range(0, items.size, size):
+        part = items[first : first + size]
+        yield part, partial(solve, part)
 
 
 class Rows:
@@ -221,6 +235,11 @@ class Rows:
     def __getitem__(self, k: int) -> Any:
         """Return problem k."""
         raise NotImplementedError
+
+    @property
+    def valid(self) -> Any:
+        """Numbers of the problems without errors."""
+        return np.setdiff1d(np.arange(self.count), [*self.errors])
 
     def _row(self, name: str, k: int) -> Any:
         rows = self.rows[name]
@@ -290,9 +309,7 @@ class Stacked(Rows):
 
     def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
         """Yield the problems without errors, if `suits` is true for their matrix."""
-        n, is_here = self.M.shape[-1], np.ones(self.count, np.bool_)
-        is_here[[*self.errors]] = False
-        items = np.flatnonzero(is_here)
+        n, items = self.M.shape[-1], self.valid
         is_suited = 0 < n <= SMALL_DENSE if self.base is None else suits(self.base)
         if not is_suited or not items.size:
             return
@@ -336,17 +353,7 @@ class RightSides(Rows):
         """Yield stacks of small problems."""
         if "z0" in self.rows or not suits_stack(self.stack(slice(None))):
             return
-        _ = self.base.normal_equations  # shared by all stacks
-        is_here = np.ones(self.count, np.bool_)
-        is_here[[*self.errors]] = False
-        items = np.flatnonzero(is_here)
-        size = length_of_stack(self.base)
-        for first in range(0, items.size, size):
-            part = items[first : first + size]
-            yield part, partial(self._solve, part, tolerance)
-
-    def _solve(self, items: Any, tolerance: float) -> Any:
-        return solve_least_squares_stack(self.stack(items), tolerance)
+        yield from _stacks_of(self.base, self.valid, self.stack, tolerance)
 
     def objectives(self, z: Any) -> Any:
         """Return the cost of each z, shape (B,)."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
     FloatVector,
+    change_of_vector,
     checked_vector,
     derived_property,
     is_number,
@@ -24,8 +25,8 @@ from ...core.checks import (
 )
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import Matrix
-from ...core.matrix.structure import row_numbers
 from ...systems.free_systems import FreeSystem
+from ...systems.graph import outer_on_pattern
 from ...systems.linearized import LinearizedSystem
 from .data import Blocks
 from .newton import polish_points, system_of_free_rows
@@ -276,18 +277,15 @@ class ConeDerivative:
     def _moved(self, dq: ArrayLike | None, dM: Any) -> FloatVector:
         """Return dM z + dq."""
         n = self.problem.n
-        change = np.zeros(n) if dq is None else checked_vector(dq, "dq", n)
+        change = change_of_vector(dq, "dq", n)
         return change if dM is None else change + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
         """Return the gradients of a function L, with g = ∂L/∂z and gw = ∂L/∂w (default 0), (n,)."""
-        n, M = self.problem.n, self.problem.rows.csr
-        by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
+        n, by_w = self.problem.n, change_of_vector(gw, "gw", self.problem.n)
         parts = self._of.gradients(checked_vector(g, "g", n)[None], by_w[None])
         by_q, by_bound, by_friction = (part[0] for part in parts)
-        by_M = sp.csr_array(
-            (by_q[row_numbers(M)] * self.z[M.indices], M.indices, M.indptr), shape=M.shape
-        )
+        by_M = outer_on_pattern(self.problem.rows.matrix, by_q, self.z)
         lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds(self._of))
         return ConeGradient(by_q, by_M, by_friction, lower, upper)
 

@@ -16,11 +16,10 @@ from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result, stage_lines
 from ...core.solving.run import Run
-from ...core.solving.run_log import RunLog, say
+from ...core.solving.run_log import RunLog
 from ...core.solving.stage import Stage
 from ...core.solving.termination import FAILED, TerminationReason
 from ...methods.search import is_searchable
@@ -115,8 +114,6 @@ def solve_cones(
         z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
         run = ConeRun(problem, stack, progress, z, chosen)
         result: ConeResult = run.solve(run.plan())
-    if settings.verbose:
-        say(f"{result.status.name}: {result.advice}")
     return result
 
 
@@ -258,30 +255,18 @@ class ConeRun(Run):
     def _is_excluded(self) -> bool:
         return self.proof is not None and self.proof.excludes(self.tolerance, self.absolute)
 
-    def result(self, end: TerminationReason) -> ConeResult:
+    def result(self, end: TerminationReason) -> Result:
         """Return the result."""
         self.measure_best()
-        progress, certificate = self.progress, ConeCertificate(self.problem, self.best)
-        status, stages, words = self.status(end), progress.records(), dict(WORDS)
+        words = dict(WORDS)
         if not self.settings.prove_infeasibility:
             words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
-        if status is Status.SOLVED and not progress.iteration:
-            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        name = ", ".join(dict.fromkeys(stage.name for stage in stages))
-        return ConeResult(
-            z=certificate.z,
-            w=certificate.w,
-            status=status,
-            certificate=certificate,  # type: ignore[arg-type]
+        name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
+        return self.result_at(
+            ConeCertificate(self.problem, self.best),
+            self.status(end),
+            ConeResult,
             algorithm=f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name,
-            iterations=progress.iteration,
-            work=progress.work,
-            seconds=progress.clock.read(),
-            setup_seconds=0.0,
-            tolerance=self.tolerance,
-            absolute_tolerance=self.absolute,
-            history=tuple(progress.samples),
-            stages=stages,
             infeasibility=self.proof,
             _advice=words,
             problem=self.problem,

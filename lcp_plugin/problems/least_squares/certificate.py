@@ -67,54 +67,55 @@ class Optimality:
     ----------
     enclosures : Enclosures
     x : ndarray, shape (n,)
-    residual : (ndarray, ndarray), shape (m,) each
+    misfit : (ndarray, ndarray), shape (m,) each
         A x − b, and bounds of its rounding errors.
-    value : float
+    residual : float
         Measure that must be at most the tolerance for SOLVED: the least gap found, apart from rounding, relative to its
         cost, at most 1. For a LinearOperator ‖x − mid(lower, upper, x − g)‖∞/‖AᵀWb‖∞, g the gradient, in units in which
         columns have unit length. 1 if a point of lower cost is known.
     dual : ndarray, shape (m,)
-        The y of the value.
+        The y of the residual.
+    passes : bool
+        Whether the point is SOLVED, if a run has tested it.
     """
 
     enclosures: Enclosures
     x: FloatVector
-    residual: Ball
-    value: float
+    misfit: Ball
+    residual: float
     dual: FloatVector
+    passes: bool = False
 
     @classmethod
     def of(cls, enclosures: Enclosures, x: FloatVector, *, tolerance: float = np.inf) -> Optimality:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
-        residual = enclosures.residual(x)
-        judged = cls(enclosures, x, residual, 1.0, residual[0])
+        misfit = enclosures.residual(x)
+        judged = cls(enclosures, x, misfit, 1.0, misfit[0])
         if enclosures.problem.has_entries:
-            judged.value, judged.dual = _relative_gap(judged, tolerance)
+            judged.residual, judged.dual = _relative_gap(judged, tolerance)
         else:
             size, unit = judged._largest[0], enclosures.reference
-            judged.value = OUTWARD * size / unit if unit > 0.0 else 0.0 if size == 0.0 else math.inf
+            judged.residual = (
+                OUTWARD * size / unit if unit > 0.0 else 0.0 if size == 0.0 else math.inf
+            )
         if judged.is_worse_than_known(tolerance):
-            judged.value = 1.0
+            judged.residual = 1.0
         return judged
 
     def is_worse_than_known(self, tolerance: float) -> bool:
         """Return whether x costs more than a known point, including the rounding of that point's cost."""
-        enclosures, slip, known = self.enclosures, self.residual[1], self.enclosures.known
+        enclosures, slip, known = self.enclosures, self.misfit[1], self.enclosures.known
         if _may_be_rounding(enclosures.problem, self.cost, slip, tolerance):
             known = [*known, enclosures.unbounded_solution]
         return any(_exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
 
-    def meets(self, tolerance: float) -> bool:
-        """Return whether x is SOLVED."""
-        return bool(self.value <= tolerance)
-
     @derived_property
     def cost(self) -> float:
         """The cost of x."""
-        return float(self.enclosures.problem.cost(self.x, self.residual[0]))
+        return float(self.enclosures.problem.cost(self.x, self.misfit[0]))
 
     @property
-    def is_at_rounding_level(self) -> bool:
+    def is_limited(self) -> bool:
         """True if every component is at most its rounding error bound."""
         return self._largest[1]
 
@@ -122,7 +123,7 @@ class Optimality:
     @np.errstate(all="ignore")
     def sharp_residual(self) -> FloatVector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
-        problem, (r, slip) = self.enclosures.problem, self.residual
+        problem, (r, slip) = self.enclosures.problem, self.misfit
         if not problem.has_entries or not problem.apply_weights(slip) @ np.abs(
             r
         ) > NEARLY * problem.cost(self.x, r):
@@ -141,9 +142,9 @@ class Optimality:
             one.column_scales,
             one.root_weights,
         )
-        slope, radius = self.enclosures.gradient(self.x, self.residual)
+        slope, radius = self.enclosures.gradient(self.x, self.misfit)
         if not problem.has_entries:
-            vectors = root * self.residual[0], root * problem.b, scales * self.x
+            vectors = root * self.misfit[0], root * problem.b, scales * self.x
             radius = 4.0 * EPSILON * scales * sum(map(np.linalg.norm, vectors))
         slope, radius, x, l1 = slope / scales, radius / scales, self.x * scales, problem.l1 / scales
         residual = clip(x, slope - l1, slope + l1)
@@ -154,7 +155,7 @@ class Optimality:
 
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVector]:
     """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
-    enclosures, x, residual = judged.enclosures, judged.x, judged.residual
+    enclosures, x, residual = judged.enclosures, judged.x, judged.misfit
     problem, duals = enclosures.problem, _dual_points(judged)
     least, best = np.inf, residual[0]
 
@@ -225,7 +226,7 @@ def measure_stack(
 
 def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
     """Yield dual points y with their s, the cheapest first."""
-    enclosures, x, (r, slip) = judged.enclosures, judged.x, judged.residual
+    enclosures, x, (r, slip) = judged.enclosures, judged.x, judged.misfit
     problem, at_r = enclosures.problem, enclosures.gradient_at(x, r)
     yield r, at_r
     yield from _with_zeros(enclosures, x, r, slip)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from ...core.solving.progress import Progress
 from ...core.solving.result import Sample, StageRecord
 from ...core.solving.run import STATUS_OF, Callback, Run
 from ...core.solving.run_log import RunLog, say
-from ...core.solving.stage import Stage
+from ...core.solving.stage import Named, Stage
 from ...core.solving.termination import FAILED, TerminationReason
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
@@ -97,30 +97,6 @@ def solve_least_squares(
     return result
 
 
-class Solver(NamedTuple):
-    """Name of a method of a run."""
-
-    name: str
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """Certified point of a run, as the loop compares it."""
-
-    optimality: Optimality
-    passes: bool
-
-    @property
-    def residual(self) -> float:
-        """The number that is at most the tolerance for SOLVED."""
-        return self.optimality.value
-
-    @property
-    def is_limited(self) -> bool:
-        """Whether the gradient is at rounding level."""
-        return self.optimality.is_at_rounding_level
-
-
 class LeastSquaresRun(Run):
     """Run that certifies points of external solvers, and the projected steps that may be optimal.
 
@@ -157,7 +133,7 @@ class LeastSquaresRun(Run):
                 raise OutOfTimeError
             yield step
 
-    def measure(self, stage: Stage, step: Step) -> Judged | None:
+    def measure(self, stage: Stage, step: Step) -> Optimality | None:
         """Return the certified point of a step; None for a projected step that is not much nearer than the last one."""
         if step.measured is not None:
             return step.measured  # type: ignore[no-any-return]
@@ -169,22 +145,25 @@ class LeastSquaresRun(Run):
             self.aim = NARROWER * step.residual
         return self.certify(self._scaled_x(step))
 
-    def certify(self, x: FloatVector, tolerance: float | None = None) -> Judged:
+    def certify(self, x: FloatVector, tolerance: float | None = None) -> Optimality:
         """Return the certified point of a scaled x."""
         return self.judge(self.problem.scaled.to_caller(x), tolerance)
 
-    def judge(self, x: FloatVector, tolerance: float | None = None) -> Judged:
+    def judge(self, x: FloatVector, tolerance: float | None = None) -> Optimality:
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
-        found = Optimality.of(
-            self.enclosures, x, tolerance=goal if tolerance is None else tolerance
-        )
-        return Judged(found, found.meets(goal))
+        enough = goal if tolerance is None else tolerance
+        found = Optimality.of(self.enclosures, x, tolerance=enough)
+        found.passes = found.residual <= goal
+        return found
 
-    def keep(self, found: Judged) -> None:
+    def keep(self, found: Optimality) -> None:
         """Keep a point that passes, or whose gap is smaller than the best one, then its cost."""
-        new, best = found.optimality, self.best and self.best.optimality
-        if best is None or found.passes or (new.value, new.cost) < (best.value, best.cost):
+        if (
+            found.passes
+            or self.best is None
+            or (found.residual, found.cost) < (self.best.residual, self.best.cost)
+        ):
             self.best = found
 
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
@@ -217,7 +196,7 @@ class LeastSquaresRun(Run):
         ran = [stage for stage in progress.records() if stage.iterations]
         name = ", ".join(dict.fromkeys(stage.name for stage in ran)) or START
         return LeastSquaresResult.at(
-            self.best.optimality,
+            self.best,
             self.status(end),
             max(progress.iteration, 0),
             name,
@@ -233,17 +212,17 @@ class LeastSquaresRun(Run):
         """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
         problem, most = self.problem, self.settings.max_iterations
         if self._may_begin_with_nnls:
-            yield Stage(Solver("nnls"), "one bound per column", steps=self._nnls_step())
+            yield Stage(Named("nnls"), "one bound per column", steps=self._nnls_step())
         is_at_rest = not FacePoint(problem.scaled, self.nearest).natural_residual.any()
         if self.start is not None or is_at_rest:
-            yield Stage(Solver(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
+            yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
         few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
         if not problem.is_small:
             yield self._projected(few if problem.has_entries else most)
         if not problem.has_entries:
             return
         if is_within_reach(problem.scaled):
-            yield Stage(Solver("external solvers"), "A is factorized", steps=self._engine_steps())
+            yield Stage(Named("external solvers"), "A is factorized", steps=self._engine_steps())
         else:
             yield self._projected(most)
 
@@ -254,7 +233,7 @@ class LeastSquaresRun(Run):
 
     def _nnls_step(self) -> Iterator[Step]:
         found = self.judge(nnls_point(self.problem))
-        yield Step(found.optimality.x, iterations=1, measured=found)
+        yield Step(found.x, iterations=1, measured=found)
 
     def _engine_steps(self) -> Iterator[Step]:
         """Yield points by lstsq, nnls and PIQP; a point is an iteration."""
@@ -274,7 +253,7 @@ class LeastSquaresRun(Run):
 
     def _projected(self, most: int) -> Stage:
         because = "products with A and Aᵀ"
-        return Stage(Solver("projected gradients"), because, steps=self._projected_steps(most))
+        return Stage(Named("projected gradients"), because, steps=self._projected_steps(most))
 
     def _projected_steps(self, most: int) -> Iterator[Step]:
         """Yield projected steps while their measure falls, then the point closest to optimality."""
@@ -375,7 +354,7 @@ class LeastSquaresResult(BaseResult):
             x=read_only(x),
             cost=float(problem.cost(x, residual)),
             fun=residual,
-            optimality=judged.value,
+            optimality=judged.residual,
             active_mask=read_only(mask),
             status=status,
             nit=nit,

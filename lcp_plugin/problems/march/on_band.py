@@ -13,7 +13,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.criterion import RowData
-from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, read_only
 from ...core.lcp import LCP
 from ...core.matrix.structure import row_numbers
@@ -70,7 +69,7 @@ class BandSteps:
                 Q, Z = Q[:k], Z[:k]
                 break
             state = Z[k] = found
-        measured = self._measure(Q, Z)
+        measured = self._data(Q).measure(Z, self.tolerance, power=1.0)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
         count = len(Q) if passes.all() else int(np.argmin(passes))
         if moves[:count].any():  # later steps were computed from the point before it was moved
@@ -88,20 +87,14 @@ class BandSteps:
                 if found is None
                 else np.minimum(np.maximum(found, problem.lower), problem.upper)
             )
-        reference = self._residual(self.of_nearest + q, problem.nearest_to_zero)
-        goal = 0.5 * self.tolerance * np.max(reference, initial=0.0)
+        data = self._data(q)
+        reference = data.residual(data.start, self.of_nearest + q)
+        goal = 0.5 * self.tolerance * np.abs(reference).max(initial=0.0)
         rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))
         return next((z for z, residual in rounds if residual <= goal), None)
 
-    def _measure(self, Q: FloatVector, Z: FloatVector) -> Measured:
-        """Return the measured points of the steps, rounding included."""
+    def _data(self, q: FloatVector) -> RowData:
+        """Return the data of the criterion of one step, q of shape (n,), or of several."""
         problem = self.problem
-        bounds = problem.lower, problem.upper
-        data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
-        return data.measure(Z, self.tolerance, power=1.0)
-
-    def _residual(self, w: FloatVector, z: FloatVector) -> FloatVector:
-        """Return |z − mid(lower, upper, z − w/d)|."""
-        problem = self.problem
-        step = np.clip(w / problem.residual_scale, z - problem.upper, z - problem.lower)
-        return np.asarray(np.abs(step))
+        vectors = q, problem.lower, problem.upper, problem.residual_scale
+        return RowData(problem.csr, self.absolute, *vectors, start=problem.nearest_to_zero)

@@ -249,8 +249,9 @@ class NonlinearRun(Run):
         passes = certificate.meets(self.settings)
         is_limited = not (passes or is_interrupted) and certificate.is_limited_by_rounding
         self.best = Measured(point, point.residual, passes, is_limited)
-        named = {"algorithm": self.newton.name, "_asked": self.newton}
-        return self.result_at(certificate, self.status(end), _advice=WORDS, **named)
+        status, newton = self.status(end), self.newton
+        named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": WORDS}
+        return self.result_at(certificate, status, **named)
 
 
 TANGENTS = (

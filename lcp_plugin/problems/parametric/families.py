@@ -467,9 +467,9 @@ class LeastSquaresFamily(Family):
         """Return the status by the optimality certificate."""
         tolerance = self.settings.tolerance
         found = Optimality.of(Enclosures(point.problem), point.x, tolerance=tolerance)
-        if found.meets(tolerance):
+        if found.residual <= tolerance:
             return Status.SOLVED
-        is_near = found.is_at_rounding_level or found.meets(NEARLY * tolerance)
+        is_near = found.is_limited or found.residual <= NEARLY * tolerance
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
 
     def case_of(self, steps: Any) -> Any:

@@ -20,7 +20,7 @@ from ...core.checks import FloatVector, checked_vector, derived_property, is_num
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
-from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.matrix import largest_products
 from ...core.problem_classes import class_of, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance
@@ -456,10 +456,8 @@ class Violation:
 
 def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
     """Return the largest of |limit_i| and |rows_ij x_j| of each row; an infinite limit is none."""
-    terms = sp.csr_array(
-        (np.abs(rows.data * x[rows.indices]), rows.indices, rows.indptr), rows.shape
-    )
-    return np.maximum(largest_in_rows(terms), np.where(np.isfinite(limit), np.abs(limit), 0.0))
+    own = np.where(np.isfinite(limit), np.abs(limit), 0.0)
+    return np.maximum(largest_products(abs(rows), np.abs(x)), own)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
-from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.matrix import largest_products
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -195,9 +195,11 @@ class PrimalDualPoint:
         self.room = np.where(is_pushed, self.distance, np.maximum(x - lower, upper - x))
         self.curved = np.abs(self._sums(x * self.product)) + self.hidden
         self.objective = self._sums(self.cost * self.of_x) + self.curved
-        self.own = np.maximum(largest(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0))
+        self.own = np.maximum(
+            largest_products(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0)
+        )
         if self.matrices.has_short_rows:
-            self.own = np.maximum(self.own, largest(of_C, np.ones(x.size)) == 0.0)
+            self.own = np.maximum(self.own, largest_products(of_C, np.ones(x.size)) == 0.0)
 
     # --- Rows --------------------------------------------------------------------------------------------------------
 
@@ -224,7 +226,7 @@ class PrimalDualPoint:
         of_C = self.matrices.measured[3]
         return np.minimum(
             *(
-                largest(of_C, one) * self._largest_by_component(self.matters / one)[of_row]
+                largest_products(of_C, one) * self._largest_by_component(self.matters / one)[of_row]
                 for one in (np.ones(units.size), units)
             )
         )
@@ -306,7 +308,8 @@ class PrimalDualPoint:
         """Largest term of each unknown's gradient."""
         of_P, _, of_columns = self.matrices.measured[2:]
         return np.maximum(
-            np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
+            np.maximum(self.cost, largest_products(of_P, self.of_x)),
+            largest_products(of_columns, self.of_y),
         )
 
     @cached_property
@@ -414,13 +417,6 @@ class ProgramComponents(NamedTuple):
 def ratio(errors: FloatVector, sizes: FloatVector) -> FloatVector:
     """Return the quotients, 0 / 0 = 0."""
     return np.where(errors > 0.0, errors / np.maximum(sizes, TINY), errors)
-
-
-def largest(of_A: Any, sizes: FloatVector) -> FloatVector:
-    """Return max_j a_ij s_j of each row, of a matrix of sizes."""
-    if sp.issparse(of_A):
-        return largest_in_rows(of_A, of_A.data * sizes[of_A.indices])
-    return np.asarray((of_A * sizes).max(axis=1, initial=0.0))
 
 
 def sums_without_rounding(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
-from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.matrix import largest_products
 from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
@@ -277,7 +277,7 @@ class QPUnboundedness:
         if self._is_feasible:
             return 0.0
         rows, x = self.program.constraints, np.abs(numbers(self.point))
-        terms = largest_in_rows(rows.matrix, np.abs(rows.matrix.data) * x[rows.matrix.indices])
+        terms = largest_products(abs(rows.matrix), x)
         excess = zip(
             losses(rows, self.point), np.maximum(terms, rows.own_sizes).tolist(), strict=True
         )

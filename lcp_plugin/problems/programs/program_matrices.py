@@ -16,10 +16,10 @@ from ...core.checks import (
     DENSE_UP_TO_SIZE,
     FloatVector,
 )
-from ...core.matrix.matrix import Matrix, largest_in_rows
+from ...core.matrix.matrix import Matrix, largest_in_rows, largest_products
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
-from .criterion import BLUR, ProgramComponents, largest
+from .criterion import BLUR, ProgramComponents
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = (
@@ -101,8 +101,10 @@ class ProgramMatrices:
     ) -> tuple[FloatVector, FloatVector]:
         of_P, of_C, of_columns = self.measured[2:]
         for _ in range(passes):
-            most = units * np.maximum(largest(of_P, units), largest(of_columns, rows))
-            units, rows = units / _root(most), rows / _root(rows * largest(of_C, units))
+            most = units * np.maximum(
+                largest_products(of_P, units), largest_products(of_columns, rows)
+            )
+            units, rows = units / _root(most), rows / _root(rows * largest_products(of_C, units))
         return units, rows
 
     @cached_property

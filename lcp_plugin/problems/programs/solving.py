@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from ...core.solving.progress import Progress
 from ...core.solving.result import Sample, StageRecord, stage_lines
 from ...core.solving.run import Run
 from ...core.solving.run_log import RunLog, say
-from ...core.solving.stage import Stage
+from ...core.solving.stage import Named, Stage
 from ...core.solving.termination import TerminationReason
 from ...engines import ENGINES, Engine, EngineStatus, engine_class
 from ...methods.interior_point import InteriorPoint
@@ -259,12 +259,6 @@ def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
             f"solve(program, {algorithm.name!r}, …)"
         )
     return algorithm
-
-
-class Named(NamedTuple):
-    """Name of a stage that runs no algorithm of this package."""
-
-    name: str
 
 
 class ProgramProgress(Progress):

@@ -23,7 +23,8 @@ from ..core.matrix.matrix import largest_in_rows
 from .engine import EngineAnswer, ProgramData
 
 STEPS, ROUNDS = 15, 2
-SHIFTS = 2.0**-26, 2.0**-50  # δ relative to the largest entry of its row
+# With 2⁻⁵⁰, rounding errors left a gap of 4e-5 in an optimal control problem of 18 009 unknowns; with 2⁻⁴², 5e-7.
+SHIFTS = 2.0**-26, 2.0**-42  # δ relative to the largest entry of its row
 
 
 def polish_steps(

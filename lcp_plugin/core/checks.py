@@ -390,6 +390,14 @@ def _constant(value: float, n: int) -> FloatVector:
     return vector
 
 
+def vector_option(values: Any, name: str, length: int | None, **how: Any) -> FloatVector:
+    """Return a vector as :func:`checked_vector` does, but raise InvalidOption."""
+    try:
+        return checked_vector(values, name, length, **how)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
+
+
 def is_number(value: Any) -> bool:
     """Return whether the value is a real number that fits a double."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
@@ -406,11 +414,7 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
     if z0 is None:
         nearest: FloatVector = problem.nearest_to_zero
         return nearest
-    try:
-        need = (
-            f"z0 must be a finite vector of length {problem.q.size} (M is {problem.n}×{problem.n})"
-        )
-        start = checked_vector(z0, "z0", problem.q.size, may_be_number=problem.n == 1, need=need)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
+    n = problem.n
+    need = f"z0 must be a finite vector of length {n} (M is {n}×{n})"
+    start = vector_option(z0, "z0", n, may_be_number=n == 1, need=need)
     return np.clip(start, problem.lower, problem.upper)

@@ -31,7 +31,7 @@ from ..core.errors import (
 from ..core.executors import run_on
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of, refusal
-from ..core.settings import Settings
+from ..core.settings import Settings, whole_number
 from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import Scene, builder_of
@@ -366,8 +366,7 @@ def study(
     >>> found.table("iterations")[0].columns
     ('method', 'n = 100', 'n = 400')
     """
-    if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
-        raise InvalidOption(f"repeats must be an integer ≥ 1, got {repeats!r}")
+    whole_number(repeats, "repeats", 1)
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
     Settings(tolerance=tolerance, max_seconds=max_seconds)
@@ -590,10 +589,7 @@ def _checked_sizes(sizes: Any) -> list[int | None]:
     if sizes is None:
         return [None]
     listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]
-    for size in listed:
-        if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
-            raise InvalidOption(f"sizes must be integers ≥ 1, as [100, 400], got {size!r}")
-    return [int(size) for size in listed] or [None]
+    return [whole_number(size, "each of sizes", 1, ", as [100, 400]") for size in listed] or [None]
 
 
 def _checked_references(names: Any) -> list[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.checks import checked_bound, checked_vector
+from ..core.checks import checked_bound, checked_vector, vector_option
 from ..core.errors import (
     InvalidOption,
     InvalidProblem,
@@ -133,8 +133,5 @@ def _program(problem: Problem) -> QuadraticProgram:
 
 def _start(initvals: Any, program: QuadraticProgram) -> Any:
     """Return the start if the program has only bounds: with rows, a start would cost steps."""
-    try:
-        start = None if initvals is None else checked_vector(initvals, "initvals", program.n)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
+    start = None if initvals is None else vector_option(initvals, "initvals", program.n)
     return None if program.constraints.rows else start

@@ -16,9 +16,10 @@ from hypothesis.errors import Flaky
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
+from ..core.settings import whole_number
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution
 from ..proofs.verdicts import analyze
-from .matrices import check_integer, p_matrices
+from .matrices import p_matrices
 from .problems import ExactPoint, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
@@ -100,7 +101,7 @@ def assert_solves(
     if not isinstance(chosen, st.SearchStrategy):
         kind = type(chosen).__name__
         raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {kind}")
-    check_integer(max_examples, "max_examples must be an integer ≥ 1", 1)
+    whole_number(max_examples, "max_examples", 1)
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
         if not value >= 0.0:
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")

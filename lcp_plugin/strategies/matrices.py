@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
+from ..core.settings import whole_number
 
 LARGEST_ENTRY = 9
 LARGEST_SIZE = 8
@@ -25,17 +26,11 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
     """Return a strategy for numbers of rows, none below `smallest`, or raise InvalidOption."""
     if size is None:
         return st.integers(max(1, smallest), LARGEST_SIZE)
-    need = f"size must be an integer ≥ {smallest} or a strategy of such"
-    if isinstance(size, st.SearchStrategy):
-        return size.map(lambda n: check_integer(n, need, smallest))
-    return st.just(check_integer(size, need, smallest))
 
+    def checked(n: Any) -> int:
+        return whole_number(n, "size", smallest, " or a strategy of such")
 
-def check_integer(value: Any, need: str, low: int) -> int:
-    """Return the value as an int; raise InvalidOption unless it is an integer ≥ low."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
-        raise InvalidOption(f"{need}, got {value!r}")
-    return int(value)
+    return size.map(checked) if isinstance(size, st.SearchStrategy) else st.just(checked(size))
 
 
 def entries(density: float) -> Numbers:

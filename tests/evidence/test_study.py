@@ -350,7 +350,7 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
         ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
         ((chain, 5, [4]), {}, InvalidOption, r'methods must be names .* got 5; write \["psor"\]'),
         ((chain, [Richardson], [4]), {}, InvalidOption, "a method is a name, an Algorithm object"),
-        ((chain, ["psor"], [0]), {}, InvalidOption, "sizes must be integers ≥ 1"),
+        ((chain, ["psor"], [0]), {}, InvalidOption, "each of sizes must be an integer ≥ 1"),
         ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
         ((chain, ["psor"], [4]), {"references": ["OSQPP"]}, InvalidOption, "cvxpy has no solver 'OSQPP'"),
     ],

@@ -14,9 +14,10 @@ from ...core.algorithm import Algorithm, Step
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
 from ...core.deadline import is_over
-from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
+from ...core.settings import whole_number
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
 from ..newton.active_set import classify, is_near, solve_active_set
@@ -73,11 +74,8 @@ class Lemke(Algorithm):
 
     def __post_init__(self) -> None:
         for option, value in (("max_pivots", self.max_pivots), ("restarts", self.restarts)):
-            is_count = (
-                isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
-            )
-            if not is_count and value is not None:
-                raise InvalidOption(f"lemke: {option} must be an integer ≥ 0, got {value!r}")
+            if value is not None:
+                whole_number(value, f"lemke: {option}", 0)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.

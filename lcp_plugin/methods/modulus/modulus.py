@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step, check_positive, require_positive_diagonal
-from ...core.checks import FloatVector, checked_vector, is_number
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.checks import FloatVector, is_number, vector_option
+from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import MODULUS, IterationFacts
 from ...core.matrix.row_sums import inverse_residual_scale
@@ -88,12 +88,8 @@ class ModulusBased(Splitting):
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
         if self._has_one_omega:
             return float(self.omega) * diagonal  # type: ignore[arg-type]
-        try:
-            omega = checked_vector(self.omega, "omega", problem.n, is_finite=False)
-        except InvalidProblem as error:
-            raise InvalidOption(
-                f"{self.name}: {error}, or a positive multiple of the diagonal"
-            ) from error
+        need = f"{self.name}: omega must be a positive multiple of the diagonal, or a vector of length {problem.n}"
+        omega = vector_option(self.omega, "omega", problem.n, is_finite=False, need=need)
         wrong = ~(np.isfinite(omega) & (omega > 0.0))
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])

@@ -12,9 +12,10 @@ from itertools import islice
 import numpy as np
 
 from ...core.checks import FloatVector
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
+from ...core.settings import whole_number
 from ...proofs.exact.rational import exact_slack
 from ...proofs.no_solution.infeasibility import NoSolution
 from .explorer import Explorer, Face, Point, extreme_points
@@ -155,7 +156,7 @@ def search(
     >>> proof.verify()
     True
     """
-    limit, effort = _checked_count("max_nodes", max_nodes), Effort()
+    limit, effort = whole_number(max_nodes, "max_nodes", 1), Effort()
     for outcome in explore(problem, effort, first_only=first_only, most=most):
         if outcome is not None:
             return outcome
@@ -235,7 +236,7 @@ def all_solutions(
     >>> print(face)
     z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
     """
-    most = math.inf if limit is None else _checked_count("limit", limit)
+    most = math.inf if limit is None else whole_number(limit, "limit", 1)
     outcome = search(problem, first_only=False, max_nodes=max_nodes, most=most)
     if isinstance(outcome, SearchLimitReached):
         raise UnsuitableProblem(
@@ -303,9 +304,3 @@ def _require_small(problem: LCP) -> None:
             f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {LARGEST_SIZE}, "
             f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
-
-
-def _checked_count(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise InvalidOption(f"{name} must be an integer, at least 1, got {value!r}")
-    return int(value)

@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.errors import UnsuitableProblem
+from ...core.settings import whole_number
 from .central_path import central_path
 from .newton import newton_steps
 from .programs import minimizers
@@ -121,8 +122,7 @@ class ConeNSGS(ConeAlgorithm):
     sweeps: int = SWEEPS_PER_STEP
 
     def __post_init__(self) -> None:
-        if isinstance(self.sweeps, bool) or not isinstance(self.sweeps, int) or self.sweeps < 1:
-            raise InvalidOption(f"nsgs: sweeps must be an integer ≥ 1, got {self.sweeps!r}")
+        whole_number(self.sweeps, "nsgs: sweeps", 1)
 
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point every few sweeps."""

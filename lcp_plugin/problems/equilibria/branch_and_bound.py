@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import FloatVector, checked_vector, is_number
+from ...core.checks import FloatVector, is_number, vector_option
 from ...core.deadline import Clock, is_over, time_limit
-from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
+from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import Status, checked_tolerance
 from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
@@ -115,10 +115,7 @@ def minimize_over_solutions(
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")
     if prove and not problem.is_provable:
         _refuse_proof(problem)
-    try:
-        start = None if x0 is None else checked_vector(x0, "x0", problem.program.n)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
+    start = None if x0 is None else vector_option(x0, "x0", problem.program.n)
     search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
     limit = math.inf if max_seconds is None else float(max_seconds)
     if start is not None and limit < SECONDS_OF_START:  # the result is not worse than the start

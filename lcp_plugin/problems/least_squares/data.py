@@ -20,6 +20,7 @@ from ...core.checks import (
     is_number,
     read_only,
     rectangular_matrix,
+    vector_option,
 )
 from ...core.errors import InvalidOption, InvalidProblem
 from ...systems.equilibration import power_of_two
@@ -201,12 +202,8 @@ class BoundedLeastSquares:
 
     def checked_start(self, x0: ArrayLike) -> FloatVector:
         """Return the start within the bounds, shape (n,); raise InvalidOption if x0 is not a finite vector."""
-        try:
-            return np.clip(
-                checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper
-            )
-        except InvalidProblem as error:
-            raise InvalidOption(str(error)) from error
+        start = vector_option(x0, "x0", self.shape[1], may_be_number=True)
+        return np.clip(start, self.lower, self.upper)
 
     def product(self, x: FloatVector) -> FloatVector:
         """Return A x."""

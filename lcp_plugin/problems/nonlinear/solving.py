@@ -14,7 +14,7 @@ from ...auto import method_of
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import row_data
 from ...core.certificates.measured import Measured
-from ...core.checks import FloatVector, checked_vector, read_only
+from ...core.checks import FloatVector, read_only, vector_option
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
@@ -169,10 +169,7 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
                 "x0 is needed because the number of unknowns is not known; pass x0, or bounds as arrays"
             )
         return np.zeros(problem.n)
-    try:
-        return checked_vector(x0, "x0", problem.n, may_be_number=True)
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
+    return vector_option(x0, "x0", problem.n, may_be_number=True)
 
 
 WORDS = {

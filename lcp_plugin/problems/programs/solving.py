@@ -13,7 +13,7 @@ import numpy as np
 
 from ...auto import parse_call, solve_lcp
 from ...core.algorithm import Step
-from ...core.checks import FloatVector, checked_vector, restore_state
+from ...core.checks import FloatVector, restore_state, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
     InvalidOption,
@@ -213,10 +213,7 @@ def solve_program(
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}
     callback, start = checked_callback(wishes.pop("callback", None)), wishes.pop("z0", None)
     if start is not None:
-        try:
-            start = checked_vector(start, "z0", None)
-        except InvalidProblem as error:
-            raise InvalidOption(str(error)) from error
+        start = vector_option(start, "z0", None)
     is_point = isinstance(algorithm, InteriorPoint)
     if is_point or (isinstance(algorithm, str) and algorithm == InteriorPoint.name):
         algorithm = "piqp"

@@ -185,8 +185,8 @@ def _square(problem: RowsOnRanks) -> Any:
 
 def _weights(problem: RowsOnRanks) -> Any:
     """Yield vectors v that may have ⟨M⟩v > 0: ones, then approximate solutions of ⟨M⟩v = diag(M)."""
+    from ..systems.hierarchy.truncation import KrylovCorrection
     from .hierarchy import TruncationOnRanks, build_hierarchy
-    from .krylov import Krylov
 
     ones = np.ones(problem.own)
     yield ones
@@ -199,9 +199,10 @@ def _weights(problem: RowsOnRanks) -> Any:
     comparison.data[is_diagonal] *= -1.0
     hierarchy = build_hierarchy(comparison, problem.halo, scales_rows=not problem.is_symmetric)
     residual = problem.diagonal - comparison @ np.ones(comparison.shape[1])
-    solution = Krylov(TruncationOnRanks(hierarchy), residual, problem.is_symmetric)
+    solution = KrylovCorrection(TruncationOnRanks(hierarchy), residual, problem.is_symmetric)
     begun, steps = solution.largest(), 0
     for gain in GAINS:
         while solution.largest() > gain * begun and steps < MOST_STEPS and solution.step():
             steps += 1
-        yield ones + solution.correction()
+        solution.apply_to(ones, v := np.empty(problem.own))
+        yield v

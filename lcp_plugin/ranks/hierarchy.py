@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
-from ..systems.hierarchy import galerkin, sweeps, vectors
+from ..systems.hierarchy import galerkin, sweeps
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.levels import (
     COARSEST,
@@ -24,10 +24,9 @@ from ..systems.hierarchy.levels import (
     positive_shares,
     strength_of,
 )
-from ..systems.hierarchy.truncation import TruncatedGrid
+from ..systems.hierarchy.truncation import TruncatedGrid, Truncation
 from .halo import NOBODY, Halo
 
-COARSEST_SWEEPS = 10  # there and back
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
@@ -205,112 +204,68 @@ class TruncatedGridOnRanks(TruncatedGrid):
         self.is_free, self.is_interpolated = np.ones((2, grid.width), np.bool_)
         self.free_changed, self.touched = np.zeros((2, grid.width), np.bool_)
         self.x, self.residual = np.zeros((2, grid.width))
+        self.halo = grid.halo
+
+    def factor(self) -> tuple[None, float]:
+        """Return None: no rank has all rows."""
+        return None, 0.0
+
+    def fetch(self, x: FloatVector) -> None:
+        """Fetch the values of ghosts."""
+        self.halo.fetch(x)
+
+    def add_larger_pivots(self, residual: FloatVector) -> None:
+        """Add the part of the residual after the first sweep that is due to larger pivots."""
+        own = self.x[: self.grid.n]
+        residual += np.where(self.inverse != 0.0, self.grid.weight * own, 0.0)
 
 
-class TruncationOnRanks:
+class TruncationOnRanks(Truncation):
     """A hierarchy with the fixed unknowns of its finest grid taken out of all grids."""
 
-    def __init__(self, hierarchy: HierarchyOnRanks) -> None:
-        self.transfers = hierarchy.transfers
-        self.grids = [
-            TruncatedGridOnRanks(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)
-        ]
-        self.work = 0.0
+    kind = TruncatedGridOnRanks
 
-    def update(self) -> None:
-        """Carry changes of `is_free`, marked in `free_changed`, from the finest to all grids."""
-        top = self.grids[0]
-        np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
-        top.row_changed[:] = False
-        for k, transfer in enumerate(self.transfers):
-            level, below = self.grids[k], self.grids[k + 1]
-            self._mark(level, transfer)
-            products, changed = galerkin.update_product(
-                *level.grid.matrix.arrays[:2],
-                level.values,
-                level.is_interpolated,
-                level.touched,
-                *transfer.prolongation.arrays,
-                *transfer.restriction.arrays,
-                *below.grid.matrix.arrays[:2],
-                below.new_values,
-                below.grid.split,
-                below.inverse,
-                below.is_free,
-                below.free_changed,
-                below.row_changed,
-            )
-            pivot = below.values[below.grid.split] + below.grid.weight
-            below.inverse[:] = np.where(below.is_free[: below.grid.n], 1.0 / pivot, 0.0)
-            self.work += level.values.size + transfer.restriction.indices.size + products
-            if level.grid.halo.total(changed) == 0:
-                break
+    @property
+    def halo(self) -> Halo:
+        """The ranks, and the ghosts of the finest grid."""
+        return self.grids[0].halo  # type: ignore[attr-defined, no-any-return]
 
-    def _mark(self, level: TruncatedGridOnRanks, transfer: Transfer) -> None:
+    def mark(self, level: Any, transfer: Transfer) -> None:
         """Find the unknowns of a grid that follow no coarse one, and the rows that contribute otherwise than before."""
-        halo, matrix = level.grid.halo, level.grid.matrix
+        halo = level.halo
         halo.fetch_flags(level.is_free)
         halo.fetch_flags(level.free_changed)
-        pattern, touched = matrix.arrays[:2], level.touched.view(np.uint8)
-        galerkin.mark_rows(
-            *pattern, level.free_changed.view(np.uint8), level.row_changed.view(np.uint8), touched
-        )
-        if vectors.find_held(
-            *matrix.arrays,
-            level.values,
-            level.is_free,
-            level.touched,
-            level.is_interpolated,
-            level.free_changed,
-            transfer.is_coarse,
-        ):
-            own = slice(level.grid.n)
-            level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])
+        level.mark_rows(level.row_changed)
+        level.find_held(transfer)
         halo.fetch_flags(level.is_interpolated)
         halo.fetch_flags(level.free_changed)
         if level.free_changed.any():
-            galerkin.mark_rows(*pattern, level.free_changed.view(np.uint8), touched, touched)
+            level.mark_rows(level.touched)
         halo.fetch_flags(level.touched)
         if level.new_values is not None:
             halo.fetch_entries(level.new_values)
 
-    def correct(self, k: int = 0) -> None:
-        """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
-        level = self.grids[k]
-        grid, halo, rows, n = level.grid, level.grid.halo, level.rows, level.grid.n
-        if k == len(self.transfers):
-            self._solve_coarsest(level)
-            return
-        sweeps.first_sweep(rows, grid.blocks, level.inverse, level.b, level.x)
-        halo.fetch(level.x)
-        residual = level.residual[:n]
-        sweeps.residual_after_first_sweep(
-            rows, grid.blocks, level.inverse, level.b, level.x, residual
-        )
-        residual += np.where(level.inverse != 0.0, grid.weight * level.x[:n], 0.0)
-        self.restrict(k, level.residual)
-        self.correct(k + 1)
-        below, transfer = self.grids[k + 1], self.transfers[k]
-        below.grid.halo.fetch(below.x)
-        vectors.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
-        halo.fetch(level.x)
-        sweeps.sweep(rows, grid.blocks, level.inverse, True, level.b, level.x)
-        self.work += 2.0 * level.values.size + 2.0 * transfer.prolongation.data.size
+    def finish_update(self, below: Any, changed: int) -> float:
+        """Invert the pivots of a coarser grid, and return the number of its rows that have changed on all ranks."""
+        pivot = below.values[below.grid.split] + below.grid.weight
+        below.inverse[:] = np.where(below.is_free[: below.grid.n], 1.0 / pivot, 0.0)
+        return self.total(changed)
 
-    def restrict(self, k: int, residual: FloatVector) -> None:
-        """Write the restriction of `residual`, shape (width,), into b of grid k + 1."""
-        level, held = self.grids[k], self.grids[k].held
-        kept = residual[held]
-        residual[held] = 0.0
-        level.grid.halo.fetch(residual)
-        vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
-        residual[held] = kept
+    def total(self, number: float) -> float:
+        """Return the sum of a number of each rank."""
+        return self.halo.total(number)
 
-    def _solve_coarsest(self, level: TruncatedGridOnRanks) -> None:
-        level.x[:] = 0.0
-        for sweep in range(2 * COARSEST_SWEEPS + 1):
-            level.grid.halo.fetch(level.x)
-            sweeps.sweep(
-                level.rows, level.grid.blocks, level.inverse, sweep % 2 == 1, level.b, level.x
-            )
-        self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size
+    def largest(self, number: float) -> float:
+        """Return the largest of a number of each rank."""
+        return self.halo.largest(number)
+
+    def direction(self, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows, of the local rows."""
+        top = self.grids[0]
+        top.b = b
+        self.correct(0)
+        top.fetch(top.x)
+        p, product = top.x[: top.grid.n].copy(), np.empty(top.grid.n)
+        sweeps.free_product(top.rows, top.inverse, top.x, product)
+        self.work += top.values.size
+        return p, product

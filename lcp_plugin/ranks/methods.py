@@ -18,9 +18,9 @@ from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix.row_sums import split_rows
 from ..core.rounding import read_only_views
 from ..systems.hierarchy import sweeps
+from ..systems.hierarchy.truncation import KrylovCorrection
 from ..systems.hierarchy.vectors import prolong, restrict
 from .hierarchy import HierarchyOnRanks, TruncationOnRanks, build_hierarchy, pivot_weight
-from .krylov import Krylov
 
 if TYPE_CHECKING:
     from .problem import RowsOnRanks
@@ -195,19 +195,20 @@ class GridProblemOnRanks:
         top, below = truncation.grids[:2]
         truncation.restrict(0, self.residual)
         truncation.correct(1)
-        below.grid.halo.fetch(below.x)
+        below.fetch(below.x)
         prolong(truncation.transfers[0], below.x, top.is_interpolated, lower, upper, z)
 
     def add_krylov_steps(self, z: FloatVector) -> None:
         """Add Krylov steps' answer, cut off at the bounds."""
         residual = self.residual[: self.n].copy()
-        correction = Krylov(self.truncation, residual, self.symmetric)
+        correction = KrylovCorrection(self.truncation, residual, self.symmetric)
         begun, steps = correction.largest(), 0
         while steps < KRYLOV_STEPS and correction.largest() > KRYLOV_GAIN * begun:
             if not correction.step():
                 break
             steps += 1
-        z[: self.n] = np.clip(z[: self.n] + correction.correction(), *self.vectors[2:])
+        own, (lower, upper) = z[: self.n], self.vectors[2:]
+        correction.apply_within(own.copy(), lower, upper, own)
 
 
 def _positive_diagonal(problem: RowsOnRanks) -> FloatVector:

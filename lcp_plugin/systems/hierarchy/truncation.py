@@ -5,15 +5,15 @@ A V-cycle preconditions Krylov steps on the free rows.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.checks import FloatVector, read_only
+from ...core.checks import BoolVector, FloatVector, read_only
 from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
 from . import galerkin, sweeps, vectors
-from .grids import Grid, Hierarchy
+from .grids import Grid, Transfer
 from .vectors import add_both, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
@@ -83,15 +83,58 @@ class TruncatedGrid:
         matrix = self.grid.matrix
         return matrix.indptr, self.grid.split, matrix.indices, self.values
 
+    def mark_rows(self, more: BoolVector) -> None:
+        """Mark the rows in `more`, and those that meet an unknown in `free_changed`, as touched."""
+        flags = (flag.view(np.uint8) for flag in (self.free_changed, more, self.touched))
+        galerkin.mark_rows(*self.grid.matrix.arrays[:2], *flags)
+
+    def find_held(self, transfer: Transfer) -> None:
+        """Find the free unknowns of touched rows that follow no coarse one."""
+        if vectors.find_held(
+            *self.grid.matrix.arrays,
+            self.values,
+            self.is_free,
+            self.touched,
+            self.is_interpolated,
+            self.free_changed,
+            transfer.is_coarse,
+        ):
+            own = slice(self.grid.n)
+            self.held = np.flatnonzero(self.is_free[own] & ~self.is_interpolated[own])
+
+    def update_coarser(self, below: TruncatedGrid, transfer: Transfer) -> tuple[float, int]:
+        """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows."""
+        return galerkin.update_product(
+            *self.grid.matrix.arrays[:2],
+            self.values,
+            self.is_interpolated,
+            self.touched,
+            *transfer.prolongation.arrays,
+            *transfer.restriction.arrays,
+            *below.grid.matrix.arrays[:2],
+            below.new_values,
+            below.grid.split,
+            below.inverse,
+            below.is_free,
+            below.free_changed,
+            below.row_changed,
+        )
+
+    def fetch(self, x: FloatVector) -> None:
+        """Fetch the values of ghosts; only grids on ranks have any."""
+
+    def add_larger_pivots(self, residual: FloatVector) -> None:
+        """Add the part of the residual after the first sweep that is due to larger pivots, on ranks."""
+
 
 class Truncation:
     """Hierarchy from one of its grids downwards, without the fixed unknowns of this grid."""
 
-    def __init__(self, hierarchy: Hierarchy) -> None:
-        self.transfers = hierarchy.transfers
-        self.grids = [
-            TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)
-        ]
+    kind: ClassVar[type[TruncatedGrid]] = TruncatedGrid
+
+    def __init__(self, hierarchy: Any) -> None:
+        self.transfers: tuple[Transfer, ...] = hierarchy.transfers
+        self.grids = [self.kind(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)]
         self.top = 0
         self.work = 0.0
         self.spare: list[
@@ -118,57 +161,47 @@ class Truncation:
         top = self.grids[self.top]
         top.is_whole = False
         top.forget_factor()
-        np.multiply(top.grid.inverse, top.is_free, out=top.inverse)
+        np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
         top.row_changed[:] = False
         for k in range(self.top, len(self.transfers)):
             level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
-            matrix = level.grid.matrix
-            flags = level.free_changed, level.row_changed, level.touched
-            galerkin.mark_rows(
-                matrix.indptr, matrix.indices, *(flag.view(np.uint8) for flag in flags)
-            )
-            if vectors.find_held(
-                matrix.indptr,
-                matrix.indices,
-                matrix.data,
-                level.values,
-                level.is_free,
-                level.touched,
-                level.is_interpolated,
-                level.free_changed,
-                transfer.is_coarse,
-            ):
-                level.held = np.flatnonzero(level.is_free & ~level.is_interpolated)
-            if level.free_changed.any():
-                galerkin.mark_rows(
-                    matrix.indptr,
-                    matrix.indices,
-                    level.free_changed.view(np.uint8),
-                    level.touched.view(np.uint8),
-                    level.touched.view(np.uint8),
-                )
-            products, changed = galerkin.update_product(
-                matrix.indptr,
-                matrix.indices,
-                level.values,
-                level.is_interpolated,
-                level.touched,
-                *transfer.prolongation.arrays,
-                *transfer.restriction.arrays,
-                below.grid.matrix.indptr,
-                below.grid.matrix.indices,
-                below.new_values,
-                below.grid.split,
-                below.inverse,
-                below.is_free,
-                below.free_changed,
-                below.row_changed,
-            )
+            self.mark(level, transfer)
+            products, changed = level.update_coarser(below, transfer)
             below.is_whole = False
             below.forget_factor()
-            self.work += matrix.indices.size + transfer.restriction.indices.size + products
-            if changed == 0:
+            self.work += level.values.size + transfer.restriction.indices.size + products
+            if self.finish_update(below, changed) == 0:
                 break
+
+    def mark(self, level: TruncatedGrid, transfer: Transfer) -> None:
+        """Find the unknowns of a grid that follow no coarse one, and the rows that contribute otherwise than before."""
+        level.mark_rows(level.row_changed)
+        level.find_held(transfer)
+        if level.free_changed.any():
+            level.mark_rows(level.touched)
+
+    def finish_update(self, below: TruncatedGrid, changed: int) -> float:
+        """Return the number of rows of a coarser grid that have changed."""
+        return changed
+
+    def total(self, number: float) -> float:
+        """Return the sum of a number of each rank."""
+        return number
+
+    def largest(self, number: float) -> float:
+        """Return the largest of a number of each rank."""
+        return number
+
+    def direction(self, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows."""
+        top = self.grids[0]
+        top.b = b
+        self.correct(0)
+        p, product = top.x, top.residual  # the cycle's own, and gives other for it
+        sweeps.free_product(top.rows, top.inverse, p, product)
+        self.work += top.values.size
+        top.x, top.residual = self.vector(), self.vector()
+        return p, product
 
     def correct(self, k: int) -> None:
         """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
@@ -182,21 +215,25 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
-        sweeps.residual_after_first_sweep(
-            rows, blocks, level.inverse, level.b, level.x, level.residual
-        )
+        level.fetch(level.x)
+        residual = level.residual[: grid.n]
+        sweeps.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
+        level.add_larger_pivots(residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
+        below.fetch(below.x)
         vectors.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
+        level.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def restrict(self, k: int, residual: FloatVector) -> None:
         """Write the restricted residual into b of grid k + 1."""
-        held = self.grids[k].held
+        level, held = self.grids[k], self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
+        level.fetch(residual)
         vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
@@ -214,6 +251,7 @@ class Truncation:
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
+            level.fetch(level.x)
             sweeps.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
             )
@@ -242,12 +280,12 @@ class KrylovCorrection:
         is_symmetric: bool,
     ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
-        self.grid = truncation.grids[0].grid
         # Squares of very large or small numbers leave the range of a double.
-        self.unit: float = power_of_two(span(residual))
+        self.unit: float = power_of_two(truncation.largest(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
-        self._weight = None if is_symmetric else (inverse / span(inverse)) ** 2
+        unit = truncation.largest(span(inverse))
+        self._weight = None if is_symmetric else (inverse / unit) ** 2
         self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -271,31 +309,27 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled remaining residual."""
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
-        return float(self.unit * scaled)
+        return float(self.unit * self.truncation.largest(scaled))
 
     def step(self) -> bool:
         """Take one step; return False if the step fails for this matrix."""
-        top = self.truncation.grids[0]
-        matrix = top.grid.matrix
-        top.b = self.residual
-        p, product = top.x, top.residual  # the cycle's own, and gives other for it
-        self.truncation.correct(0)
-        sweeps.free_product(top.rows, top.inverse, top.x, product)
-        self.truncation.work += matrix.data.size
+        p, product = self.truncation.direction(self.residual)
         for old_p, old_product, old_scale in self.directions:
-            share = dot(self._against(old_p, old_product), product) / old_scale
+            share = self._dot(self._against(old_p, old_product), product) / old_scale
             add_both(-share, old_p, p, -share, old_product, product)
         against = self._against(p, product)
-        scale = dot(against, product)
-        length = dot(against, self.residual) / scale if scale > 0.0 else np.nan
+        scale = self._dot(against, product)
+        length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             return False
         add_both(length, p, self._sum, -length, product, self.residual)
         if self.is_symmetric:
             self._forget_directions()
         self.directions.append((p, product, scale))
-        top.x, top.residual = self.truncation.vector(), self.truncation.vector()
         return True
+
+    def _dot(self, one: FloatVector, other: FloatVector) -> float:
+        return self.truncation.total(dot(one, other))
 
     def _forget_directions(self) -> None:
         for p, product, _ in self.directions:

@@ -64,6 +64,11 @@ def calls(size: float) -> Calls:
         "interior point": lambda: solve(LCP(P, c), "interior_point"),
         "program": lambda: solve(QuadraticProgram(P, c, A[:2], b[:2])).explain(),
         "infeasible program": lambda: solve(QuadraticProgram(P, c, opposite, [-size, size / 2])),
+        "errors of a recovered solution": lambda: (
+            solution := LCP.from_qp(P, c, A[:2], b[:2]).origin.recover(np.full(5, size)),
+            solution.is_optimal(),
+            str(solution),
+        ),
         "program by clarabel": lambda: solve(QuadraticProgram(P, c, A[:2], b[:2]), "clarabel"),
         "batch of programs": lambda: solve_batch([QuadraticProgram(P, c)] * 3),
         "batch of LCPs": lambda: solve_batch(LCP(P, ONES), several),

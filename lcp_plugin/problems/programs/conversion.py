@@ -199,6 +199,7 @@ class QPOrigin:
         """Return "direct" if only bounds remain, else "kkt"."""
         return "kkt" if self.rows else "direct"
 
+    @np.errstate(all="ignore")
     def recover(self, answer: Any) -> QPSolution:
         """Return the solution of the program from a solution of the complementarity problem.
 

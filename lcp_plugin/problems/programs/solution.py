@@ -178,6 +178,7 @@ class QPSolution:
         """Both measures."""
         return self.errors_for(0.0)
 
+    @np.errstate(all="ignore")
     def errors_for(self, tolerance: float) -> KKTErrors:
         """Return both measures, or bounds of them if these meet the tolerance already."""
         return KKTErrors.of(self.program.folded.reduced, self.x, self.reduced_y, tolerance)

@@ -22,6 +22,8 @@ rounding errors included, and if every row i satisfies the componentwise test
   that underflow explains is also tolerated.
 - A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then a proof that no z has
   permitted signs of w is searched for first, in components of up to 300 rows; with a proof, z does not pass.
+- The conditions of a program (``LCP.from_qp``) also need a small duality gap: rows that are right to 8 digits
+  do not determine the objective if z is large.
 
 If the active set is known, after a linear solve, the exponent 1 replaces 3/4. A run first moves each z_i to a bound
 whose distance is at most the step −w_i/d_i (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.
@@ -96,6 +98,8 @@ class RowData:
         Connected component of each row, all different in a stack; None if each problem is connected.
     start : array, shape (n,) or (B, n), optional
         z°, if it is computed already.
+    origin : object, optional
+        Problem before a conversion. Its method ``rejects(z, tolerance)``, if any, has the last word.
     """
 
     def __init__(
@@ -108,7 +112,9 @@ class RowData:
         scale: FloatVector,
         labels: Any = None,
         start: FloatVector | None = None,
+        origin: Any = None,
     ) -> None:
+        self.origin = origin
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
         self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
@@ -270,9 +276,15 @@ class RowData:
         return np.where(np.isfinite(least), least, np.inf)
 
     def are_refuted(self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any) -> Any:
-        """Return a mask of the problems that pass only by the rounding level of a row, but have no solution."""
+        """Return a mask of the problems that pass only by the rounding level of a row, but have no solution.
+
+        It is also True if the problem's origin rejects z.
+        """
         if not np.count_nonzero(passes):
             return np.False_
+        rejects = getattr(self.origin, "rejects", None)
+        if rejects is not None and rejects(z, tolerance):
+            return np.True_
         is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
         if not (self.start.any() or self.anywhere(is_doubtful)):
             return np.False_
@@ -392,6 +404,7 @@ def row_data(problem: LCP) -> RowData:
         problem.matrix.residual_scale,
         None if several is None else several.labels,
         problem.nearest_to_zero,
+        problem.origin,
     )
 
 

@@ -84,7 +84,8 @@ def dense_data(problem: LCP) -> RowData:
     data = row_data(problem)
     if not problem.matrix.is_dense:
         M, bounds = data.M.toarray(), (data.lower, data.upper)
-        data = RowData(M, np.abs(M), data.q, *bounds, data.scale, data.labels, data.start)
+        rows = data.scale, data.labels, data.start, data.origin
+        data = RowData(M, np.abs(M), data.q, *bounds, *rows)
     return data
 
 

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import checked_answer
+from ...core.checks import FloatVector, checked_answer
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
-from .criterion import PROGRAM_TOLERANCE
+from .criterion import PROGRAM_TOLERANCE, KKTErrors
 from .program import QuadraticProgram, asymmetry_of
 from .solution import QPSolution
 
@@ -172,7 +172,7 @@ class QPOrigin:
     program : QuadraticProgram
         The user's program. The problem contains the conditions of `reduced`: rows of one variable are bounds.
     tolerance : float
-        Tolerance of the criterion of programs, which a solution of the problem must pass.
+        Tolerance of the duality gap, which a solution of the problem must meet.
 
     Notes
     -----
@@ -198,6 +198,11 @@ class QPOrigin:
     def form(self) -> str:
         """Return "direct" if only bounds remain, else "kkt"."""
         return "kkt" if self.rows else "direct"
+
+    def rejects(self, z: FloatVector, tolerance: float) -> bool:
+        """Return whether the duality gap of z, shape (n + rows,), exceeds the larger of both tolerances."""
+        n, tolerance = self.program.n, max(self.tolerance, tolerance)
+        return not KKTErrors.of(self.reduced, z[:n], z[n:], tolerance).gap <= tolerance
 
     @np.errstate(all="ignore")
     def recover(self, answer: Any) -> QPSolution:

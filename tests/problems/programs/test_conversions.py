@@ -11,6 +11,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns import convex_programs
 from campaigns.convex_programs import SOLVABLE, case
 
 from lcp_plugin import (
@@ -473,6 +474,45 @@ def test_a_program_with_rows_that_become_bounds_is_solved_with_its_multipliers(s
         program.P @ found.x + program.c + program.constraints.matrix.T @ found.solution.multipliers
     )
     np.testing.assert_allclose(gradient, 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("is_sparse", [False, True])
+@pytest.mark.parametrize("P", [None, [[2.0**-60, 0.0], [0.0, 0.0]]])
+def test_conditions_at_a_distant_point_with_another_objective_are_not_solved(
+    P: Any, is_sparse: bool
+) -> None:
+    """The conditions hold to 2⁻³⁰ at (1 + 2²⁰, 2²⁰), but the objective is larger by 2⁻¹⁰ than at the solution (1, 0).
+
+    The program is: minimize (1 + 2⁻³⁰) x₀ − x₁ with x₀ − x₁ = 1.
+    """
+    A = sp.csr_array([[1.0, -1.0]]) if is_sparse else np.array([[1.0, -1.0]])
+    problem = LCP.from_qp(P, [1.0 + 2.0**-30, -1.0], A=A, b=[1.0], lower=0.0)
+    for algorithm in ("auto", "lemke", "newton", "interior_point"):
+        result = solve(problem, algorithm, z0=[1.0 + 2.0**20, 2.0**20, -1.0])
+        solution = problem.origin.recover(result)
+        assert result.is_solved == solution.is_optimal()
+        if result.is_solved or algorithm == "auto":
+            np.testing.assert_allclose(solution.objective, 1.0 + 2.0**-30, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("family", "number"),
+    [
+        ("huge bounds", 4000000000664),
+        ("large P", 4000000001289),
+        ("graded rows", 4000000001975),
+        ("large P", 4000000002315),
+    ],
+)
+def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(
+    family: str, number: int
+) -> None:
+    """P is singular up to rounding, and PIQP ends up to 7e8 away: rows hold to 1e-8, the objective was -29 for -2.6."""
+    program, value = convex_programs.planted(family, np.random.default_rng(number), 12)
+    problem = lcp_from_qp(program)
+    result = solve(problem)
+    objective = problem.origin.recover(result).objective
+    assert not result.is_solved or abs(objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
 @pytest.mark.parametrize("seed", range(5))

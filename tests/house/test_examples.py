@@ -154,6 +154,7 @@ def test_example_keeps_its_promise(
     assert len(picture) > 20_000
 
 
+@pytest.mark.full
 def test_the_command_draws_the_picture_of_the_readme(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

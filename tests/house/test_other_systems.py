@@ -123,6 +123,7 @@ def test_a_command_prints_in_a_code_page_of_windows(words: list[str]) -> None:
     assert done.stdout.decode("cp1252")
 
 
+@pytest.mark.full  # problems/batches/test_executors.py spawns in the quick suite
 def test_problems_and_results_pass_through_a_spawned_process(tmp_path: Path) -> None:
     """Processes are not forked on macOS and Windows: arguments and results are pickled, and have the same bits."""
     script = tmp_path / "spawned.py"

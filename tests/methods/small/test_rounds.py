@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,10 +19,10 @@ INF = np.inf
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_watching_a_run_changes_nothing(family: str) -> None:
+def test_watching_a_run_changes_nothing(family: str, draws: Callable[..., range]) -> None:
     """With record or a callback the same bits, iterations, work and stages, for cold and warm starts and limits."""
     rng = np.random.default_rng(0)
-    for k, drawn in enumerate(draw(family, 6, 9)):
+    for k, drawn in enumerate(draw(family, len(draws(6, 2)), 9)):
         z0 = None if k % 3 else rng.normal(size=drawn.n)
         limit = {} if k % 4 else {"max_iterations": k % 5}
         alone = solve(drawn, z0=z0, **limit)
@@ -31,9 +32,9 @@ def test_watching_a_run_changes_nothing(family: str) -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_no_solved_point_is_a_lie(family: str) -> None:
+def test_no_solved_point_is_a_lie(family: str, draws: Callable[..., range]) -> None:
     """Exact arithmetic confirms the residual of each SOLVED point, and a batch has the same statuses."""
-    problems = list(draw(family, 12, 8))
+    problems = draw(family, len(draws(12, 2)), 8)
     results = [solve(drawn) for drawn in problems]
     for drawn, result in zip(problems, results, strict=True):
         assert not result.is_solved or not ExactData(drawn).is_lie(result.z, 1e-8)

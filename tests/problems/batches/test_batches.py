@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -46,9 +47,9 @@ def test_a_batch_is_what_solve_gives_one_by_one(algorithm: str, shared: bool) ->
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_batch_of_any_sizes_and_kinds(family: str) -> None:
+def test_a_batch_of_any_sizes_and_kinds(family: str, draws: Callable[..., range]) -> None:
     """A list of LCPs of different sizes: each has the status of its own run, solvable or not."""
-    problems = draw(family, 10, 9)
+    problems = draw(family, len(draws(10, 2)), 9)
     batch = solve_batch(problems)
     assert isinstance(batch.z, list) or len({drawn.n for drawn in problems}) == 1
     for drawn, result in zip(problems, batch, strict=True):

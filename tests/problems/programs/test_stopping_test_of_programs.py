@@ -349,7 +349,7 @@ def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
     so small a violation of a loose row may change the objective considerably.
     """
     rng, results = np.random.default_rng(3), []
-    for _ in draws(1000, 16):
+    for _ in draws(1000, 32):
         data = draw(rng)
         results.append(solve(QuadraticProgram(*data), tolerance=tolerance))
         if results[-1].is_solved:
@@ -482,10 +482,10 @@ def test_no_number_is_no_answer(value: float) -> None:
         assert not KKTErrors.of(program, np.array(x), np.array(y)).meet(1e-6)
 
 
-def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[[int], range]) -> None:
+def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[..., range]) -> None:
     """Sums with a bound of rounding, without units and with, bound the measures of dense and sparse programs."""
     rng, passed = np.random.default_rng(5), 0
-    for _ in draws(2000):
+    for _ in draws(2000, 32):
         n, m = int(rng.integers(1, 6)), int(rng.integers(0, 5))
         F, C = rng.integers(-2, 3, (n, n)), rng.integers(-3, 4, (m, n)) * 2.0 ** rng.integers(-9, 9)
         x = rng.integers(-3, 4, n) * 2.0 ** rng.integers(-10, 20, n)

@@ -167,8 +167,8 @@ def _cycle_passes(problem: LCP) -> float:
     """Return the predicted work of multigrid in passes over M; ∞ if it does not suit."""
     if problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
         return math.inf
-    # On few rows the calls on all levels cost as much as the passes. The time of a solve without symmetry is that of 260
-    # to 930 sweeps, otherwise of 190 to 310.
+    # On few rows the calls on all levels cost as much as the passes. Without symmetry, a solve takes the time of 260 to
+    # 930 sweeps, otherwise of 190 to 310.
     passes = 90.0 + 350_000.0 / problem.n
     return passes if is_nearly_symmetric(problem.matrix) else 2.5 * passes
 

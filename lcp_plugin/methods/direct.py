@@ -42,7 +42,7 @@ from ..core.tuning import (
 from ..proofs.no_solution.infeasibility import contradictory_row
 from ..proofs.verdicts.report import is_negative
 from ..systems.factors import factor_fits, sizes_of_factor
-from .interior_point import InteriorPoint
+from .interior_point import InteriorPoint, with_signed_equations
 from .lemke import Lemke, has_components_that_fit
 from .lemke.games import is_game
 from .newton.semismooth_newton import Newton
@@ -206,7 +206,7 @@ def _seems_monotone(problem: LCP) -> bool:
         return True
     from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 
-    twice = symmetric_part(problem.M)
+    twice = symmetric_part(with_signed_equations(problem).M)
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.

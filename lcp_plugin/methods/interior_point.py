@@ -15,7 +15,7 @@ from ..core.checks import FloatVector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.structure import is_nearly_symmetric, row_numbers
+from ..core.matrix.structure import equation_signs, is_nearly_symmetric, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import Engine, ProgramData, SolverLimits
 from ..engines.piqp import PIQP
@@ -79,7 +79,7 @@ class InteriorPoint(Algorithm):
                 min(operations, sizes_of_factor(problem.matrix)[1]),
                 SPARSE_OPERATIONS,
             )
-        program = MonotoneProgram.of(problem)
+        program = MonotoneProgram.of(with_signed_equations(problem))
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
             # PIQP makes about 20 factorizations.
@@ -244,6 +244,15 @@ def _stated(
         np.append(lower, np.zeros(k)),
         np.append(upper, np.full(k, np.inf)),
     )
+
+
+def with_signed_equations(problem: LCP) -> LCP:
+    """Return the problem with the signs of equations that make M + Mᵀ smaller."""
+    signs = equation_signs(problem.M, (problem.lower == -np.inf) & (problem.upper == np.inf))
+    if (signs > 0.0).all():
+        return problem
+    bounds = {"lower": problem.lower, "upper": problem.upper}
+    return LCP(problem.M * signs[:, None], problem.q * signs, **bounds)
 
 
 @fact

@@ -9,7 +9,7 @@ from applications.table import Case
 from small_families import falling_bodies
 from textbook_scenes import murty
 
-from lcp_plugin import LCP, Result, Status, gallery, solve
+from lcp_plugin import LCP, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.auto import plan
 from lcp_plugin.core.representation import format_count
 from lcp_plugin.gallery.stencil import stencil_matrix
@@ -127,3 +127,24 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
     for stage in result.stages:
         assert f"  {stage.name}, {format_count(stage.iterations, 'iteration')}" in result.explain()
         assert stage.because in result.explain()
+
+
+@pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])
+def test_auto_equations_with_the_other_sign_take_the_same_methods(as_stored):
+    """A program's equations may be typed with either sign: auto runs the same methods, and x is Clarabel's."""
+    rng = np.random.default_rng(0)
+    n, m = 90, 45
+    B, A = rng.normal(size=(n, n)), rng.normal(size=(m, n)) * (rng.random((m, n)) < 0.5)
+    P, c, b = B @ B.T / n + 0.1 * np.eye(n), rng.normal(size=n), A @ np.abs(rng.normal(size=n))
+    found = []
+    for sign in (1.0, -1.0):
+        M = np.block([[P, -A.T], [sign * A, np.zeros((m, m))]])
+        lower = np.append(np.zeros(n), np.full(m, -np.inf))
+        found.append(solve(LCP(as_stored(M), np.append(c, -sign * b), lower=lower)))
+    assert all(result.is_solved for result in found)
+    one, other = ([stage.name for stage in result.stages] for result in found)
+    assert one == other
+    program = QuadraticProgram(P, c, A=A, b=b, lower=0.0)
+    x = solve(program, "clarabel").x
+    for result in found:
+        assert np.allclose(result.z[:n], x, atol=1e-5 * np.abs(x).max())

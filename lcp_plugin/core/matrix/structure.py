@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector, read_only
+from ..checks import BoolVector, FloatVector, read_only
 from .matrix import Matrix, fact
 
 ROUNDED = 1e-13  # asymmetry relative to the size of the rows that rounding explains
@@ -125,3 +125,23 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
     An incorrect result would cost speed, not correctness: every z is tested by its residual.
     """
     return mismatch(matrix.array, matrix.residual_scale, ROUNDED)[1] is None
+
+
+def equation_signs(M: Any, is_equation: BoolVector) -> FloatVector:
+    """Return −1 for each equation whose negative makes M + Mᵀ smaller, else 1; only equations with m_ii = 0 change.
+
+    An unknown without bounds leaves w_i = 0, an equation, of which the sign has no meaning. In the conditions of a
+    program, M + Mᵀ is semidefinite for one of both signs. The residual of the row is the same.
+
+    Examples
+    --------
+    >>> equation_signs(np.array([[1.0, -2.0], [-2.0, 0.0]]), np.array([False, True]))
+    array([ 1., -1.])
+    """
+    signs, rows = np.ones(M.shape[0]), np.flatnonzero(is_equation)
+    if rows.size:
+        products = M[rows].multiply(M.T[rows]) if sp.issparse(M) else M[rows] * M.T[rows]
+        signs[rows] = np.where(
+            (products.sum(axis=1) > 0.0) & (M.diagonal()[rows] == 0.0), -1.0, 1.0
+        )
+    return signs

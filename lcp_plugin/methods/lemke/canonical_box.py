@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
+from ...core.matrix.structure import equation_signs
 from ...systems.equilibration import power_of_two
 
 FloatMatrix = NDArray[np.float64]
@@ -86,8 +87,9 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     if is_void.any():
         # A zero row is always satisfied. With minus its column as row i, z_i acts like a multiplier of the other rows.
         M = np.where(is_void[:, None], -M.T, M)
-    M = M * sign[:, None] * sign
-    q = np.ldexp(problem.q, row_scale) * sign + M @ np.ldexp(base * sign, -column_scale)
+    rows = sign * equation_signs(M, is_free)
+    M = M * rows[:, None] * sign
+    q = np.ldexp(problem.q, row_scale) * rows + M @ np.ldexp(base * sign, -column_scale)
     upper = np.where(is_free, np.inf, np.ldexp(problem.upper - problem.lower, -column_scale))
     unit = np.ldexp(sign, column_scale)
     keep = np.flatnonzero(problem.lower < problem.upper)

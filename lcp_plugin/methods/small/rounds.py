@@ -27,6 +27,7 @@ from ...core.certificates.measured import Measured
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.matrix import residual_scales
+from ...core.matrix.structure import equation_signs
 
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
@@ -521,7 +522,8 @@ def _canonical(
     free = (lower == -np.inf) & (upper == np.inf)
     flips = (lower == -np.inf) & ~free
     base, sign = np.where(flips, upper, np.where(free, 0.0, lower)), np.where(flips, -1.0, 1.0)
-    b, A, n = sign * (q + M @ base), sign[:, None] * M * sign, q.size
+    rows, n = sign * equation_signs(M, free), q.size
+    b, A = rows * (q + M @ base), rows[:, None] * M * sign
     if not free.any():
         return A, b, upper - lower, lambda x: base + sign * x
     E, R = np.flatnonzero(free), np.flatnonzero(~free)

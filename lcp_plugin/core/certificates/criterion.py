@@ -118,8 +118,8 @@ class RowData:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
         self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
-        # By number of the problem and rows of the components.
-        self._are_infeasible: dict[tuple[Any, ...], bool] = {}
+        # By number of the problem and rows of the components, or by point and tolerance.
+        self._refuted: dict[tuple[Any, ...], bool] = {}
         # Number of entries of each row, at most.
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
@@ -283,8 +283,12 @@ class RowData:
         if not np.count_nonzero(passes):
             return np.False_
         rejects = getattr(self.origin, "rejects", None)
-        if rejects is not None and rejects(z, tolerance):
-            return np.True_
+        if rejects is not None:
+            key: tuple[Any, ...] = (z.tobytes(), tolerance)
+            if key not in self._refuted:
+                self._refuted[key] = rejects(z, tolerance)
+            if self._refuted[key]:
+                return np.True_
         is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
         if not (self.start.any() or self.anywhere(is_doubtful)):
             return np.False_
@@ -296,9 +300,9 @@ class RowData:
         for k in map(tuple, np.argwhere(found).tolist()):
             rows = self._small_components(k, is_doubtful[k])
             key = (*k, rows.tobytes())
-            if key not in self._are_infeasible:
-                self._are_infeasible[key] = bool(rows.size) and self.is_infeasible(k, z[k], rows)
-            found[k] = self._are_infeasible[key]
+            if key not in self._refuted:
+                self._refuted[key] = bool(rows.size) and self.is_infeasible(k, z[k], rows)
+            found[k] = self._refuted[key]
         return found
 
     def _small_components(self, k: tuple[int, ...], mask: BoolVector) -> IntVector:

@@ -137,20 +137,24 @@ class Steps:
         march, count = whole.march, len(states) - 1
         self.here = slice(first, first + count)
         self.q = march.forcing[self.here] + (march.propagator @ states[:-1].T).T
-        self.z, self.sides = states[1:].copy(), np.full((count, states.shape[1]), KINK, np.int8)
         self._of_step: tuple[int, Derivative] | None = None
-        self.is_plain = np.zeros(count, np.bool_)
-        if whole.band is not None:
-            self._settle(whole.band)
+        if (settled := whole.settled.get(first)) is None:
+            settled = whole.settled[first] = self._settle(whole.band)
+        self.z, (self.sides, self.is_plain) = settled[0].copy(), settled[1:]
 
     def __len__(self) -> int:
-        return len(self.z)
+        return len(self.states) - 1
 
-    def _settle(self, band: Band) -> None:
-        """Solve each step on its free rows once, and classify its rows if the active set stays."""
-        problem, z = self.march.problem, self.z
+    def _settle(self, band: Band | None) -> tuple[FloatVector, NDArray[np.int8], NDArray[np.bool_]]:
+        """Solve each step on its free rows once; return the solutions, the states of rows, and which active sets stay.
+
+        Without a band, none stays.
+        """
+        problem, z = self.march.problem, self.states[1:]
+        change = before = np.full(z.shape, KINK, np.int8)
+        if band is None:
+            return z, before, np.zeros(len(z), np.bool_)
         lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
-        change = before = self.sides
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
@@ -166,14 +170,13 @@ class Steps:
             right = np.where(found, value - z, -w * band.entries.weights)
             step = _solve_each(held_entries(band.entries, found), band.entries.below, right)
             change, z = np.abs(step), np.where(found, value, z + step)
-        self.z = z
         size *= EPSILON * (np.diff(band.M.indptr) + 1)
         near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
         is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
         is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
-        self.is_plain = ((found == before) & (is_clear | is_kink)).all(axis=1)
         kinks = np.where(below < above, KINK, -KINK)
-        self.sides = np.where(is_kink & (lower != upper), kinks, found)
+        sides = np.where(is_kink & (lower != upper), kinks, found).astype(np.int8)
+        return z, sides, ((found == before) & (is_clear | is_kink)).all(axis=1)
 
     def at(self, k: int) -> Derivative:
         """Return the derivative of a step by the data of the step."""
@@ -320,6 +323,8 @@ class MarchDerivative:
         _require_all_steps(march)
         self.march, self._derivative_at = march, each
         self._before: Derivative | None = None  # its factorization may be used again
+        # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
+        self.settled: dict[int, tuple[FloatVector, NDArray[np.int8], NDArray[np.bool_]]] = {}
 
     def __len__(self) -> int:
         return len(self.march)

@@ -1,8 +1,8 @@
-"""The residual of one row, compiled."""
+"""The entries and the residual of one row, compiled."""
 
 from __future__ import annotations
 
-from .compilation import inline
+from .compilation import inline, uintp
 
 
 @inline
@@ -18,3 +18,20 @@ def residual_of_row(step, z, lower, upper):  # type: ignore[no-untyped-def]
     below, above = z - upper, z - lower
     step = below if below > step else step
     return above if above < step else step
+
+
+@inline
+def halves_of_row(indptr, split, i, backward):  # type: ignore[no-untyped-def]
+    """Return first and last of the entries of row i that a sweep has updated, then of the other entries."""
+    middle = uintp(split[i])
+    if backward:
+        return middle, uintp(indptr[i + uintp(1)]), uintp(indptr[i]), middle
+    return uintp(indptr[i]), middle, middle, uintp(indptr[i + uintp(1)])
+
+
+@inline
+def without_nearest(first, last, backward):  # type: ignore[no-untyped-def]
+    """Return the updated entry nearest to the diagonal, and first and last of the others."""
+    if backward:
+        return first, first + uintp(1), last
+    return last - uintp(1), first, last - uintp(1)

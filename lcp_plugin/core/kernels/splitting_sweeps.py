@@ -16,7 +16,7 @@ A comparison with NaN is false; every maximum below is written so that a NaN sur
 from __future__ import annotations
 
 from .compilation import kernel, uintp
-from .rows import clamp, residual_of_row
+from .rows import clamp, halves_of_row, residual_of_row, without_nearest
 
 
 @kernel
@@ -39,36 +39,24 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
     one = uintp(1)
     largest = 0.0
     near = 0.0
-    i = n if backward else uintp(0) - one
-    for _ in range(n):
-        if backward:
-            i -= one
-            first, last = uintp(split[i]), uintp(indptr[i + one])
-            rest, rest_end = uintp(indptr[i]), first
-        else:
-            i += one
-            first, last = uintp(indptr[i]), uintp(split[i])
-            rest, rest_end = last, uintp(indptr[i + one])
+    for k in range(n):
+        i = n - one - k if backward else k
+        first, last, rest, rest_end = halves_of_row(indptr, split, i, backward)
         w = rows[i, 0]
         c = 0.0
         nearest_weight = 0.0
         nearest_change = 0.0
         inverse = rows[i, 5]
         s = rows[i, 4]
-        for k in range(rest, rest_end):
-            w += data[k] * z[uintp(indices[k])]
+        for at in range(rest, rest_end):
+            w += data[at] * z[uintp(indices[at])]
         if last > first:
-            if backward:
-                nearest = first
-                first += one
-            else:
-                last -= one
-                nearest = last
-            for k in range(first, last):
-                j = uintp(indices[k])
+            nearest, first, last = without_nearest(first, last, backward)
+            for at in range(first, last):
+                j = uintp(indices[at])
                 old = z[j]
-                w += data[k] * old
-                c += data[k] * (new[j] - old)
+                w += data[at] * old
+                c += data[at] * (new[j] - old)
             j = uintp(indices[nearest])
             old = z[j]
             w += data[nearest] * old
@@ -102,31 +90,19 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
     largest = 0.0
     total = 0.0
     near = 0.0
-    i = n if backward else uintp(0) - one
-    for _ in range(n):
-        if backward:
-            i -= one
-            first, last = uintp(split[i]), uintp(indptr[i + one])
-            rest, rest_end = uintp(indptr[i]), first
-        else:
-            i += one
-            first, last = uintp(indptr[i]), uintp(split[i])
-            rest, rest_end = last, uintp(indptr[i + one])
+    for k in range(n):
+        i = n - one - k if backward else k
+        first, last, rest, rest_end = halves_of_row(indptr, split, i, backward)
         w = rows[i, 0]
         nearest_weight = 0.0
         nearest_value = 0.0
         s = relaxation * rows[i, 3]
-        for k in range(rest, rest_end):
-            w += data[k] * z[uintp(indices[k])]
+        for at in range(rest, rest_end):
+            w += data[at] * z[uintp(indices[at])]
         if last > first:
-            if backward:
-                nearest = first
-                first += one
-            else:
-                last -= one
-                nearest = last
-            for k in range(first, last):
-                w += data[k] * z[uintp(indices[k])]
+            nearest, first, last = without_nearest(first, last, backward)
+            for at in range(first, last):
+                w += data[at] * z[uintp(indices[at])]
             j = uintp(indices[nearest])
             nearest_weight = data[nearest] * s
             nearest_value = near if j + one == i or i + one == j else z[j]

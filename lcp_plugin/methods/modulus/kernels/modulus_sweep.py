@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ....core.kernels.compilation import kernel, uintp
+from ....core.kernels.rows import halves_of_row
 
 
 @kernel
@@ -21,26 +22,19 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
     n = uintp(rows.shape[0])
     one = uintp(1)
     largest = 0.0
-    i = n if backward else uintp(0) - one
-    for _ in range(n):
-        if backward:
-            i -= one
-            first, last = uintp(split[i]), uintp(indptr[i + one])
-            rest, rest_end = uintp(indptr[i]), first
-        else:
-            i += one
-            first, last = uintp(indptr[i]), uintp(split[i])
-            rest, rest_end = last, uintp(indptr[i + one])
+    for k in range(n):
+        i = n - one - k if backward else k
+        first, last, rest, rest_end = halves_of_row(indptr, split, i, backward)
         w = rows[i, 0]
         c = 0.0
-        for k in range(first, last):
-            j = uintp(indices[k])
+        for at in range(first, last):
+            j = uintp(indices[at])
             old = x[j]
-            w += data[k] * (0.0 if old < 0.0 else old)
-            c += data[k] * (new[j] - old)
-        for k in range(rest, rest_end):
-            old = x[uintp(indices[k])]
-            w += data[k] * (0.0 if old < 0.0 else old)
+            w += data[at] * (0.0 if old < 0.0 else old)
+            c += data[at] * (new[j] - old)
+        for at in range(rest, rest_end):
+            old = x[uintp(indices[at])]
+            w += data[at] * (0.0 if old < 0.0 else old)
         xi = x[i]
         positive = 0.0 if xi < 0.0 else xi
         slack = w * rows[i, 2]

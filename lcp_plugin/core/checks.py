@@ -86,8 +86,7 @@ def checked_matrix(M: Any) -> tuple[Any, int]:
     if is_sparse:
         compressed = canonical_csr(matrix, "M")
         return compressed, int(compressed.nnz)
-    if not np.isfinite(matrix).all():
-        raise _not_finite_entry(matrix, "M")
+    require_finite(matrix, "M")
     n, nonzeros = matrix.shape[0], int(np.count_nonzero(matrix))
     if n <= DENSE_UP_TO_SIZE and nonzeros > DENSE_ABOVE_DENSITY * n * n:
         return read_only(
@@ -141,14 +140,16 @@ def rectangular_matrix(
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, name, is_copied=is_copied)
-    if not np.isfinite(matrix).all():
-        raise _not_finite_entry(matrix, name)
+    require_finite(matrix, name)
     return read_only(matrix.copy() if is_copied else matrix)
 
 
-def _not_finite_entry(dense: NDArray[np.float64], name: str) -> InvalidProblem:
-    row, column = np.argwhere(~np.isfinite(dense))[0]
-    return _not_finite(name, f"{row}, {column}", dense[row, column])
+def require_finite(array: NDArray[np.float64], name: str) -> None:
+    """Raise InvalidProblem that shows the first entry that is not finite, if there is one."""
+    is_finite = np.isfinite(array)
+    if not is_finite.all():
+        at = tuple(np.argwhere(~is_finite)[0].tolist())
+        raise _not_finite(name, ", ".join(map(str, at)), array[at])
 
 
 def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> InvalidProblem:

@@ -26,7 +26,7 @@ from ..core.lcp import LCP
 from ..core.problem_classes import refusal
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
-from ..methods.newton.active_set import solve_active_set
+from ..methods.newton.active_set import classify, solve_active_set
 from .convex_program import PLAIN, ReferenceProgram, solve_by, solver_name
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
@@ -303,9 +303,8 @@ def polish(certificate: Certificate) -> Certificate:
     """Return the solution of the equations on the certificate's own active set, if it is better."""
     best, problem = certificate, certificate.problem
     for _ in range(POLISH_ROUNDS):
-        z, step = best.z, best.w / problem.residual_scale
-        at_lower, at_upper = z - problem.lower <= step, problem.upper - z <= -step
-        solved = solve_active_set(problem, at_lower, at_upper, near=z)
+        at_bounds = classify(problem, best.z, best.w)
+        solved = solve_active_set(problem, *at_bounds, near=best.z)
         found = best if solved is None else Certificate.of(problem, solved.z)
         if not found.scaled_residual < best.scaled_residual:
             break

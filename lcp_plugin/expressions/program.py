@@ -135,10 +135,6 @@ class Program:
         """The number of results."""
         return int(self.result.offset.size)
 
-    def quantities(self, x: FloatVector) -> FloatVector:
-        """Return the unknowns and the values of all functions, level by level."""
-        return self._swept(x)[0]
-
     def rearranged(self, places: Indices, signs: FloatVector) -> Program:
         """Return the program whose result k is signs[k] times the result places[k] of this one."""
         matrix = sp.csr_array(sp.diags_array(signs) @ self.result.matrix[places])

@@ -21,6 +21,7 @@ from ..systems.hierarchy.levels import (
     COARSEST,
     LARGEST_GRID_SHARE,
     NOTEWORTHY_LONELY,
+    interpolation_of,
     positive_shares,
     strength_of,
 )
@@ -139,28 +140,25 @@ def _interpolation(
 
     If couplings jump from edge to edge, each rank also makes the second pass of Ruge and Stüben among its unknowns.
     """
-    from pyamg.classical.interpolate import direct_interpolation
-    from pyamg.classical.split import RS
-    from pyamg.strength import classical_strength_of_connection
-
     indptr, indices, data = grid.own
     n, halo = grid.n, grid.halo
     square = np.pad(indptr, (0, grid.width - n), "edge")  # the rows of ghosts are empty
-    M = sp.csr_matrix((data, indices, square), shape=(grid.width, grid.width))
-    strong = classical_strength_of_connection(M, strength, norm="min")
-    choice = RS(strong[:n, :n], second_pass=bool(has_jumps))
-    choice = np.concatenate([choice, np.zeros(halo.foreign, choice.dtype)])
-    halo.fetch_flags(choice)
-    is_coarse = read_only(choice[:n] == 1)
+
+    def spread(choice: Any) -> Any:
+        choice = np.concatenate([choice, np.zeros(halo.foreign, choice.dtype)])
+        halo.fetch_flags(choice)
+        return choice
+
+    chosen, P, lonely = interpolation_of(
+        (square, indices, data), n, strength, second_pass=bool(has_jumps), spread=spread
+    )
+    is_coarse = read_only(chosen[:n])
     below = Halo(halo.comm, int(np.count_nonzero(is_coarse)))
     if below.n == 0:
         return None
-    P = sp.csr_array(direct_interpolation(M, strong, choice))
-    if has_jumps is None:
-        is_lonely = (np.diff(P.indptr) == 0) & (np.diff(strong.indptr) > 1)
-        if halo.total(int(np.count_nonzero(is_lonely))) > NOTEWORTHY_LONELY * halo.n:
-            return _interpolation(grid, strength, has_jumps=True)
-    number = halo.whole(below.first - 1.0 + np.cumsum(is_coarse))[choice == 1]
+    if has_jumps is None and halo.total(lonely) > NOTEWORTHY_LONELY * halo.n:
+        return _interpolation(grid, strength, has_jumps=True)
+    number = halo.whole(below.first - 1.0 + np.cumsum(is_coarse))[chosen]
     end = int(P.indptr[n])
     rows = P.indptr[: n + 1], number[P.indices[:end]].astype(indices.dtype), P.data[:end]
     return InterpolationOnRanks(halo.with_foreign_rows(rows), is_coarse, below, bool(has_jumps))

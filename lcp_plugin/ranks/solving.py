@@ -13,9 +13,10 @@ from ..core.algorithm import Step
 from ..core.certificates.measured import Measured
 from ..core.checks import FloatVector, read_only
 from ..core.deadline import Clock
-from ..core.errors import InvalidOption, NotConverged
+from ..core.errors import InvalidOption
 from ..core.kernels.threads import threads_for
 from ..core.settings import Settings, Status, checked_callback
+from ..core.solving.base_result import BaseResult
 from ..core.solving.progress import Progress
 from ..core.solving.result import Sample
 from ..core.solving.run import Run
@@ -41,8 +42,8 @@ OF_RUN = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class ResultOnRanks:
+@dataclass(frozen=True, eq=False, repr=False)
+class ResultOnRanks(BaseResult):
     """Result of a run on ranks; z and w are the local parts, all else is the same on every rank.
 
     Attributes
@@ -71,23 +72,13 @@ class ResultOnRanks:
     seconds: float
     error_bound: float | None = None
 
-    @property
-    def is_solved(self) -> bool:
-        """True if the status is SOLVED."""
-        return self.status is Status.SOLVED
-
-    def require_solved(self) -> ResultOnRanks:
-        """Return the result, or raise NotConverged if it is not solved."""
-        if not self.is_solved:
-            raise NotConverged(f"{self.status.name}: {self.status.value}")
-        return self
+    def describe_accuracy(self) -> str:
+        """Return the relative residual, and the bound of the error if there is one."""
+        bound = "" if self.error_bound is None else f", rigorous error bound {self.error_bound:.1e}"
+        return f"relative residual {self.certificate.relative_residual:.1e}{bound}"
 
     def __str__(self) -> str:
-        bound = "" if self.error_bound is None else f", rigorous error bound {self.error_bound:.1e}"
-        return (
-            f"{self.status.name} by {self.algorithm}: {self.iterations} iterations, {self.seconds:.3g} s, "
-            f"relative residual {self.certificate.relative_residual:.1e}{bound}"
-        )
+        return f"{self.status.name} by {self._effort()}, {self.describe_accuracy()}"
 
 
 @np.errstate(all="ignore")

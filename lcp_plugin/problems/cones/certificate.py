@@ -317,17 +317,15 @@ class ConeCertificate:
         plain.d = np.ones_like(plain.d)
         return float(length(plain.residual(self.measures.z, self.measures.w)[0]).max(initial=0.0))
 
-    @property
+    @derived_property
     def dissipation(self) -> float:
         """−zᵀw; for contacts the energy −rᵀu that friction would take at the final velocities."""
-        with np.errstate(all="ignore"):
-            return float(-(self.z @ self.w))
+        return float(-(self.z @ self.w))
 
-    @property
+    @derived_property
     def lost_energy(self) -> float:
         """−rᵀ(b + u)/2, the kinetic energy that impact and friction take: impulses r change velocities b to u."""
-        with np.errstate(all="ignore"):
-            return float(-0.5 * (self.z @ (self.problem.q + self.w)))
+        return float(-0.5 * (self.z @ (self.problem.q + self.w)))
 
     def __str__(self) -> str:
         lines = [

@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, derived_property
 from ...core.settings import Status
 from .certificate import ConeRows
 from .data import Blocks
@@ -78,20 +78,17 @@ class ContactInfeasibility:
         pairs = zip(self.problem.q.tolist(), self.y.tolist(), strict=True)
         return sum((Fraction(q) * Fraction(y) for q, y in pairs if y), Fraction(0))
 
-    @property
+    @derived_property
     def margin(self) -> float:
         """Lower bound of the relative residual of every point, as the criterion measures it."""
         problem, stack = self.problem, ConeStack.of(self.problem)
-        wide = stack.pattern.wide
-        with np.errstate(all="ignore"):
-            pulled = problem.rows.csr.T @ self.y
-            of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
-            weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
-            rows = ConeRows(stack)
-            of_rows = np.broadcast_to(rows.reference, rows.q.shape).reshape(-1)
-            references = np.maximum.reduceat(of_rows, problem.starts[:-1])
-            shares = np.where(weights > 0.0, weights * references, 0.0)
-            return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
+        pulled, wide, rows = problem.rows.csr.T @ self.y, stack.pattern.wide, ConeRows(stack)
+        of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
+        weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
+        of_rows = np.broadcast_to(rows.reference, rows.q.shape).reshape(-1)
+        references = np.maximum.reduceat(of_rows, problem.starts[:-1])
+        shares = np.where(weights > 0.0, weights * references, 0.0)
+        return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
 
     def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:
         """Return whether the proof excludes SOLVED for every point."""

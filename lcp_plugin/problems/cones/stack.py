@@ -64,7 +64,6 @@ class Pattern:
         self.M, self.is_sparse = M, sp.issparse(M)
         self.B = 1 if self.is_sparse else len(M)
         self.nonzeros = M.size // max(self.B, 1)  # of one problem
-        self.most_terms = int(np.diff(M.indptr).max(initial=0)) if self.is_sparse else M.shape[2]
         self.starts, self.sizes = starts, np.diff(starts)
         self.k, self.n, self.m = self.sizes.size, int(starts[-1]), int(self.sizes.max(initial=1))
         self.of_row = np.repeat(np.arange(self.k), self.sizes)

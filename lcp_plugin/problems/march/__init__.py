@@ -12,7 +12,15 @@ import scipy.sparse as sp
 from ...api import solve
 from ...auto import parse_call, plan, run_on, solve_lcp
 from ...core.algorithm import Algorithm
-from ...core.checks import FloatVector, check_kind, checked_start, is_number, read_only, real_array
+from ...core.checks import (
+    FloatVector,
+    checked_start,
+    is_number,
+    read_only,
+    real_array,
+    rectangular_matrix,
+    require_finite,
+)
 from ...core.deadline import Clock
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
@@ -213,25 +221,12 @@ def checked_rows(
     rows = real_array(given.toarray() if sp.issparse(given) else given, need)
     if not fits(rows.shape):
         raise InvalidProblem(f"{need}, got shape {rows.shape}")
-    if not np.isfinite(rows).all():
-        at = np.argwhere(~np.isfinite(rows))[0]
-        raise InvalidProblem(
-            f"{need}, but {name}{at.tolist()} = {rows[tuple(at)]}; repair that entry"
-        )
+    require_finite(rows, name)
     return rows
 
 
-def checked_propagator(propagator: Any, n: int) -> sp.csr_array:
+def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.csr_array:
     """Return the propagator as a finite matrix by rows; a number stands for a multiple of the identity."""
-    need = f"propagator must be a number or a finite array of shape ({n}, {n})"
     if is_number(propagator):
         propagator = float(propagator) * sp.eye_array(n)
-    elif not sp.issparse(propagator):
-        propagator = real_array(propagator, need)
-    if propagator.shape != (n, n):
-        raise InvalidProblem(f"{need}, got shape {propagator.shape}")
-    check_kind(propagator.dtype, need)
-    rows = sp.csr_array(propagator, dtype=np.float64)
-    if not np.isfinite(rows.data).all():
-        raise InvalidProblem(f"{need}, got NaN or infinite entries; repair them")
-    return rows
+    return sp.csr_array(rectangular_matrix(propagator, name, n, n))

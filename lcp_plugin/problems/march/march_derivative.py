@@ -18,7 +18,6 @@ from ...core.checks import (
     FloatVector,
     change_of_vector,
     derived_property,
-    is_number,
     rectangular_matrix,
 )
 from ...core.errors import UnsuitableProblem
@@ -29,7 +28,7 @@ from ...core.matrix.structure import row_numbers
 from ...methods.banded import held_entries, solve_held
 from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
-from . import BLOCK, March, checked_rows
+from . import BLOCK, March, checked_propagator, checked_rows
 from .on_band import propagation
 
 if TYPE_CHECKING:
@@ -412,14 +411,16 @@ class MarchDerivative:
         rows = _rows(
             np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
         )
-        dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
+        none = sp.csr_array((n, n))
+        dM = none if dM is None else sp.csr_array(rectangular_matrix(dM, "dM", n, n))
+        dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
         low = change_of_vector(dlower, "dlower", n, may_be_number=True)
         high = change_of_vector(dupper, "dupper", n, may_be_number=True)
         before = change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
             changes = part.jvp(
-                dM, rows[part.here] if rows.ndim > 1 else rows, dpropagator, low, high, before
+                dM, rows[part.here] if rows.ndim > 1 else rows, dC, low, high, before
             )
             if not only_last:
                 dz[part.here] = changes
@@ -491,14 +492,6 @@ class MarchDerivative:
         return Band.of(
             Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T)
         )
-
-
-def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
-    if given is None:
-        return sp.csr_array((n, n))
-    if name == "dpropagator" and is_number(given):
-        given = float(given) * sp.eye_array(n)
-    return sp.csr_array(rectangular_matrix(given, name, n, n))
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:

@@ -126,9 +126,7 @@ def derivative(result: Any) -> Any:
     if isinstance(result, ConeResult):
         return ConeDerivative(result.problem, result.z)
     certificate = result.certificate
-    return Derivative(
-        certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised
-    )
+    return Derivative(certificate.problem, result.z, result.w)
 
 
 def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchDerivative:
@@ -151,9 +149,7 @@ class Derivative(LinearizedSystem):
     problem : LCP
     z, w : array, shape (n,)
         Solution and slack of the problem.
-    is_linearised : bool
-        True if the problem is the linearization of a nonlinear problem at z. dq is then a change dF of F, and nothing
-        is proved.
+        The linearization at z of a nonlinear problem: dq is then a change dF of F, and nothing is proved.
     before : Derivative, optional
         Derivative for a problem with the same M, whose factorization is used again.
 
@@ -174,10 +170,9 @@ class Derivative(LinearizedSystem):
         z: FloatVector,
         w: FloatVector,
         *,
-        is_linearised: bool = False,
         before: Derivative | None = None,
     ) -> None:
-        self.problem, self.is_linearised = problem, is_linearised
+        self.problem = problem
         self._found = z, w, None if before is None else before._rows.system
 
     @derived_property

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import derived_property, read_only, real_array, rectangular_matrix
+from ...core.checks import (
+    derived_property,
+    read_only,
+    real_array,
+    rectangular_matrix,
+    require_finite,
+)
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import residual_scales
@@ -43,7 +49,6 @@ class BatchPart(LinearizedSystem):
         The refined solutions.
     """
 
-    @np.errstate(all="ignore")
     def __init__(self, group: Group, z: Any, is_solved: Any) -> None:
         self.group, self.items, self.points = group, group.items, z
         M, (q, lower, upper) = group.M, group.vectors("q", "lower", "upper")
@@ -286,11 +291,7 @@ class ManyDerivatives:
         if given.shape not in (shape, own, () if name in NUMBERS else own):
             raise InvalidProblem(f"{need}, got shape {given.shape}")
         given = np.broadcast_to(given, shape) if is_there.all() else np.where(is_there, given, 0.0)
-        if not np.isfinite(given).all():
-            at = tuple(np.argwhere(~np.isfinite(given))[0].tolist())
-            raise InvalidProblem(
-                f"{name} must be finite, but {name}{[*at]} = {given[at]}; repair that entry"
-            )
+        require_finite(given, name)
         return given
 
 

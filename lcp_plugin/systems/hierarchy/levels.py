@@ -16,13 +16,14 @@ Softw. 8 (2023), doi:10.21105/joss.05495.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector, read_only
+from ...core.checks import Arrays, FloatVector, read_only
 from ...core.deadline import require_seconds
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import is_nearly_symmetric
@@ -77,10 +78,11 @@ def build_hierarchy(
             return Hierarchy(alone, (), work, is_helpful=False)
         if strength != STRENGTH:  # coarser grids may lack the positive couplings of finer ones
             strength = strength_of(float(positive_shares(grid.matrix, grid.split).mean()))
-        is_coarse, P, lonely = _interpolation(grid, strength, second_pass=has_jumps)
+        rows = grid.matrix.arrays
+        is_coarse, P, lonely = interpolation_of(rows, grid.n, strength, second_pass=has_jumps)
         if not transfers and lonely > NOTEWORTHY_LONELY * grid.n:
             has_jumps = True
-            is_coarse, P, _ = _interpolation(grid, strength, second_pass=True)
+            is_coarse, P, _ = interpolation_of(rows, grid.n, strength, second_pass=True)
         # Couplings, dependents, choice (twice), interpolation (twice).
         work += 6.0 * grid.entries
         R = P.T.tocsr()
@@ -131,18 +133,27 @@ def strength_of(positive_share: float) -> float:
     return STRENGTH_AMONG_POSITIVE if positive_share > 0.02 else STRENGTH
 
 
-def _interpolation(
-    grid: Grid, strength: float, *, second_pass: bool
+def interpolation_of(
+    rows: Arrays,
+    n: int,
+    strength: float,
+    *,
+    second_pass: bool,
+    spread: Callable[[Any], Any] = lambda choice: choice,
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
-    """Return the mask of the coarse unknowns, P, and the number of fine unknowns without a coarse neighbor."""
+    """Return the mask of the coarse unknowns, P, and the number of fine unknowns without a coarse neighbor.
+
+    `rows` are those of `n` local unknowns, and empty rows of ghosts, whose choices `spread` adds to the local ones.
+    """
     from pyamg.classical.interpolate import direct_interpolation
     from pyamg.classical.split import RS
     from pyamg.strength import classical_strength_of_connection
 
-    indptr, indices, data = grid.matrix.arrays
-    M = sp.csr_matrix((data, indices, indptr), shape=(grid.n, grid.n))
+    indptr, indices, data = rows
+    width = indptr.size - 1
+    M = sp.csr_matrix((data, indices, indptr), shape=(width, width))
     strong = classical_strength_of_connection(M, strength, norm="min")
-    choice = RS(strong, second_pass=second_pass)
+    choice = spread(RS(strong if n == width else strong[:n, :n], second_pass=second_pass))
     P = sp.csr_array(direct_interpolation(M, strong, choice))
     is_lonely = (np.diff(P.indptr) == 0) & (np.diff(strong.indptr) > 1)  # strong has the diagonal
     return read_only(choice == 1), P, int(np.count_nonzero(is_lonely))

@@ -487,12 +487,9 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
         ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
         (
             {"propagator": np.eye(2)},
-            r"propagator must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)",
+            r"propagator must be a real matrix of shape \(3, 3\), got shape \(2, 2\)",
         ),
-        (
-            {"propagator": np.full((3, 3), np.inf)},
-            "propagator must be .* got NaN or infinite entries; repair them",
-        ),
+        ({"propagator": np.full((3, 3), np.inf)}, r"propagator\[0, 0\] = inf; repair that entry"),
         ({"z0": np.zeros(2)}, "z0 must be"),
     ],
 )

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 
 from .. import __version__
-from ..core.errors import InvalidOption
 from .app import EXIT_BAD_INPUT, AlgorithmName, Target, algorithm_names, app, command
 
 __all__ = ["app", "run"]
@@ -181,19 +180,12 @@ def compare(
     out: Annotated[Path | None, typer.Option(help="Save every point: a .csv file.")] = None,
 ) -> bool:
     """Measure error against run time of several algorithms on one problem."""
-    from ..evidence.drawing import check_format, require_matplotlib
     from ..evidence.study import error_against_time
-    from .solving import check_place
+    from .solving import check_outputs
     from .target import read_lcp
     from .terminal import moving_line
 
-    if plot is not None:
-        check_format(plot)
-        require_matplotlib()
-    if out is not None and out.suffix != ".csv":
-        raise InvalidOption(f"--out writes a .csv file, got {out.name!r}")
-    for path in filter(None, (plot, out)):
-        check_place(path)
+    check_outputs(target, plot, out, ".csv")
     given = read_lcp(target, "lcp-plugin compare", size)
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
     with moving_line(target) as say:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
-from ..core.checks import FloatVector, assemble_csr
+from ..core.checks import FloatVector
 from ..core.matrix.matrix import largest_in_rows
+from ..core.matrix.scaling import scale_by
 from .engine import EngineAnswer, ProgramData
 
 FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active
@@ -47,11 +47,11 @@ class ScaledProgram(NamedTuple):
         """Return the program scaled by these powers of two."""
         of_G, of_A = np.split(rows, [given.h.size])
         statement = ProgramData(
-            _scale_rows_and_columns(given.P, units * objective, units),
+            scale_by(given.P, units * objective, units),
             given.c * units * objective,
-            _scale_rows_and_columns(given.G, of_G, units),
+            scale_by(given.G, of_G, units),
             given.h * of_G,
-            _scale_rows_and_columns(given.A, of_A, units),
+            scale_by(given.A, of_A, units),
             given.b * of_A,
             given.lower / units,
             given.upper / units,
@@ -77,14 +77,10 @@ def scale_program(given: ProgramData, units: FloatVector) -> ScaledProgram:
     """Return the scaled program: x in these units, largest coefficient of each row from 1 to 2, costs about 1."""
     sizes = (
         largest_in_rows(one)
-        for one in (
-            _scale_rows_and_columns(A, np.ones(A.shape[0]), units) for A in (given.G, given.A)
-        )
+        for one in (scale_by(A, np.ones(A.shape[0]), units) for A in (given.G, given.A))
     )
     rows = 1.0 / _power_below(np.concatenate(list(sizes)))
-    costs = np.append(
-        np.abs(given.c * units), largest_in_rows(_scale_rows_and_columns(given.P, units, units))
-    )
+    costs = np.append(np.abs(given.c * units), largest_in_rows(scale_by(given.P, units, units)))
     return ScaledProgram.from_units(
         given, units, rows, float(1.0 / _power_below(costs.max(initial=0.0)))
     )
@@ -160,11 +156,3 @@ def _typical_size(*values: FloatVector) -> float:
     sizes = np.abs(np.concatenate(values))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
     return float(np.exp2(np.round(np.log2(np.quantile(sizes, MOST))))) if sizes.size else 1.0
-
-
-def _scale_rows_and_columns(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
-    """Return A with its rows and columns multiplied by `rows` and `columns`."""
-    if not sp.issparse(A):
-        return rows[:, np.newaxis] * A * columns
-    data = A.data * np.repeat(rows, np.diff(A.indptr)) * columns[A.indices]
-    return assemble_csr(data, A.indices, A.indptr, A.shape)

@@ -24,6 +24,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
+from ..core.matrix.scaling import scale_by
 from ..problems.programs.program import QuadraticProgram, asymmetry_of
 from ..systems.definiteness import factorised, symmetric_part
 
@@ -62,11 +63,7 @@ class ReferenceProgram:
     def of(cls, problem: LCP) -> ReferenceProgram:
         """Return the program that symmetry and a factorization of the symmetric part allow."""
         weight = np.sqrt(np.where(problem.diagonal > 0.0, problem.diagonal, problem.residual_scale))
-        if sp.issparse(problem.M):
-            inverse = sp.diags_array(1.0 / weight)
-            A = (inverse @ problem.csr @ inverse).tocsr()
-        else:
-            A = problem.M / weight[:, None] / weight
+        A = scale_by(problem.M, 1.0 / weight, 1.0 / weight)
         place = asymmetry_of(A)[1]
         matrix = "M is symmetric"
         if place is not None:

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector
 from ..core.lcp import LCP
+from ..core.matrix.scaling import scale_by
 from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from ..proofs.exact.rational import exact_slack
 from .exact import ExactPoint, exact_answer
@@ -116,10 +117,8 @@ def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase
     row, column = (
         np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column)
     )
-    M = problem.csr.copy()
     # One multiplication after another: the product of the two factors may overflow although the entry does not.
-    data = M.data * np.repeat(row, np.diff(M.indptr)) * column[M.indices]
-    scaled = sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
+    scaled = scale_by(problem.csr, row, column)
     unit = 1.0 / column
     near = None if case.near is None else np.asarray(case.near) * unit
     start = None if case.start is None else case.start * unit

@@ -33,6 +33,7 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
+from ..core.matrix.structure import entries_of_row
 from ..expressions.program import Program
 from ..problems.equilibria.equilibrium_program import LOWER, UPPER, EquilibriumProgram
 from ..problems.equilibria.result import ENDS
@@ -309,8 +310,7 @@ class _Model:
         """Return each row times the quantities, plus the offset."""
         rows, found = sp.csr_array(matrix), []
         for k, shift in enumerate(offset.tolist()):
-            entries = slice(rows.indptr[k], rows.indptr[k + 1])
-            pairs = zip(rows.indices[entries].tolist(), rows.data[entries].tolist(), strict=True)
+            pairs = zip(*entries_of_row(rows, k), strict=True)
             found.append(self.scip.quicksum(a * quantities[j] for j, a in pairs) + shift)
         return found
 

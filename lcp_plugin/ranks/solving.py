@@ -20,6 +20,7 @@ from ..core.solving.base_result import BaseResult
 from ..core.solving.progress import Progress
 from ..core.solving.result import Sample
 from ..core.solving.run import Run
+from ..core.solving.run_log import RunLog
 from ..core.solving.stage import Named, Stage
 from ..core.solving.termination import TerminationReason
 from .certificate import CertificateOnRanks, RowDataOnRanks, error_bound, measured
@@ -27,7 +28,6 @@ from .collective import Interruptions
 from .methods import chain
 
 if TYPE_CHECKING:
-    from .halo import Halo
     from .problem import RowsOnRanks
 
 GROWTH = 1.05  # of the steps between two measurements
@@ -120,7 +120,7 @@ def solve_on_ranks(
     if z0 is not None:
         z = np.clip(problem.own_part(z0, "z0"), problem.lower, problem.upper)
     with threads_for(settings.threads), Interruptions() as is_interrupted:
-        run = RunOnRanks(problem, ProgressOnRanks(settings, callback, ranks, is_interrupted))
+        run = RunOnRanks(problem, ProgressOnRanks(problem, settings, callback, is_interrupted))
         found: ResultOnRanks = run.result(run.follow_all(run.plan(methods, z)))
     return found
 
@@ -130,20 +130,23 @@ class ProgressOnRanks(Progress):
 
     Parameters
     ----------
+    problem : RowsOnRanks
     settings : Settings
     callback : callable or None
-    halo : Halo
     is_interrupted : callable
         Returns whether this rank was interrupted by Ctrl-C.
     """
 
-    def __init__(self, settings: Settings, callback: Any, halo: Halo, is_interrupted: Any) -> None:
+    def __init__(
+        self, problem: RowsOnRanks, settings: Settings, callback: Any, is_interrupted: Any
+    ) -> None:
         # The time limit of the loop is a limit of one rank: all ranks decide in `count`.
-        super().__init__(replace(settings, max_seconds=None), callback, Clock())
+        log = RunLog(problem) if settings.verbose and not problem.halo.rank else None
+        super().__init__(replace(settings, max_seconds=None), callback, Clock(), log)
+        halo = problem.halo
         self.halo, self.max_seconds = halo, settings.max_seconds
         self.is_interrupted = is_interrupted
-        self.has_callback = halo.anywhere(callback is not None)
-        self.is_watched = self.has_callback or settings.verbose
+        self.is_watched = halo.anywhere(callback is not None) or settings.verbose
 
     def count(self, stage: Stage, step: Step) -> None:
         """Count a step, and decide with the other ranks whether a limit is reached."""
@@ -157,32 +160,16 @@ class ProgressOnRanks(Progress):
         else:
             self.limit()
 
-    def report(
-        self,
-        stage: Stage,
-        residual: float | None,
-        shown: Callable[[], Any],
-        measure: Callable[[], float | None],
-        *,
-        is_last: bool,
-    ) -> bool:
+    def report(self, *given: Any, **how: Any) -> bool:
         """Print a line on rank 0, and call back; return whether a callback of any rank returned True."""
-        name, callback = stage.algorithm.name, self.callback
-        if self.settings.verbose and self.halo.rank == 0:
-            shown_residual = "–" if residual is None else f"{residual:.2e}"
-            print(f"{name:>10} {self.iteration:>8} {shown_residual:>12}", flush=True)
-        if not self.has_callback:
-            return False
-        sample = Sample(self.iteration, self.work, self.seconds, residual, name)
-        wants = self.halo.together(lambda: callback is not None and bool(callback(sample, shown())))
-        return self.halo.anywhere(wants)
+        report = super().report
+        return self.halo.anywhere(self.halo.together(lambda: report(*given, **how)))
 
 
 class RunOnRanks(Run):
     """Run of an LCP whose rows are spread over ranks: it measures at geometric intervals."""
 
     progress: ProgressOnRanks
-    certificate: CertificateOnRanks  # of the best point
 
     def __init__(self, problem: RowsOnRanks, progress: ProgressOnRanks) -> None:
         super().__init__(progress)
@@ -191,7 +178,7 @@ class RunOnRanks(Run):
     def plan(self, methods: Any, z: FloatVector) -> Iterator[Stage]:
         """Yield the methods one after the other, each from the best point."""
         for name, iterates in methods:
-            points = iterates(self.problem, (z if self.best is None else self.best.z).copy())
+            points = iterates(self.problem, (z if self.best is None else self.best.z.z).copy())
             steps = (
                 Step(point, work=work, iterations=int(k > 0 or work > 0.0))
                 for k, (point, work) in enumerate(points)
@@ -199,26 +186,20 @@ class RunOnRanks(Run):
             yield Stage(Named(name), steps=steps)
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
-        """Return the measured point of a step; None if no measurement is due."""
+        """Return the certificate of a step as measured; None if no measurement is due."""
         progress, settings = self.progress, self.settings
         is_due = progress.iteration >= self.next_check or progress.end is not None
         if not (is_due or progress.is_watched):
             return None
-        found = self._latest = measured(self.data, step.z)
+        found = measured(self.data, step.z)
         is_sweep = stage.algorithm.name != "multigrid"
         self.next_check = math.ceil(progress.iteration * GROWTH) + is_sweep
         return Measured(
-            found.z,
+            found,
             found.relative_residual,
             found.is_solved(settings.tolerance, settings.absolute_tolerance),
             found.is_at_rounding_level,
         )
-
-    def keep(self, found: Measured) -> None:
-        """Keep a better point, and its certificate."""
-        super().keep(found)
-        if self.best is found:
-            self.certificate = self._latest
 
     def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:
         """Return STALLED at rounding level, and if a residual is not finite."""
@@ -232,7 +213,7 @@ class RunOnRanks(Run):
 
     def result(self, end: TerminationReason) -> ResultOnRanks:
         """Return the result, the same on all ranks except z and w."""
-        found, progress = self.certificate, self.progress
+        found, progress = self.best.z, self.progress
         bound = error_bound(self.data, found.z) if self.settings.error_bound else None
         return ResultOnRanks(
             read_only(found.z),

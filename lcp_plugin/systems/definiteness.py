@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
+from ..core.matrix.scaling import scale_by
 from ..core.matrix.structure import row_numbers
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
@@ -197,18 +198,12 @@ def _margin(n: int, terms: int) -> float:
 def scaled_to(P: Any, scale: FloatVector) -> Any:
     """Return P with scaled rows and columns; None if P overflows or is too large to be factorized."""
     if not sp.issparse(P):
-        dense = scale[:, None] * P * scale
+        dense = scale_by(P, scale, scale)
         return dense if np.isfinite(dense).all() else None
     if not factor_fits(P):
         return None
-    rows = sp.csr_array(P)
-    data = rows.data * np.repeat(scale, np.diff(rows.indptr)) * scale[rows.indices]
-    # The transpose, which equals the symmetric matrix.
-    return (
-        sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape)
-        if np.isfinite(data).all()
-        else None
-    )
+    scaled = scale_by(sp.csr_array(P), scale, scale).T  # by columns; it is symmetric
+    return scaled if np.isfinite(scaled.data).all() else None
 
 
 def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..checks import FloatVector
+from ..checks import FloatVector, assemble_csr
 from .structure import IntVector, row_numbers
 
 
@@ -27,6 +27,14 @@ def scale_matrix(M: Any, exponents: Exponents | None) -> Any:
         return times_power(M, row[:, None] + column)
     data = times_power(M.data, row[row_numbers(M)] + column[M.indices])
     return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
+
+
+def scale_by(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
+    """Return the array or CSR array with entries a_ij rows_i columns_j, multiplied in this order; A is canonical."""
+    if not sp.issparse(A):
+        return rows[:, np.newaxis] * A * columns
+    data = A.data * rows[row_numbers(A)] * columns[A.indices]
+    return assemble_csr(data, A.indices, A.indptr, A.shape)
 
 
 def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:

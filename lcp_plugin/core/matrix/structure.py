@@ -53,6 +53,12 @@ class Components:
     count: int
 
 
+def entries_of_row(matrix: Any, i: int) -> tuple[list[int], list[float]]:
+    """Return the columns and the values of the entries of row i of a CSR array."""
+    part = slice(matrix.indptr[i], matrix.indptr[i + 1])
+    return matrix.indices[part].tolist(), matrix.data[part].tolist()
+
+
 @fact
 def connected_components(matrix: Matrix) -> Components | None:
     """Return the connected components of the graph of M; None if there is only one.

@@ -74,10 +74,7 @@ def lcp_layer(
     >>> jax.grad(lambda q: lcp_layer(M, q).sum())(q).tolist()
     [[-0.5, 0.0], [0.0, -0.5]]
     """
-    if not jax.config.jax_enable_x64:
-        raise InvalidOption(
-            'lcp_layer works in double precision; begin the program with jax.config.update("jax_enable_x64", True)'
-        )
+    _require_double("lcp_layer")
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
     check_bounds(q, lower=lower, upper=upper)
     is_constant = sp.issparse(M)
@@ -129,16 +126,19 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
     >>> jax.grad(lambda mu: contact_layer(jnp.eye(3), b, mu) @ jnp.array([0.0, 3.0, 4.0]))(friction).round(6).tolist()
     [-5.0]
     """
-    if not jax.config.jax_enable_x64:
-        raise InvalidOption(
-            'contact_layer works in double precision; begin with jax.config.update("jax_enable_x64", True)'
-        )
+    _require_double("contact_layer")
     W, b, friction = _array(W, "W"), _array(b, "b"), _array(friction, "friction")
     axes = common_axes(W.shape, b.shape, friction.shape)
     own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
     data = tuple(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own)
     found = _solution(ContactLayer(mask=mask, **options), data)
     return found if mask else found[0]
+
+
+def _require_double(name: str) -> None:
+    if not jax.config.jax_enable_x64:
+        step = 'begin the program with jax.config.update("jax_enable_x64", True)'
+        raise InvalidOption(f"{name} works in double precision; {step}")
 
 
 def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:

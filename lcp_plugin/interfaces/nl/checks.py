@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
+from ...core.matrix.structure import entries_of_row
 from ...expressions.program import Program
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
@@ -32,8 +33,7 @@ def evaluated(content: NLContent, x: FloatVector) -> tuple[FloatVector, FloatVec
 
     linear = content.defined_linear
     for k in range(content.defined_trees.size):
-        row = slice(linear.indptr[k], linear.indptr[k + 1])
-        terms = zip(linear.indices[row].tolist(), linear.data[row].tolist(), strict=True)
+        terms = zip(*entries_of_row(linear, k), strict=True)
         value = evaluated_tree(content.defined_trees, k, leaf, _operation)
         values.append(value + sum(factor * values[column] for column, factor in terms))
     rows, objectives = (

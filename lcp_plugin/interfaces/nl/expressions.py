@@ -17,6 +17,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
+from ...core.matrix.structure import entries_of_row
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows
@@ -128,10 +129,7 @@ class _ExpressionReader:
             return
         found = self._sum(self.content.defined_trees, number, f"defined variable {number}")
         linear, n = self.content.defined_linear, self.n
-        entries = slice(linear.indptr[number], linear.indptr[number + 1])
-        for column, value in zip(
-            linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True
-        ):
+        for column, value in zip(*entries_of_row(linear, number), strict=True):
             if value:
                 found = found.add(self._leaf(VARIABLE, column).scaled(value))
         added = (self._uses[number] - 1) * len(found.terms)

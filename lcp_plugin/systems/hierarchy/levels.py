@@ -143,7 +143,8 @@ def interpolation_of(
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
     """Return the mask of the coarse unknowns, P, and the number of fine unknowns without a coarse neighbor.
 
-    `rows` are those of `n` local unknowns, and empty rows of ghosts, whose choices `spread` adds to the local ones.
+    `rows` has a row for each of the `n` local unknowns, and an empty row for each ghost. `spread` adds the choices of
+    ghosts to the local choices.
     """
     from pyamg.classical.interpolate import direct_interpolation
     from pyamg.classical.split import RS

@@ -297,14 +297,16 @@ def bounds(rng: Generator, kind: float | str) -> Found:
 
 def searched(rng: Generator, kind: str) -> Found:
     """Check all solutions, feasibility and proofs of a problem against enumeration."""
-    for line in search.violations(search.random_problem(rng, 3)):
-        yield Finding(CLAIM, line)
+    with np.errstate(all="ignore"):  # inner functions leave NumPy's state to public ones
+        found = [*search.violations(search.random_problem(rng, 3))]
+    yield from (Finding(CLAIM, line) for line in found)
 
 
 def guaranteed(rng: Generator, kind: str) -> Found:
     """Check a guarantee against an actual run."""
-    for line in guarantees.run_case(rng).violations:
-        yield Finding(CLAIM, line)
+    with np.errstate(all="ignore"):  # an iteration without its run
+        found = guarantees.run_case(rng).violations
+    yield from (Finding(CLAIM, line) for line in found)
 
 
 def programs(rng: Generator, kind: str) -> Found:

@@ -29,6 +29,7 @@ STEP, STEPS, NOISE = 0.02, 300, 0.01  # s, –, m: standard deviation of a measu
 STIFF = 40.0  # N/m, of every spring
 SPRINGS = STIFF * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 M = np.linalg.inv(MASS * np.eye(3) + STEP**2 * SPRINGS)
+SLEDGES = LCP(M, np.zeros(3))  # with_q shares the facts about M
 
 
 def film(friction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -40,7 +41,8 @@ def film(friction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for k in range(STEPS):
         pull = np.array([STIFF * PULL * STEP * (k + 1), 0.0, 0.0])
         q = M @ (MASS * speed + STEP * (pull - SPRINGS @ place))
-        at = derivative(solve(LCP(M, q, lower=-friction * limit, upper=friction * limit)))
+        step = SLEDGES.with_q(q, lower=-friction * limit, upper=friction * limit)
+        at = derivative(solve(step))
         speed = M @ at.z + q
         place = place + STEP * speed
         dq = M @ (MASS * by_friction[1] - STEP * SPRINGS @ by_friction[0])

@@ -133,8 +133,11 @@ def tree(
     falls, rises, back = np.array([(1 - p) / growth, p / growth, 1 / down])[..., None]
     value = np.maximum(STRIKE - price, 0.0)
     for _ in range(levels):
-        price = price[:, :-1] * back
-        value = np.maximum(falls * value[:, :-1] + rises * value[:, 1:], STRIKE - price)
+        price, value, of_rises = price[:, :-1], value[:, :-1], rises * value[:, 1:]
+        price *= back
+        value *= falls
+        value += of_rises
+        np.maximum(value, STRIKE - price, out=value)
     return value[:, 0]
 
 

@@ -133,13 +133,10 @@ class QPInfeasibility:
         if not self.verify():
             return 0.0
         numbers, program = list(self._found.y), self.program
-        largest = max(map(abs, self._found.y.values()))
-        y = np.array([float(abs(value) / largest) for value in self._found.y.values()])
-        rows, sizes = (
-            abs(program.constraints.matrix[numbers]),
-            program.constraints.own_sizes[numbers],
-        )
-        is_alone, pulls, at = np.diff(rows.indptr) == 1, rows.T @ y, np.zeros(program.n)
+        largest, y, pulls = self._found.sizes
+        constraints = program.constraints
+        rows, sizes = abs(constraints.matrix[numbers]), constraints.own_sizes[numbers]
+        is_alone, at = np.diff(rows.indptr) == 1, np.zeros(program.n)
         entries = rows.indptr[:-1][is_alone]
         np.maximum.at(at, rows.indices[entries], sizes[is_alone] / rows.data[entries])
         size = float(y[~is_alone] @ sizes[~is_alone] + at @ pulls)

@@ -193,6 +193,13 @@ class FarkasCertificate:
         """True if it is a proof for all x."""
         return self.has_signs and not self.left and self.plain > 0
 
+    @cached_property
+    def sizes(self) -> tuple[Fraction, FloatVector, FloatVector]:
+        """The largest |y_i|, the |y_i| divided by it, and Σ|y_i m_ij| of each column in this unit."""
+        largest = max(map(abs, self.y.values()))
+        y = np.array([float(abs(value) / largest) for value in self.y.values()])
+        return largest, y, abs(self.sides.matrix[list(self.y)]).T @ y
+
     def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
         """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.
 
@@ -201,9 +208,7 @@ class FarkasCertificate:
         """
         if not self.left:
             return True
-        largest, known = max(map(abs, self.y.values())), known or {}
-        y = np.array([float(abs(value) / largest) for value in self.y.values()])
-        terms = abs(self.sides.matrix[list(self.y)]).T @ y
+        (largest, y, terms), known = self.sizes, known or {}
         offset = float(y @ np.abs(self.sides.q[list(self.y)]))
         with np.errstate(all="ignore"):
             moved = sum(
@@ -218,9 +223,7 @@ class FarkasCertificate:
         left = {j: value for j, value in self.left.items() if j >= first}
         if not left:
             return True
-        largest = max(map(abs, self.y.values()))
-        sizes = np.array([float(abs(value) / largest) for value in self.y.values()])
-        terms = abs(self.sides.matrix[list(self.y)]).T @ sizes
+        largest, _, terms = self.sizes
         return all(
             abs(value) <= largest * Fraction(DATA_ROUNDING * float(terms[j]))
             for j, value in left.items()

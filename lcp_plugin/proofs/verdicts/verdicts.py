@@ -175,9 +175,8 @@ def p_matrix(matrix: Matrix) -> Verdict:
     early = _nonpositive_diagonal(matrix) or _p_by_class(matrix)
     if early is not None:
         return early
-    pair = nonpositive_pair(matrix.csr)
-    if pair is not None:
-        return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
+    if (pair := _nonpositive_pair(matrix)) is not None:
+        return pair
     if matrix.n <= LARGEST_SIZE:
         value = is_p_matrix_by_recursion(matrix.csr)
         if value is not None:
@@ -211,6 +210,13 @@ def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
     return Verdict(False, f"M[{row}, {row}] = {matrix.diagonal[row]:.6g}")
 
 
+def _nonpositive_pair(matrix: Matrix) -> Verdict | None:
+    pair = nonpositive_pair(matrix.csr)
+    if pair is None:
+        return None
+    return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
+
+
 def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
     """Decide by theorems: symmetric H₊-matrices are SPD, symmetric Z-matrices that are not H₊ are not."""
     if symmetric(matrix).value:
@@ -219,12 +225,7 @@ def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
             return Verdict(True, "SPD: symmetric and H₊")
         if h.value is False and z_matrix(matrix).value:
             return Verdict(False, "a symmetric Z-matrix that is not an M-matrix")
-        pair = nonpositive_pair(matrix.csr)
-        if pair is not None:
-            return Verdict(
-                False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive"
-            )
-        return None
+        return _nonpositive_pair(matrix)
     if not _has_dominant_symmetric_part(matrix):
         return None
     return Verdict(True, "the symmetric part is dominant, rounding included")

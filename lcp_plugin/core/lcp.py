@@ -247,7 +247,7 @@ class LCP:
 
         To compute only x, use ``solve(QuadraticProgram(P, c, …))``, which is faster. For a result of this LCP,
         ``problem.origin.recover(result)`` returns x, multipliers and residuals. ``solve`` tests it by the criterion of
-        LCPs and the duality gap. Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
+        LCPs, and with G or A by the duality gap. Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
 
         Parameters
         ----------

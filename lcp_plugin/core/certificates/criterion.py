@@ -22,8 +22,8 @@ rounding errors included, and if every row i satisfies the componentwise test
   that underflow explains is also tolerated.
 - A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then a proof that no z has
   permitted signs of w is searched for first, in components of up to 300 rows; with a proof, z does not pass.
-- The conditions of a program (``LCP.from_qp``) also need a small duality gap: rows that are right to 8 digits
-  do not determine the objective if z is large.
+- The conditions of a program with rows G or A (``LCP.from_qp``) also need a small duality gap: rows that are right to 8
+  digits do not determine the objective if z is large.
 
 If the active set is known, after a linear solve, the exponent 1 replaces 3/4. A run first moves each z_i to a bound
 whose distance is at most the step −w_i/d_i (:meth:`RowData.snap_to_bounds`); the moved point is measured and returned.

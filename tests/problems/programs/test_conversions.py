@@ -495,6 +495,18 @@ def test_conditions_at_a_distant_point_with_another_objective_are_not_solved(
             np.testing.assert_allclose(solution.objective, 1.0 + 2.0**-30, rtol=1e-6)
 
 
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid"])
+def test_conditions_without_rows_end_where_the_plain_problem_ends(algorithm: str) -> None:
+    """The duality gap of an obstacle problem is not tested: sweeps would need a third more iterations."""
+    n = 200
+    P = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)).tocsr()
+    c = np.sin(np.arange(n)) - 0.1
+    program, plain = LCP.from_qp(P, c, lower=0.0), LCP(P, c)
+    found, expected = (solve(one, algorithm) for one in (program, plain))
+    assert found.is_solved
+    assert found.z.tobytes() == expected.z.tobytes()
+
+
 @pytest.mark.parametrize(
     ("family", "number"),
     [

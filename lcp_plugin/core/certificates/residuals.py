@@ -251,13 +251,17 @@ class Certificate:
         return float(outside.max(initial=0.0))
 
     @derived_property
-    def complementarity(self) -> float:
-        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
+    def products(self) -> VectorEnds:
+        """The (z_i − lower_i) w_i⁺ and the (upper_i − z_i) w_i⁻, 0 for an infinite bound, shape (n,) each."""
         problem = self.problem
         above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
         below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
-        larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
-        return float(np.abs(larger).max(initial=0.0))
+        return above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0)
+
+    @derived_property
+    def complementarity(self) -> float:
+        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
+        return float(np.abs(np.maximum(*self.products)).max(initial=0.0))
 
     @derived_property
     def rounding_floor(self) -> FloatVector:

@@ -112,7 +112,6 @@ class LCPRun(Run):
             may_pass = test.is_passed(step.z, residual, progress.iteration, power)
         return Measured(step.z, residual, may_pass)
 
-    @np.errstate(all="ignore")
     def _is_solved(self, found: Measured) -> bool:
         given = found.z, found.rows, found.residual, found.terms, self.settings.tolerance
         return bool(row_data(self.problem).are_solved(*given))

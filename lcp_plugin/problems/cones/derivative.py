@@ -61,10 +61,9 @@ class StackDerivative(LinearizedSystem):
 
     def __init__(self, stack: ConeStack, z: Array) -> None:
         self.stack = stack
-        with np.errstate(all="ignore"):
-            self.z = polish_points(stack, z)[0]
-            self.w = stack.slack(self.z)
-            self.take_element_at(self.z, self.w)
+        self.z = polish_points(stack, z)[0]
+        self.w = stack.slack(self.z)
+        self.take_element_at(self.z, self.w)
 
     def take_element_at(self, z: Array, w: Array) -> None:
         """Select the generalised derivative at z and w, the solution or a point nearby.

@@ -310,7 +310,6 @@ def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
     return np.where(np.isfinite(found), found, 0.0)
 
 
-@np.errstate(all="ignore")
 def implied_box(program: QuadraticProgram) -> Box:
     """Return (lower, upper) with lower ≤ x ≤ upper for every feasible x, shape (n,) each, rounded outwards.
 

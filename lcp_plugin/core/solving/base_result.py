@@ -15,7 +15,27 @@ from ..settings import PROVEN, Status
 NEXT = "; next: "  # between what happened and what to do
 
 
-class BaseResult:
+class Outcome:
+    """Properties that follow from the status."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def status(self) -> Status:
+            """SOLVED, or the reason for termination."""
+
+    @property
+    def is_solved(self) -> bool:
+        """True if the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def has_no_solution(self) -> bool:
+        """True if a proof shows that no solution exists: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
+        return self.status in PROVEN
+
+
+class BaseResult(Outcome):
     """Base class of all results; the result of each problem class has further attributes.
 
     Attributes
@@ -44,10 +64,6 @@ class BaseResult:
     if TYPE_CHECKING:  # fields of the dataclasses that answers are
 
         @property
-        def status(self) -> Status:
-            """SOLVED, or the reason for termination."""
-
-        @property
         def x(self) -> Any:
             """The values of the unknowns."""
 
@@ -67,16 +83,6 @@ class BaseResult:
     def objective(self) -> float | None:
         """Objective value at x; None if the problem has no objective."""
         return None
-
-    @property
-    def is_solved(self) -> bool:
-        """True if the status is SOLVED."""
-        return self.status is Status.SOLVED
-
-    @property
-    def has_no_solution(self) -> bool:
-        """True if a proof shows that no solution exists: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
-        return self.status in PROVEN
 
     @property
     def proof(self) -> Any:

@@ -16,6 +16,7 @@ from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
+from ...core.solving.base_result import Outcome
 from ...core.solving.result import Result
 from ...expressions.statement import SquareModel, mismatches, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
@@ -43,7 +44,7 @@ OBJECTIVE = 1e-3  # tolerance for the objective: an expanded one has lost digits
 
 
 @dataclass(frozen=True, eq=False)
-class NLAnswer:
+class NLAnswer(Outcome):
     """Result of a run, in the variables and rows of the file.
 
     Attributes
@@ -69,11 +70,6 @@ class NLAnswer:
     result: Any = field(repr=False)
     objective: float | None
     code: int
-
-    @property
-    def is_solved(self) -> bool:
-        """True if the status is SOLVED."""
-        return self.status is Status.SOLVED
 
 
 @dataclass(eq=False, repr=False)

@@ -17,6 +17,7 @@ from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal, takes
 from ...core.settings import Settings, Status
+from ...core.solving.base_result import Outcome
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares
@@ -68,7 +69,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class PathPoint:
+class PathPoint(Outcome):
     """The solution at one value of the parameter.
 
     Attributes
@@ -110,11 +111,6 @@ class PathPoint:
     def status(self) -> Status:
         """Status by the criterion of the problem class."""
         return self._family.judge(self)
-
-    @property
-    def is_solved(self) -> bool:
-        """True if the status is SOLVED."""
-        return self.status is Status.SOLVED
 
     @cached_property
     def certificate(self) -> Certificate:

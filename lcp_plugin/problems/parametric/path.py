@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from ...core.checks import FloatVector, derived_property, is_number
 from ...core.errors import InvalidOption, NotConverged
 from ...core.representation import format_count
-from ...core.settings import PROVEN, Status
+from ...core.settings import Status
+from ...core.solving.base_result import Outcome
 from .families import Family, PathPoint, Piece
 
 SHOWN = 8  # breakpoints in a paragraph
@@ -36,7 +37,7 @@ class Slope:
     multipliers: FloatVector | None = None
 
 
-class Path:
+class Path(Outcome):
     """The solution of a family of problems along one parameter, returned by `trace`.
 
     Attributes
@@ -106,16 +107,6 @@ class Path:
         if self.reached != self.stop:
             return Status.STALLED
         return next(one for one in WORST_FIRST if one in self.statuses)
-
-    @property
-    def is_solved(self) -> bool:
-        """True if the status is SOLVED."""
-        return self.status is Status.SOLVED
-
-    @property
-    def has_no_solution(self) -> bool:
-        """True if a proof shows that no solution exists just beyond `reached`."""
-        return self.status in PROVEN
 
     @property
     def proof(self) -> Any:

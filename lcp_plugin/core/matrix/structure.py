@@ -144,10 +144,8 @@ def equation_signs(M: Any, is_equation: BoolVector) -> FloatVector:
     >>> equation_signs(np.array([[1.0, -2.0], [-2.0, 0.0]]), np.array([False, True]))
     array([ 1., -1.])
     """
-    signs, rows = np.ones(M.shape[0]), np.flatnonzero(is_equation)
-    if rows.size:
-        products = M[rows].multiply(M.T[rows]) if sp.issparse(M) else M[rows] * M.T[rows]
-        signs[rows] = np.where(
-            (products.sum(axis=1) > 0.0) & (M.diagonal()[rows] == 0.0), -1.0, 1.0
-        )
+    signs = np.ones(M.shape[0])
+    if is_equation.any():
+        products = (M.multiply(M.T) if sp.issparse(M) else M * M.T).sum(axis=1)
+        signs[is_equation & (products > 0.0) & (M.diagonal() == 0.0)] = -1.0
     return signs

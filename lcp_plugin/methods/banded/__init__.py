@@ -17,6 +17,7 @@ from ...core.checks import FloatVector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
+from ...core.rounding import read_only_views
 from ...core.tuning import BANDED_PASSES
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
@@ -182,7 +183,8 @@ def _contacts(
     """Return the active set with directly found rows at the bound of side −side, and its z; None if this fails."""
     near, far = (problem.lower, problem.upper)[::side]
     is_held = (problem.lower == problem.upper) | (target == side)
-    z, is_free = solve_one_sided(band.entries, q, side, np.where(is_held, far, near), is_held)
+    fixed = read_only_views(q, np.where(is_held, far, near), is_held)
+    z, is_free = solve_one_sided(band.entries, fixed[0], side, *fixed[1:])
     if z is None:
         return target, None
     return np.where(is_free, 0, np.where(is_held, side, -side)).astype(np.int8), z
@@ -204,6 +206,10 @@ def solve_one_sided(
         The bounds, ±∞ for none.
     is_held : array of bool, shape (n,)
         The rows that stay at their value.
+
+    Notes
+    -----
+    All arrays should be read-only: numba compiles again for arrays that are not.
     """
     from . import kernels
 

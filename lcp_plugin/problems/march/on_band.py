@@ -49,7 +49,7 @@ class BandSteps:
         self.tolerance, self.absolute = tolerance, abs(problem.csr)
         self.of_nearest: FloatVector = problem.csr @ problem.nearest_to_zero
         #: 1 if a step is one pass from the lower bounds, −1 from the upper ones, else 0.
-        self.side, self.none = 0, np.zeros(problem.n, np.bool_)
+        self.side, self.none = 0, read_only(np.zeros(problem.n, np.bool_))
         if band.is_tridiagonal_z:
             self.side = int(np.isinf(problem.upper).all()) or -int(np.isinf(problem.lower).all())
 
@@ -62,9 +62,10 @@ class BandSteps:
         state : array, shape (n,)
         """
         Q, Z = np.empty(forcing.shape), np.empty(forcing.shape)
+        fixed = read_only(Q)
         for k, given in enumerate(forcing):
             Q[k] = given + self.propagate(state)
-            found = self._step(Q[k], state)
+            found = self._step(fixed[k], state)
             if found is None:
                 Q, Z = Q[:k], Z[:k]
                 break

@@ -3,7 +3,7 @@
     python tests/on_other_machines.py [--only NAME] … [--numeric | --part] [pytest's arguments]
 
 Without arguments: the ordinary suite in each setting, with ``-n 2``. ``--numeric`` names the folders of tests that
-compute, ``--part`` the tests that kernels have changed before, which .ci/run runs; all other arguments go to pytest.
+compute, ``--part`` the tests that kernels have changed before; all other arguments go to pytest.
 Prints a line per setting; the exit code is 1 if one fails.
 
 The settings follow x86-64 processors. OpenBLAS, numpy and PIQP choose among compiled kernels when they are loaded, and

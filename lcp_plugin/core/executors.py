@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
+from itertools import takewhile
 from typing import Any
 
 from .errors import InvalidOption, LCPError, WorkerLost
@@ -34,7 +35,7 @@ def run_on(
         raise InvalidOption(
             f"executor must be a concurrent.futures.Executor, got {executor!r}; for dask, pass client.get_executor()"
         )
-    pickled = [_pickled(function, job) for job in jobs]
+    pickled: dict[int, bytes] = {}
     waiting: dict[Future[Any], tuple[int, bool]] = {}
     lost: dict[int, Exception] = {}
 
@@ -45,7 +46,8 @@ def run_on(
             lost[k] = error
 
     try:
-        for k in range(len(jobs)):
+        for k, job in takewhile(lambda _: seconds_left() > 0.0, enumerate(jobs)):
+            pickled[k] = _pickled(function, job)
             submit(k, is_first=True)
         while waiting:
             left = seconds_left()

@@ -188,6 +188,7 @@ def solve_batch(
     if unknown := [name for name in options if name not in BatchOptions.__annotations__]:
         known = ("lower", "upper", "z0", "algorithm", "callback", "executor")
         hint = did_you_mean(unknown[0], (*known, *BatchOptions.__annotations__))
+        hint = "; pass starts as z0, one for each problem" if unknown[0] == "x0" else hint
         raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
     given = {name: value for name, value in options.items() if value is not None}
     Settings(**given)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -31,6 +33,7 @@ MOST_ITERATIONS = 200  # of a stack
 # Jobs per batch on an executor: 4 for each of 16 workers level out unequal times. More jobs cost memory, because each
 # has its copy of a shared M, and all are in memory at once; of more than 64 workers, some have no job.
 MAX_JOBS = 64
+GRACE = 0.9  # seconds after the limit in which results arrive from workers
 REPORTING = Lock()  # threads call the callback one after another
 
 
@@ -64,6 +67,7 @@ class BatchRun:
         self.results: dict[int, Any] = {}  # of problems outside of stacks
         self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
         self.callback: Any = None
+        self.numbers = np.arange(count)  # of the problems, in errors
 
     @property
     def has_time(self) -> bool:
@@ -110,8 +114,8 @@ class BatchRun:
     def _solve_on(self, executor: Any) -> None:
         """Solve chunks of the problems on an executor, with one thread each."""
         options: dict[str, Any] = {"threads": 1, **self.given}
-        if (limit := self.settings.max_seconds) < np.inf:
-            options["max_seconds"] = max(limit - self.clock.read(), 0.0)
+        limit = self.settings.max_seconds
+        end = time.time() + limit - self.clock.read()  # of the day: chunks may begin late
         problems = {}
         for k in np.flatnonzero(self.is_open).tolist():
             try:
@@ -122,11 +126,14 @@ class BatchRun:
         for part in np.array_split([*problems], count) if count else []:
             chosen = [problems[k] for k in part.tolist()]
             starts = [self.problems.start(k) for k in part.tolist()]
-            jobs.append((part, type(self), chosen, starts, self.algorithm, options))
-        for _, (part, run) in run_on(executor, _run_part, jobs, lambda: limit - self.clock.read()):
+            jobs.append((part, end, type(self), chosen, starts, self.algorithm, options))
+        patience = limit + GRACE
+        for _, (part, run) in run_on(
+            executor, _run_part, jobs, lambda: patience - self.clock.read()
+        ):
             self.take(part, run)
             self.report()
-            if not self.has_time:
+            if self.is_interrupted:
                 return
 
     @classmethod
@@ -176,9 +183,11 @@ class BatchRun:
             options["max_seconds"] = max(self.settings.max_seconds - self.clock.read(), 0.0)
         try:
             self.solve_alone(k, options)
-        except (InvalidOption, UnknownAlgorithm):
-            raise
-        except LCPError as error:
+        except Exception as error:
+            is_of_call = isinstance(error, (InvalidOption, UnknownAlgorithm))
+            if is_of_call or not isinstance(error, LCPError):
+                error.add_note(f"in problem {self.numbers[k]} of the batch")
+                raise
             self._keep_error(k, error)
 
     def _keep_error(self, k: int, error: LCPError) -> None:
@@ -257,8 +266,11 @@ class BatchRun:
 
 def _run_part(job: Any) -> tuple[Any, BatchRun]:
     """Return the numbers of some problems and their finished run, without the problems, which the caller has."""
-    part, kind, *given = job
-    run: BatchRun = kind.of(*given)
+    part, end, kind, *given, options = job
+    if end < math.inf:
+        options = {**options, "max_seconds": max(end - time.time(), 0.0)}
+    run: BatchRun = kind.of(*given, options)
+    run.numbers = part
     run.run()
     del run.problems
     return part, run

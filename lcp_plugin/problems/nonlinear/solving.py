@@ -166,7 +166,8 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVect
     if x0 is None:
         if problem.n is None:
             raise InvalidOption(
-                "x0 is needed because the number of unknowns is not known; pass x0, or bounds as arrays"
+                "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch), or arrays "
+                "as bounds"
             )
         return np.zeros(problem.n)
     return vector_option(x0, "x0", problem.n, may_be_number=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import pickle
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -19,6 +20,7 @@ from lcp_plugin import (
     BoundedLeastSquares,
     FrictionalContact,
     InvalidOption,
+    NonlinearProblem,
     QuadraticProgram,
     Status,
     solve,
@@ -270,6 +272,35 @@ def test_a_time_limit_and_a_callback_end_a_batch_on_an_executor() -> None:
     assert {*late.status} <= {Status.MAX_SECONDS, Status.SOLVED}
     ended = solve_batch(M, Q, executor=Here(), callback=lambda *_: True)
     assert {*ended.status} == {Status.INTERRUPTED, Status.SOLVED}
+
+
+def _slow(x: Any) -> Any:
+    time.sleep(0.002)
+    return np.exp(x) - 2.0
+
+
+def test_what_workers_have_solved_at_the_limit_arrives() -> None:
+    """Each chunk ends at the limit of the batch, and the caller waits for it up to a second more."""
+    problems = [NonlinearProblem(_slow, lower=[0.0])] * 640
+    with ThreadPoolExecutor(2) as pool:
+        late = solve_batch(problems, max_seconds=1.0, executor=pool)
+    assert [*late.status].count(Status.SOLVED) > 2, late.counts()
+    assert [*late.status].count(Status.MAX_SECONDS) > 2, late.counts()
+    assert late.seconds < 2.5
+    np.testing.assert_allclose(late.z[late.status == Status.SOLVED], np.log(2.0), rtol=1e-7)
+
+
+def _fails(x: Any) -> Any:
+    raise ZeroDivisionError("demand 0")
+
+
+@pytest.mark.parametrize("executor", [None, Here()])
+def test_an_error_of_a_function_has_the_number_of_its_problem(executor: Any) -> None:
+    """The exception passes as it is, with a note."""
+    problems = [NonlinearProblem(np.exp, lower=[0.0])] * 70
+    with pytest.raises(ZeroDivisionError, match="demand 0") as caught:
+        solve_batch([*problems, NonlinearProblem(_fails, lower=[0.0])], executor=executor)
+    assert caught.value.__notes__ == ["in problem 70 of the batch"]
 
 
 def test_a_study_on_an_executor_has_the_rows_of_one_process_in_order(tmp_path: Path) -> None:

@@ -247,7 +247,9 @@ class LCP:
 
         To compute only x, use ``solve(QuadraticProgram(P, c, …))``, which is faster. For a result of this LCP,
         ``problem.origin.recover(result)`` returns x, multipliers and residuals. ``solve`` tests it by the criterion of
-        LCPs, and with G or A by the duality gap. Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
+        LCPs, and with G or A by the duality gap. The gap is tested only on the returned problem: not after ``with_q``
+        or ``load``, nor by ``solve_batch`` with `q` or bounds. There, a SOLVED result can have another objective.
+        Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
 
         Parameters
         ----------

@@ -99,7 +99,8 @@ class RowData:
     start : array, shape (n,) or (B, n), optional
         z°, if it is computed already.
     origin : object, optional
-        Problem before a conversion. Its method ``rejects(z, tolerance)``, if any, has the last word.
+        Problem before a conversion. Its method ``rejects(z, tolerance)``, if any, has the last word; its text
+        `rejection` is then the advice.
     """
 
     def __init__(
@@ -282,13 +283,8 @@ class RowData:
         """
         if not np.count_nonzero(passes):
             return np.False_
-        rejects = getattr(self.origin, "rejects", None)
-        if rejects is not None:
-            key: tuple[Any, ...] = (z.tobytes(), tolerance)
-            if key not in self._refuted:
-                self._refuted[key] = rejects(z, tolerance)
-            if self._refuted[key]:
-                return np.True_
+        if self.is_rejected(z, tolerance):
+            return np.True_
         is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
         if not (self.start.any() or self.anywhere(is_doubtful)):
             return np.False_
@@ -299,11 +295,21 @@ class RowData:
         found = np.array(passes & is_doubtful.any(-1))
         for k in map(tuple, np.argwhere(found).tolist()):
             rows = self._small_components(k, is_doubtful[k])
-            key = (*k, rows.tobytes())
+            key: tuple[Any, ...] = (*k, rows.tobytes())
             if key not in self._refuted:
                 self._refuted[key] = bool(rows.size) and self.is_infeasible(k, z[k], rows)
             found[k] = self._refuted[key]
         return found
+
+    def is_rejected(self, z: FloatVector, tolerance: float) -> bool:
+        """Return whether the problem's origin rejects z, as a program does if the duality gap is large."""
+        rejects = getattr(self.origin, "rejects", None)
+        if rejects is None:
+            return False
+        key = (z.tobytes(), tolerance)
+        if key not in self._refuted:
+            self._refuted[key] = rejects(z, tolerance)
+        return self._refuted[key]
 
     def _small_components(self, k: tuple[int, ...], mask: BoolVector) -> IntVector:
         """Return the rows of components of problem k in which the mask is True somewhere, each of up to 300 rows."""

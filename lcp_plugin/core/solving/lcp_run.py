@@ -18,7 +18,7 @@ from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
 from ..settings import Settings, Status
-from .advice import advice_of_run
+from .advice import WITHOUT_END, advice_of_run
 from .progress import Callback, Progress
 from .result import Result
 from .run import STATUS_OF, Run
@@ -186,8 +186,15 @@ class LCPRun(Run):
             infeasibility=self.proof,
             _asked=self.chosen,
             _wants_bound=settings.error_bound and bool(chain),
-            _advice={} if is_solved else advice_of_run(self.problem, self.chosen, settings),
+            _advice={} if is_solved else self._advice(certificate),
         )
+
+    def _advice(self, certificate: Certificate) -> dict[Status, str]:
+        """Return the advice of each status; of the problem's origin if it rejects the point."""
+        said = advice_of_run(self.problem, self.chosen, self.settings)
+        if self.test.is_rejected(certificate):
+            said |= dict.fromkeys(WITHOUT_END, self.problem.origin.rejection)
+        return said
 
     def _final(self, z: FloatVector, end: TerminationReason) -> Certificate:
         """Return the certificate of z, or of z after a last step of the method or on its active set if no worse."""
@@ -237,7 +244,8 @@ class LCPRun(Run):
             return Status.SOLVED
         if end is TerminationReason.NO_SOLUTION:
             return self.proof.status  # type: ignore[no-any-return]
-        if certificate.is_limited_by_rounding or self._is_within_rounding_of_data(certificate.z):
+        is_limited = certificate.is_limited_by_rounding and not self.test.is_rejected(certificate)
+        if is_limited or self._is_within_rounding_of_data(certificate.z):
             return Status.PRECISION_LIMIT
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1

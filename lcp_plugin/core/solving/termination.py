@@ -11,6 +11,7 @@ from ..certificates.criterion import (
     POWER,
     measured_residual,
     references_of_components,
+    row_data,
     rows_solved_at_start,
     scaled_residual,
     snap_to_bounds,
@@ -119,7 +120,13 @@ class TerminationTest:
         if z is None:
             return False
         certificate = self.certificate_of(z)
-        return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
+        is_small = certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
+        return is_small and not self.is_rejected(certificate)
+
+    def is_rejected(self, certificate: Certificate) -> bool:
+        """Return whether the problem's origin rejects a point with a residual within the tolerance or its rounding."""
+        is_small = certificate.relative_residual <= self.goal or certificate.is_at_rounding_level
+        return is_small and row_data(self.problem).is_rejected(certificate.z, self.settings.goal)
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned point if only it passes, or if both or none pass and its residual is no larger."""

@@ -48,7 +48,8 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     Notes
     -----
     Inconsistent constraints are not detected: such a program gives a problem without solution, or with a solution
-    beyond all bounds; ``solve(program)`` searches for the proof on the program itself. SOLVED is tested on the program.
+    beyond all bounds; ``solve(program)`` searches for the proof on the program itself. SOLVED is tested on the program,
+    but not for problems without this origin: after ``with_q`` or ``load``, and in a batch with `q` or bounds.
 
     References
     ----------
@@ -183,6 +184,10 @@ class QPOrigin:
     program: QuadraticProgram
     tolerance: float = PROGRAM_TOLERANCE
     is_of_convex_program: ClassVar[bool] = True
+    rejection: ClassVar[str] = (
+        "not solved: the duality gap of the program is above its tolerance, so the objective may be wrong although the "
+        "residual is small; next: solve(problem.origin.program)"
+    )
 
     @property
     def reduced(self) -> QuadraticProgram:

@@ -21,6 +21,7 @@ from lcp_plugin import (
     InvalidProblem,
     NotConverged,
     QuadraticProgram,
+    Status,
     solve,
 )
 from lcp_plugin.core.errors import (
@@ -525,6 +526,23 @@ def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(
     result = solve(problem)
     objective = problem.origin.recover(result).objective
     assert not result.is_solved or abs(objective - value) <= 1e-6 * (1.0 + abs(value))
+
+
+def test_a_point_with_a_large_duality_gap_is_not_at_the_rounding_level() -> None:
+    """The advice names the duality gap and recommends to solve the program; auto continues until newton solves it."""
+    rng = np.random.default_rng(4000000000664)
+    program, value = convex_programs.planted("huge bounds", rng, 12)
+    problem = lcp_from_qp(program)
+    result = solve(problem)
+    assert result.is_solved
+    np.testing.assert_allclose(problem.origin.recover(result).objective, value, rtol=1e-6)
+    for algorithm in ("lemke", "interior_point"):
+        rejected = solve(problem, algorithm)
+        assert rejected.status is Status.STALLED
+        assert rejected.residual <= rejected.tolerance
+        assert "duality gap" in rejected.explain()
+        assert rejected.advice.endswith("next: solve(problem.origin.program)")
+    assert abs(solve(problem.origin.program).objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
 @pytest.mark.parametrize("seed", range(5))

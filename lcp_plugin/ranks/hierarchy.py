@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
-from ..systems.hierarchy import galerkin, sweeps
+from ..systems.hierarchy import galerkin
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.levels import (
     COARSEST,
@@ -212,8 +212,12 @@ class TruncatedGridOnRanks(TruncatedGrid):
         """Fetch the values of ghosts."""
         self.halo.fetch(x)
 
-    def add_larger_pivots(self, residual: FloatVector) -> None:
-        """Add the part of the residual after the first sweep that is due to larger pivots."""
+    def add_pivot_weights(self, residual: FloatVector) -> None:
+        """Add the weights of the pivots times x to the residual after the first sweep.
+
+        All ranks sweep at once. The sweep adds a weight to the pivot of each row that is coupled to a ghost, because
+        it might diverge otherwise; see :func:`pivot_weight`.
+        """
         own = self.x[: self.grid.n]
         residual += np.where(self.inverse != 0.0, self.grid.weight * own, 0.0)
 
@@ -229,7 +233,7 @@ class TruncationOnRanks(Truncation):
         return self.grids[0].halo  # type: ignore[attr-defined, no-any-return]
 
     def mark(self, level: Any, transfer: Transfer) -> None:
-        """Find the unknowns of a grid that follow no coarse one, and the rows that contribute otherwise than before."""
+        """Find the held unknowns of a grid, and the rows whose part of the coarser matrix has changed."""
         halo = level.halo
         halo.fetch_flags(level.is_free)
         halo.fetch_flags(level.free_changed)
@@ -256,14 +260,3 @@ class TruncationOnRanks(Truncation):
     def largest(self, number: float) -> float:
         """Return the largest of a number of each rank."""
         return self.halo.largest(number)
-
-    def direction(self, b: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows, of the local rows."""
-        top = self.grids[0]
-        top.b = b
-        self.correct(0)
-        top.fetch(top.x)
-        p, product = top.x[: top.grid.n].copy(), np.empty(top.grid.n)
-        sweeps.free_product(top.rows, top.inverse, top.x, product)
-        self.work += top.values.size
-        return p, product

@@ -209,6 +209,7 @@ class GridProblemOnRanks:
             steps += 1
         own, (lower, upper) = z[: self.n], self.vectors[2:]
         correction.apply_within(own.copy(), lower, upper, own)
+        correction.give_back()
 
 
 def _positive_diagonal(problem: RowsOnRanks) -> FloatVector:

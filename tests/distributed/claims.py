@@ -6,6 +6,7 @@ import json
 import sys
 import tempfile
 import traceback
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,16 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from lcp_plugin import LCP, Status, gallery, solve
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
+from lcp_plugin.core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    UnreadableFile,
+)
 from lcp_plugin.ranks.certificate import ComponentsOnRanks, RowDataOnRanks, measured
+from lcp_plugin.ranks.hierarchy import TruncationOnRanks, build_hierarchy
 from lcp_plugin.ranks.problem import RowsOnRanks
+from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
 
 COMM = MPI.COMM_WORLD
 CLAIMS: dict[str, Callable[[], None]] = {}
@@ -191,6 +199,21 @@ def a_callback_ends_the_run_at_a_step_that_ends_its_method() -> None:
     stopped = rows.solve(z0=x, tolerance=0.0, callback=lambda sample, z: True)
     assert "→" in first.algorithm
     assert "→" not in stopped.algorithm
+
+
+@claim
+def steps_of_conjugate_gradients_need_no_further_memory() -> None:
+    problem = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=80).problem)
+    with np.errstate(all="ignore"):
+        hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=False)
+    correction = KrylovCorrection(TruncationOnRanks(hierarchy), problem.q.copy(), True)
+    tracemalloc.start()
+    sizes = []
+    for _ in range(2):
+        assert all(correction.step() for _ in range(5))
+        sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert sizes[1] - sizes[0] < problem.q.nbytes, sizes
 
 
 @claim

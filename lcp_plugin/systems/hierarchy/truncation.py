@@ -89,7 +89,7 @@ class TruncatedGrid:
         galerkin.mark_rows(*self.grid.matrix.arrays[:2], *flags)
 
     def find_held(self, transfer: Transfer) -> None:
-        """Find the free unknowns of touched rows that follow no coarse one."""
+        """Find the held unknowns among the touched rows: they are free, but not interpolated."""
         if vectors.find_held(
             *self.grid.matrix.arrays,
             self.values,
@@ -123,8 +123,8 @@ class TruncatedGrid:
     def fetch(self, x: FloatVector) -> None:
         """Fetch the values of ghosts; only grids on ranks have any."""
 
-    def add_larger_pivots(self, residual: FloatVector) -> None:
-        """Add the part of the residual after the first sweep that is due to larger pivots, on ranks."""
+    def add_pivot_weights(self, residual: FloatVector) -> None:
+        """Add the weights of the pivots times x to the residual after the first sweep; only ranks have weights."""
 
 
 class Truncation:
@@ -174,7 +174,7 @@ class Truncation:
                 break
 
     def mark(self, level: TruncatedGrid, transfer: Transfer) -> None:
-        """Find the unknowns of a grid that follow no coarse one, and the rows that contribute otherwise than before."""
+        """Find the held unknowns of a grid, and the rows whose part of the coarser matrix has changed."""
         level.mark_rows(level.row_changed)
         level.find_held(transfer)
         if level.free_changed.any():
@@ -193,14 +193,18 @@ class Truncation:
         return number
 
     def direction(self, b: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows."""
+        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows; local values on ranks.
+
+        Both vectors come from :meth:`vector`. The caller owns them, and appends them to `spare` after their last use.
+        """
         top = self.grids[0]
         top.b = b
         self.correct(0)
-        p, product = top.x, top.residual  # the cycle's own, and gives other for it
-        sweeps.free_product(top.rows, top.inverse, p, product)
+        top.fetch(top.x)
+        p, product = self.vector(), self.vector()
+        np.copyto(p, top.x[: p.size])
+        sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.work += top.values.size
-        top.x, top.residual = self.vector(), self.vector()
         return p, product
 
     def correct(self, k: int) -> None:
@@ -218,7 +222,7 @@ class Truncation:
         level.fetch(level.x)
         residual = level.residual[: grid.n]
         sweeps.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
-        level.add_larger_pivots(residual)
+        level.add_pivot_weights(residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
@@ -321,6 +325,7 @@ class KrylovCorrection:
         scale = self._dot(against, product)
         length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
+            self.truncation.spare += [p, product]
             return False
         add_both(length, p, self._sum, -length, product, self.residual)
         if self.is_symmetric:

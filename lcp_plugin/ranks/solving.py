@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..core.algorithm import Step
 from ..core.certificates.measured import Measured
 from ..core.checks import FloatVector, read_only
 from ..core.deadline import Clock
-from ..core.errors import InvalidOption
+from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
 from ..core.settings import Settings, Status, checked_callback
 from ..core.solving.base_result import BaseResult
@@ -44,11 +44,14 @@ OF_RUN = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ResultOnRanks(BaseResult):
-    """Result of a run on ranks; z and w are the local parts, all else is the same on every rank.
+    """Result of a run on ranks: x, z and w are the local parts, all other attributes are the same on every rank.
 
     Attributes
     ----------
-    z, w : array, shape (own,)
+    z, w : ndarray, shape (own,)
+        The local part of the best iterate and of its slack M z + q, read-only; `x` is z.
+    n : int
+        Number of unknowns of all ranks.
     status : Status
     certificate : CertificateOnRanks
     algorithm : str
@@ -58,24 +61,65 @@ class ResultOnRanks(BaseResult):
         Passes over M.
     seconds : float
         Seconds of the slowest rank.
+    tolerance, absolute_tolerance : float
+        The values passed to `solve`.
+    history : tuple
+        Empty, because runs on ranks are not recorded; use a callback.
     error_bound : float or None
         A proved bound of ‖z − z*‖∞ if it was requested; ∞ if M is not proved to be an H₊-matrix.
     """
 
     z: FloatVector = field(repr=False)
     w: FloatVector = field(repr=False)
+    n: int
     status: Status
     certificate: CertificateOnRanks = field(repr=False)
     algorithm: str
     iterations: int
     work: float
     seconds: float
+    tolerance: float
+    absolute_tolerance: float = 0.0
     error_bound: float | None = None
+    history: ClassVar[tuple[Sample, ...]] = ()
+
+    @property
+    def x(self) -> FloatVector:
+        """The local part of the best iterate, z."""
+        return self.z
+
+    @property
+    def residual(self) -> float:
+        """The relative residual."""
+        return self.certificate.relative_residual
+
+    def plot(self, **how: Any) -> Any:
+        """Raise UnsuitableProblem, because a rank has only a part of the unknowns.
+
+        Raises
+        ------
+        UnsuitableProblem
+            Always; plot the vector that ``problem.gathered(result.z)`` returns on rank 0.
+        """
+        raise UnsuitableProblem(
+            "a result on ranks has only the local rows; plot the vector that problem.gathered(result.z) returns on "
+            "rank 0"
+        )
 
     def describe_accuracy(self) -> str:
-        """Return the relative residual, and the bound of the error if there is one."""
+        """Return the relative residual next to the tolerance, and the bound of the error if there is one."""
         bound = "" if self.error_bound is None else f", rigorous error bound {self.error_bound:.1e}"
-        return f"relative residual {self.certificate.relative_residual:.1e}{bound}"
+        return f"relative residual {self.residual:.1e}, tolerance {self.tolerance:g}{bound}"
+
+    def _size(self) -> int:
+        return self.n
+
+    def _numbers(self) -> dict[str, float]:
+        names = "scaled_residual", "relative_residual", "term_residual"
+        found = {name: getattr(self.certificate, name) for name in names}
+        found |= {"work": self.work, "tolerance": self.tolerance}
+        found |= {"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}
+        return found if self.error_bound is None else {**found, "error_bound": self.error_bound}
 
     def __str__(self) -> str:
         return f"{self.status.name} by {self._effort()}, {self.describe_accuracy()}"
@@ -216,13 +260,16 @@ class RunOnRanks(Run):
         found, progress = self.best.z, self.progress
         bound = error_bound(self.data, found.z) if self.settings.error_bound else None
         return ResultOnRanks(
-            read_only(found.z),
-            read_only(found.w),
-            self.status(end),
-            found,
-            " → ".join(stage.algorithm.name for stage in progress.stages),
-            progress.iteration,
-            progress.work,
-            progress.halo.largest(progress.clock.read()),
-            bound,
+            z=read_only(found.z),
+            w=read_only(found.w),
+            n=self.problem.n,
+            status=self.status(end),
+            certificate=found,
+            algorithm=" → ".join(stage.algorithm.name for stage in progress.stages),
+            iterations=progress.iteration,
+            work=progress.work,
+            seconds=progress.halo.largest(progress.clock.read()),
+            tolerance=self.settings.tolerance,
+            absolute_tolerance=self.settings.absolute_tolerance,
+            error_bound=bound,
         )

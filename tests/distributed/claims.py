@@ -20,7 +20,9 @@ from lcp_plugin.core.errors import (
     InvalidOption,
     InvalidProblem,
     LCPError,
+    NotConverged,
     UnreadableFile,
+    UnsuitableProblem,
 )
 from lcp_plugin.ranks.certificate import ComponentsOnRanks, RowDataOnRanks, measured
 from lcp_plugin.ranks.hierarchy import TruncationOnRanks, build_hierarchy
@@ -214,6 +216,28 @@ def steps_of_conjugate_gradients_need_no_further_memory() -> None:
         sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert sizes[1] - sizes[0] < problem.q.nbytes, sizes
+
+
+@claim
+def a_result_has_what_every_result_promises() -> None:
+    problem = mixed()
+    rows = RowsOnRanks.from_problem(problem)
+    result = rows.solve(tolerance=1e-9, absolute_tolerance=1e-12)
+    assert result.x is result.z
+    assert (result.tolerance, result.absolute_tolerance) == (1e-9, 1e-12)
+    assert result.residual == result.certificate.relative_residual <= 1e-9
+    assert result.n == problem.n
+    assert (result.history, result.begun, result.objective, result.proof) == ((), "", None, None)
+    assert f"SOLVED, n={problem.n}, " in repr(result)
+    assert "tolerance 1e-09" in result.explain()
+    content = json.loads(result.to_json())
+    assert content["n"] == problem.n
+    assert content["tolerance"] == 1e-9
+    for text in (repr(result), str(result), result.explain(), result.to_json()):
+        assert len(set(COMM.allgather(text))) == 1
+    assert "local rows" in refused(UnsuitableProblem, result.plot)
+    limited = rows.solve("npj", max_iterations=1)
+    assert "relative residual" in refused(NotConverged, limited.require_solved)
 
 
 @claim

@@ -162,10 +162,14 @@ class BaseResult(Outcome):
             "status": self.status.name,
             "advice": self.advice,
             "algorithm": self.algorithm,
-            "n": None if self.x is None else len(self.x),
+            "n": self._size(),
             "iterations": self.iterations,
             **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
         }
+
+    def _size(self) -> int | None:
+        """Return the number of unknowns; None without a point."""
+        return None if self.x is None else len(self.x)
 
     def _numbers(self) -> dict[str, float]:
         """Return the other numbers of the result."""
@@ -185,7 +189,7 @@ class BaseResult(Outcome):
         return plot_answer(self, **how)
 
     def __repr__(self) -> str:
-        size = "" if self.x is None else f"n={len(self.x)}, "
+        size = "" if self.x is None else f"n={self._size()}, "
         value = "" if self.objective is None else f"objective {self.objective:.9g}, "
         return f"{type(self).__name__}({self.status.name}, {size}{value}{BaseResult._effort(self)})"
 

@@ -16,7 +16,7 @@ that guess the active set, active-set iterations and Lemke's path. Larger proble
 So the projected-type iteration comes first if no faster way is seen: it converges for every H₊-matrix and costs no
 analysis of M. A stage of sweeps is over if its work so far and the sweeps that it still needs at its rate exceed 1.5
 times the work of the next stage. The work of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; the work
-of multigrid as 90 passes and its calls; the work of the direct methods by n.
+of multigrid as 90 passes and its calls, 2.5 times that for a flow (`has_flow`); the work of the direct methods by n.
 
 The first sweeps are the quickest: they smooth the error, and only then its slowest part shows. So after one sweep on a
 large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a

@@ -171,7 +171,7 @@ class Model:
 
     def read(self, side: Side) -> ReadSide:
         """Return the rows of a side, the unknowns that they are, and their bounds."""
-        if (key := id(side.expression)) not in self._known:
+        if (key := id(side)) not in self._known:  # one expression may have two boxes
             rows = self.reader.rows(side.expression)
             columns, weights, shift = self.statement.entries(rows) or (None, 1.0, 0.0)
             if side.kind == "value" and columns is not None and not np.any(shift):

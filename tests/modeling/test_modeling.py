@@ -691,3 +691,27 @@ def test_models_of_many_parameters_are_solved_as_one_batch() -> None:
     assert batch.all_solved
     for one, z, value in zip(stated, batch.z, values, strict=True):
         np.testing.assert_allclose(one.origin.values(z)[x.id], value, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_one_expression_in_two_boxes_keeps_the_bounds_of_each(order: int) -> None:
+    """Two pairs of the same expression object with different bounds hold both, for variables and sums of them."""
+    x, u = cp.Variable(), cp.Variable()
+    pairs = [complements(box(x, 0, 1), x - 3), complements(box(x, 0, 2), x + u - 5)]
+    problem = model(*pairs[::order])
+    assert problem.status == "optimal"
+    assert (float(x.value), float(u.value)) == pytest.approx((1.0, 4.0))
+    a, b, cap = cp.Variable(2), cp.Variable(2), cp.Parameter(value=1.0)
+    f = a + 2 * b
+    pairs += [
+        complements(box(f, 0, cap), a - np.array([3.0, -1.0])),
+        complements(box(f, -1, 4), b - np.array([2.0, 0.1])),
+    ]
+    problem = model(*pairs[2:][::order])
+    values = [
+        (f.value, a.value - [3.0, -1.0], 0.0, 1.0),
+        (f.value, b.value - [2.0, 0.1], -1.0, 4.0),
+    ]
+    for z, w, low, high in values:
+        assert np.abs(z - np.clip(z - w, low, high)).max() <= 1e-10
+    assert max(pair.violation() for pair in pairs) <= 1e-10

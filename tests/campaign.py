@@ -41,7 +41,7 @@ from campaigns.kinds import (
     Finding,
     Found,
 )
-from relations import bits, surroundings
+from oracles.relations import bits, surroundings
 
 from lcp_plugin import LCP
 

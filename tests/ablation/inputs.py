@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from applications.table import FALSE_FROM, Case, cases
-from published_problems import (
+from inputs.published_problems import (
     COMPLEMENTARITY,
     CONTACTS,
     PROGRAMS,

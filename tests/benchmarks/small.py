@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from small_families import falling_bodies, spectrum
+from inputs.small_families import falling_bodies, spectrum
 
 from lcp_plugin.api import solve
 from lcp_plugin.core.lcp import LCP

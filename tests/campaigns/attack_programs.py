@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from exact import solve_fractions
+from oracles.exact import solve_fractions
 
 from lcp_plugin import QuadraticProgram, certify
 from lcp_plugin.problems.least_squares.certificate import Optimality

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from collection.truth import ExactData
-from exact_components import references_of_rows, relative_residual
+from oracles.exact_components import references_of_rows, relative_residual
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY

@@ -18,7 +18,7 @@ from operator import mul
 from typing import Any
 
 import numpy as np
-from exact import exact_rows, solve_fractions
+from oracles.exact import exact_rows, solve_fractions
 
 from lcp_plugin import ConeProblem, FrictionalContact, solve
 

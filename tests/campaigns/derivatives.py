@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.sparse as sp
-from exact import FREE, LOWER, UPPER
-from exact_derivatives import Change, Piece, distance, piece_at
+from oracles.exact import FREE, LOWER, UPPER
+from oracles.exact_derivatives import Change, Piece, distance, piece_at
 
 from lcp_plugin import LCP, derivative, solve
 from lcp_plugin.problems.sensitivity import Derivative

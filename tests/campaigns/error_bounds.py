@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
-from exact import Exact, exact_solution
+from oracles.exact import Exact, exact_solution
 
 from lcp_plugin import LCP, UnsuitableMatrix
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound

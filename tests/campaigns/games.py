@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
-from exact_equilibria import Strategy, extreme_equilibria
 
 from lcp_plugin import LCP, all_solutions, solve
+
+from .exact_equilibria import Strategy, extreme_equilibria
 
 ODD = (1e19, -1e19, 1e-9, 1e-17, 1e10)
 LITTLE, MISSED = Fraction(1, 10**7), Fraction(1, 10**6)  # of a strategy; of what is gained

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from collection.truth import ExactData
-from exact_components import references_of_rows
+from oracles.exact_components import references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY

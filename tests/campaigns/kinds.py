@@ -13,8 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 from collection.judgement import false_claim, shortfall
 from collection.truth import SOLVABLE, ExactData, decide
-from exact import Exact
-from relations import EXACT, bits, scaled
+from oracles.exact import Exact
+from oracles.relations import EXACT, bits, scaled
 
 from lcp_plugin import (
     LCP,

@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from exact import solve_fractions
+from oracles.exact import solve_fractions
 
 from lcp_plugin import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, solve_least_squares

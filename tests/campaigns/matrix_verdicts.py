@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 import scipy.sparse as sp
-from exact import has_positive_pivots, principal_minors
+from oracles.exact import has_positive_pivots, principal_minors
 
 from lcp_plugin.proofs.verdicts import MatrixReport, analyze
 

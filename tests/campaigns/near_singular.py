@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from collection.judgement import false_claim
 from collection.truth import SOLVABLE
-from exact import exact_solution
+from oracles.exact import exact_solution
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.algorithms import REGISTRY

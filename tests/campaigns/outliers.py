@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from cone_families import violation as violation_in_digits
-from exact import exact_rows, solve_fractions
-from exact_derivatives import Change, piece_at
+from inputs.cone_families import violation as violation_in_digits
+from oracles.exact import exact_rows, solve_fractions
+from oracles.exact_derivatives import Change, piece_at
 from scipy.linalg import block_diag
 
 import lcp_plugin as lp

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from exact_components import component_of_rows, relative_residual
+from oracles.exact_components import component_of_rows, relative_residual
 
 Bound = Fraction | None
 Point = tuple[Fraction, ...]

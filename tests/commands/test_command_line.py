@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scenes import SMALL
-from the_command import lcp_plugin
+from inputs.scenes import SMALL
+from tools.the_command import lcp_plugin
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns.least_squares import bounded_least_squares
-from small_families import falling_bodies
-from textbook_scenes import scaling_trap
+from inputs.small_families import falling_bodies
+from inputs.textbook_scenes import scaling_trap
 
 from lcp_plugin import (
     LCP,

@@ -11,10 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_matrices, scaled_solved
-from exact_components import component_of_rows, references_of_rows, relative_residual
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs.drawn_scaling import (
+    nearly_semidefinite,
+    nearly_singular,
+    scaled_matrices,
+    scaled_solved,
+)
+from oracles.exact_components import component_of_rows, references_of_rows, relative_residual
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from applications.table import Case
-from small_families import falling_bodies
-from textbook_scenes import murty
+from inputs.small_families import falling_bodies
+from inputs.textbook_scenes import murty
 
 from lcp_plugin import LCP, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.auto import plan

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns.small_nonlinear import SHAPES, curved
-from constructed_points import CONSTRUCTED, Case
+from inputs.constructed_points import CONSTRUCTED, Case
 
 from lcp_plugin import LCP, ConeProblem, FrictionalContact, march, solve, solve_batch
 

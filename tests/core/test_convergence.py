@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from families import BOUNDED, SWEEPERS
-from textbook_scenes import scaling_trap
+from inputs.families import BOUNDED, SWEEPERS
+from inputs.textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class, create

@@ -17,11 +17,11 @@ import scipy.sparse as sp
 from campaigns import components as campaign
 from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
 from collection.truth import ExactData
-from constructed_points import CONSTRUCTED
-from exact import exact_rows, solve_fractions
-from exact_criterion import failures
 from hypothesis import given
 from hypothesis import strategies as st
+from inputs.constructed_points import CONSTRUCTED
+from oracles.exact import exact_rows, solve_fractions
+from oracles.exact_criterion import failures
 
 from lcp_plugin import (
     LCP,

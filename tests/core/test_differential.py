@@ -8,10 +8,10 @@ import campaign as trust
 import numpy as np
 import pytest
 from campaigns import small_lcps
-from exact import exact_solution
-from families import DIRECT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs.families import DIRECT
+from oracles.exact import exact_solution
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY

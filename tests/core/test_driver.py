@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from families import BOUNDED, DIRECT
+from inputs.families import BOUNDED, DIRECT
 
 from lcp_plugin import LCP, NotConverged, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create

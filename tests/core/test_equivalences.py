@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from families import BOUNDED, SWEEPERS
+from inputs.families import BOUNDED, SWEEPERS
 from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate, gallery

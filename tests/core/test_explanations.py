@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_families import falling_bodies
+from inputs.small_families import falling_bodies
 
 from lcp_plugin import (
     LCP,

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from families import BOUNDED, KINDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from relations import EXACT, RELATIONS, data_of
+from inputs.families import BOUNDED, KINDS
+from oracles.relations import EXACT, RELATIONS, data_of
 
 from lcp_plugin import LCP, Status, analyze, solve
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

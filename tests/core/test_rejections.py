@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from families import MODULUS
+from inputs.families import MODULUS
 
 from lcp_plugin import LCP, Certificate, error_bound, gallery, march, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from families import BOUNDED
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from relations import bits, data_of, surroundings
+from inputs.families import BOUNDED
+from oracles.relations import bits, data_of, surroundings
 
 from lcp_plugin import LCP, Status, analyze, error_bound, prepare, solve
 from lcp_plugin.proofs.guarantees import convergence_guarantee

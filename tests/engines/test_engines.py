@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from planted import planted_program
+from inputs.planted import planted_program
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import (

@@ -9,11 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import drawn_scaling
 import numpy as np
 import pytest
-from exact import exact_solution
 from hypothesis import given, settings
+from inputs import drawn_scaling
+from oracles.exact import exact_solution
 from test_stability import assert_honest
 
 from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve

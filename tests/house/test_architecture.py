@@ -6,8 +6,8 @@ import ast
 from pathlib import Path
 
 import pytest
-from fresh_process import printed_by
 from picture import ARROWS, DRAWN, FOLDERS, STOREYS, above, explained, subpackage_of
+from tools.fresh_process import printed_by
 
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class

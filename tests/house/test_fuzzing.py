@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from random_nl_models import drawn_words, judged, random_model
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, LCPError
@@ -250,16 +248,3 @@ def test_mutated_commands_end_in_zero_one_or_two(
     assert LCP.load("folder").q.tolist() == PROBLEM.q.tolist()
     if "p.npz" not in line[2:]:  # --out may replace another file than the problem
         assert LCP.load("p.npz").q.tolist() == PROBLEM.q.tolist()
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("seed", range(4))
-def test_models_by_chance_are_answered_by_the_executable(
-    seed: int, tmp_path: Path, draws: Callable[[int], range]
-) -> None:
-    """A .sol with a code of AMPL's table and what read_nl says; what is solved meets rows, pairs and bounds."""
-    for case in draws(25):
-        rng = np.random.default_rng([seed, case])
-        content, words = random_model(rng), drawn_words(rng)
-        said = judged(content, words, tmp_path / "m")
-        assert not said[:2].isupper(), (case, words, said)

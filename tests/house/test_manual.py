@@ -83,7 +83,7 @@ def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None
 
 
 def test_notebooks_have_the_cells_of_the_examples_and_outputs() -> None:
-    """Each has the cells of its script, and the outputs stored by `python tests/pages.py`."""
+    """Each has the cells of its script, and the outputs stored by `python tests/house/pages.py`."""
     assert sorted(file.stem for file in NOTEBOOKS.iterdir()) == sorted(NAMES)
     for name in NAMES:
         file = NOTEBOOKS / f"{name}.ipynb"

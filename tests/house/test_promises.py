@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.sparse as sp
-from exact import exact_solution
-from families import BOUNDED
-from relations import bits, data_of, surroundings
+from inputs.families import BOUNDED
+from oracles.exact import exact_solution
+from oracles.relations import bits, data_of, surroundings
 
 from lcp_plugin import (
     LCP,
@@ -62,7 +62,7 @@ def promises() -> list[str]:
 
 def quoted() -> list[str]:
     """Return all quotations in this file and in two others."""
-    files = ("house/test_promises.py", "claims/test_promises_of_solve.py", "core/test_threads.py")
+    files = ("house/test_promises.py", "house/test_promises_of_solve.py", "core/test_threads.py")
     texts = [TESTS.joinpath(file).read_text(encoding="utf-8") for file in files]
     return [words for text in texts for words in re.findall(r'"{3}“(.*?)”', text)]
 

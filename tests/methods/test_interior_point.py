@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact_criterion import failures
+from oracles.exact_criterion import failures
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve

@@ -7,10 +7,15 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_solved, scaled_symmetric
-from exact import exact_solution, has_positive_pivots
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs.drawn_scaling import (
+    nearly_semidefinite,
+    nearly_singular,
+    scaled_solved,
+    scaled_symmetric,
+)
+from oracles.exact import exact_solution, has_positive_pivots
 
 from lcp_plugin import LCP, UnsuitableMatrix, gallery
 from lcp_plugin.proofs.bounds import solution_bounds

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-import textbook_scenes
 from campaigns.guarantees import run_case
-from drawn_scaling import scaled_matrices
-from families import UNPROVEN
 from hypothesis import given
 from hypothesis import strategies as st
-from planted import planted_lcp
+from inputs import textbook_scenes
+from inputs.drawn_scaling import scaled_matrices
+from inputs.families import UNPROVEN
+from inputs.planted import planted_lcp
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, Status, analyze, gallery, solve

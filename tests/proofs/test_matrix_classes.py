@@ -10,9 +10,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact import determinant, principal_minors
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.exact import determinant, principal_minors
 
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.core.errors import UnsuitableMatrix

@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, read
+from inputs.published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, read
 
 from lcp_plugin import (
     LCP,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import qpsolvers
 import scipy.sparse as sp
-from published_problems import FOLDER, PROGRAMS, PublishedProgram
+from inputs.published_problems import FOLDER, PROGRAMS, PublishedProgram
 
 from lcp_plugin import (
     QPSolver,

@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from published_problems import CONTACTS, errors_of_contact, read
+from inputs.published_problems import CONTACTS, errors_of_contact, read
 
 from lcp_plugin import FrictionalContact, complements, friction_cone, solve, solve_batch
 

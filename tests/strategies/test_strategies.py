@@ -9,10 +9,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
-from exact import determinant, exact_rows, has_positive_pivots, principal_minors
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
+from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
+from oracles.exact import determinant, exact_rows, has_positive_pivots, principal_minors
 
 from lcp_plugin import LCP, analyze
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from nl_content import content_of
 from scipy.io import savemat
-from the_command import lcp_plugin
+from tools.nl_content import content_of
+from tools.the_command import lcp_plugin
 
 from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planted import planted, planted_worlds
+from inputs.planted import planted, planted_worlds
 
 jax = pytest.importorskip("jax")
 

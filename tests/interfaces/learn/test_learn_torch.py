@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from planted import planted, planted_worlds
+from inputs.planted import planted, planted_worlds
 
 torch = pytest.importorskip("torch")
 

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from binary_nl import write_form
-from nl_content import content_of
-from sol_files import read_sol
+from random_nl_models import drawn_words, judged, random_model
+from tools.nl_content import content_of
+from tools.sol_files import read_sol
 
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.interfaces.nl import write_nl
@@ -344,3 +346,16 @@ def test_pyomo_solves_through_the_executable(
     found = pe.SolverFactory("asl:lcp-plugin-ampl").solve(model, options={"tolerance": 1e-10})
     assert str(found.solver.termination_condition) == "optimal"
     assert [model.x[i].value for i in range(3)] == pytest.approx(Z, abs=1e-8)
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("seed", range(4))
+def test_models_by_chance_are_answered_by_the_executable(
+    seed: int, tmp_path: Path, draws: Callable[[int], range]
+) -> None:
+    """A .sol with a code of AMPL's table and what read_nl says; what is solved meets rows, pairs and bounds."""
+    for case in draws(25):
+        rng = np.random.default_rng([seed, case])
+        content, words = random_model(rng), drawn_words(rng)
+        said = judged(content, words, tmp_path / "m")
+        assert not said[:2].isupper(), (case, words, said)

@@ -14,9 +14,9 @@ import scipy.sparse as sp
 from binary_nl import write_form
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.relations import bits
 from random_nl import difference, mutilated, random_content
-from relations import bits
-from sol_files import read_sol
+from tools.sol_files import read_sol
 
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
 from lcp_plugin.core import errors

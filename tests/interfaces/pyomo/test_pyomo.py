@@ -12,12 +12,12 @@ import numpy as np
 import pyomo.environ as pe
 import pytest
 from campaigns import random_pyomo_models as campaign
-from fresh_process import printed_by
 from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
 from pyomo_models import MODELS
+from tools.fresh_process import printed_by
 
 import lcp_plugin.pyomo
 from lcp_plugin.core.errors import LCPError

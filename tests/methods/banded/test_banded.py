@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact import exact_solution
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.exact import exact_solution
 
 from lcp_plugin import LCP, Status, gallery, prepare, solve
 

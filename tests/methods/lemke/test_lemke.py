@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted import planted_lcp
+from inputs.planted import planted_lcp
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithm import Step

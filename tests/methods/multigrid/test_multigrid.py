@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import example, given
 from hypothesis import strategies as st
-from planted import planted_lcp
+from inputs.planted import planted_lcp
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Result, Status, gallery, solve

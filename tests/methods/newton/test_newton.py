@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from hypothesis import given
-from planted import planted_lcp
+from inputs.planted import planted_lcp
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.methods.newton.active_set import NewtonState

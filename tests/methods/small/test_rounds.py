@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from collection.truth import ExactData
-from exact_criterion import failures
-from small_families import FAMILIES, definite_stack, draw, told
+from inputs.small_families import FAMILIES, definite_stack, draw, told
+from oracles.exact_criterion import failures
 
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.methods.small.rounds import solve_stack

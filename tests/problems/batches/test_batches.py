@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from small_families import FAMILIES, definite_stack, draw, told
+from inputs.small_families import FAMILIES, definite_stack, draw, told
 
 from lcp_plugin import (
     LCP,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planted import planted_program
+from inputs.planted import planted_program
 
 from lcp_plugin import (
     LCP,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cone_families import (
+from inputs.cone_families import (
     cancelled_diagonals,
     corners_of_a_tower,
     exact_relative_residual,
@@ -17,8 +17,8 @@ from cone_families import (
     tower,
     violation,
 )
-from contact_families import rows_of_bodies
-from published_problems import errors_of_contact
+from inputs.contact_families import rows_of_bodies
+from inputs.published_problems import errors_of_contact
 from scipy.linalg import block_diag
 
 from lcp_plugin import (

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cone_families import exact_relative_residual, planted_contacts
+from inputs.cone_families import exact_relative_residual, planted_contacts
 
 from lcp_plugin import FrictionalContact, InvalidOption, InvalidProblem, Status, solve, solve_batch
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_families import rows_of_bodies
+from inputs.contact_families import rows_of_bodies
 
 from lcp_plugin import LCP, FrictionalContact, solve
 from lcp_plugin.core.errors import InvalidProblem, ModelWarning

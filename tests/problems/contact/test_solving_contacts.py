@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from contact_families import FAMILIES, falling, planted
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs.contact_families import FAMILIES, falling, planted
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.core.errors import InvalidProblem

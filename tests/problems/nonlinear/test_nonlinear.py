@@ -6,12 +6,12 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import nonlinear_models as models
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs import nonlinear_models as models
 from nonlinear_families import KINDS, planted
 
 from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-import nonlinear_models as models
 import numpy as np
 import pytest
 from campaigns.small_nonlinear import SHAPES, attacks, has_solution_near
-from constructed_points import CONSTRUCTED
+from inputs import nonlinear_models as models
+from inputs.constructed_points import CONSTRUCTED
 
 from lcp_plugin import LCP, NonlinearProblem, Status, solve
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import paths
-from exact import exact_solution
+from oracles.exact import exact_solution
 
 from lcp_plugin import (
     LCP,

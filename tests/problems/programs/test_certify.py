@@ -8,7 +8,6 @@ from fractions import Fraction
 from typing import Any
 
 import cvxpy as cp
-import exact
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -17,6 +16,7 @@ from campaigns import certify as certify_campaign
 from campaigns import multipliers as multipliers_campaign
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import exact
 
 from lcp_plugin import (
     InvalidOption,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from contact_families import falling
-from planted import planted
+from inputs.contact_families import falling
+from inputs.planted import planted
 
 from lcp_plugin import (
     LCP,

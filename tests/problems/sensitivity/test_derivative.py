@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import derivatives as campaign
-from drawn_scaling import scaled_solved, strict
-from exact import LOWER, UPPER, exact_solution
-from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs.drawn_scaling import scaled_solved, strict
+from oracles.exact import LOWER, UPPER, exact_solution
+from oracles.exact_derivatives import Change, Piece, distance, piece_at
 
 from lcp_plugin import LCP, Status, derivative, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem

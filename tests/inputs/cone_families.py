@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from contact_families import delassus
 from mpmath import mp, mpf
 
 from lcp_plugin import ConeProblem, FrictionalContact
 from lcp_plugin.problems.cones.stack import ConeStack
+
+from .contact_families import delassus
 
 OPEN, STICKS, SLIDES, ON_THE_EDGE, GRAZES = range(5)
 

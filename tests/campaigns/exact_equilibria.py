@@ -6,7 +6,7 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
-from exact import solve_fractions
+from oracles.exact import solve_fractions
 
 Strategy = tuple[Fraction, ...]
 

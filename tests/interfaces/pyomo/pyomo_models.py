@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pe
 import scipy.sparse as sp
-from nonlinear_models import NASH_5_SOLUTION
+from inputs.nonlinear_models import NASH_5_SOLUTION
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 

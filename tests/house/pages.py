@@ -1,6 +1,6 @@
 """Write the notebooks of the examples and the pictures of the pages of ``examples/manual``.
 
-    python tests/pages.py
+    python tests/house/pages.py
 
 writes ``examples/notebooks``, runs each example whose picture a page shows, and makes its picture small enough to
 commit. ``python -m sphinx -W -c examples/manual examples FOLDER`` builds the site of all pages.
@@ -24,7 +24,7 @@ from typing import Any
 
 from PIL import Image
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 TRADES = (  # in examples/manual: the problem, its code and picture, a validation and the time, on one screen
     "options",
     "contact",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
 GROUPS = ("methods", "problems", "interfaces")  # folders of subpackages
 

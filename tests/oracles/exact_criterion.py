@@ -6,9 +6,10 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from exact_components import component_of_rows
 
 from lcp_plugin import LCP
+
+from .exact_components import component_of_rows
 
 NEGLIGIBLE = Fraction(1, 2**42)
 DIAGONAL = Fraction(1, 2**20)  # of the largest entry of its row, from which a diagonal entry is d

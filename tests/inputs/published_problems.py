@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 FOLDER = Path(
-    os.environ.get("LCP_PLUGIN_PUBLISHED", Path(__file__).with_name("published") / "data")
+    os.environ.get("LCP_PLUGIN_PUBLISHED", Path(__file__).parents[1] / "published" / "data")
 )
 INFINITE, ROUNDING = 0.99e20, 1e-12
 

@@ -10,9 +10,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from exact import FREE, LOWER, UPPER, States, exact_rows, solve_fractions
 
 from lcp_plugin import LCP
+
+from .exact import FREE, LOWER, UPPER, States, exact_rows, solve_fractions
 
 Vector = list[Fraction]
 

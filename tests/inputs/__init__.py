@@ -1,0 +1,1 @@
+"""Problems and strategies that several folders of tests use."""

@@ -1,0 +1,1 @@
+"""Processes, and the contents of files, for several folders of tests."""

@@ -153,7 +153,7 @@ class RowsOnRanks:
 
     def slack(self, z: FloatVector) -> FloatVector:
         """Return the local part of w = M z + q."""
-        w: FloatVector = self.rows @ self.halo.whole(z) + self.q
+        w: FloatVector = self.rows @ self.halo.whole(self.own_part(z)) + self.q
         return w
 
     def gathered(self, z: ArrayLike) -> FloatVector | None:

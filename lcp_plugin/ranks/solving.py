@@ -160,9 +160,8 @@ def solve_on_ranks(
     ranks.require_same(
         "what is asked of solve", (algorithm, options, settings), "ask for the same", InvalidOption
     )
-    z = problem.nearest_to_zero
-    if z0 is not None:
-        z = np.clip(problem.own_part(z0, "z0"), problem.lower, problem.upper)
+    start = problem.own_part(problem.nearest_to_zero if z0 is None else z0, "z0")
+    z = np.clip(start, problem.lower, problem.upper)
     with threads_for(settings.threads), Interruptions() as is_interrupted:
         run = RunOnRanks(problem, ProgressOnRanks(problem, settings, callback, is_interrupted))
         found: ResultOnRanks = run.result(run.follow_all(run.plan(methods, z)))

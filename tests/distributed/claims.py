@@ -182,6 +182,57 @@ def one_bad_part_is_refused_everywhere() -> None:
     refused(InvalidOption, lambda: RowsOnRanks.from_problem(problem).solve("psor", omega=1.0))
 
 
+def drawn(seed: int) -> tuple[LCP, int, np.ndarray[Any, Any] | None]:
+    """Return a random problem, its first row on rank 1, and a start; each part is of a kind of its own."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 40))
+    cut = int(rng.choice([0, 1, n // 2, n]))
+    parts = [slice(0, cut), slice(cut, n)]
+    M = sp.random_array((n, n), density=2.0 / n, rng=rng, format="csr", data_sampler=rng.normal)
+    if rng.random() < 0.3:  # no entry in common
+        M = sp.block_diag([M[one, one] for one in parts], format="csr")
+    M = sp.csr_array(M + sp.diags_array(1.0 + np.asarray(abs(M).sum(axis=1))))
+    q, lower, upper, z0 = 3.0 * rng.normal(size=n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
+    for own in parts:
+        kind = int(rng.integers(0, 6))
+        q[own] *= (1.0, 0.0, 1e-310, 1e150, 1.0, 2.0**-45)[kind]
+        lower[own] = (0.0, 0.0, -1e-310, 1.0, -np.inf, -1.0)[kind]
+        upper[own] = (np.inf, 2.0, np.inf, np.inf, np.inf, -1.0)[kind]
+        z0[own] = (0.0, 1e-312, 1.0, -5.0, np.inf, 1e9)[int(rng.integers(0, 6))]
+    return LCP(M, q, lower=lower, upper=upper), cut, z0 if rng.random() < 0.5 else None
+
+
+@claim
+def parts_of_different_kinds_end_on_all_ranks() -> None:
+    for seed in range(24):
+        problem, cut, z0 = drawn(seed)
+        own = [slice(0, cut), slice(cut, problem.n)][COMM.rank]
+        own = own if COMM.size == 2 else slice(problem.n)
+        q, lower, upper = problem.q[own], problem.lower[own], problem.upper[own]
+        rows = LCP.from_rows(COMM, problem.csr[own], q, lower=lower, upper=upper)
+        start = None if z0 is None or seed % 3 == COMM.rank else z0[own]  # of one rank, or of both
+        name = ("auto", "npsor")[seed % 2]
+        result = rows.solve(name, z0=start, max_iterations=100, error_bound=True)
+        assert len(set(COMM.allgather(str(result)))) == 1
+
+
+@claim
+def a_bound_that_is_not_0_on_one_rank_only_is_solved() -> None:
+    M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20), format="csr")
+    rows = RowsOnRanks.from_problem(LCP(M, np.full(20, 5.0), lower=np.repeat([1.0, 0.0], 10)))
+    result = rows.solve()
+    assert result.is_solved
+    assert np.array_equal(result.z, rows.lower)
+
+
+@claim
+def a_start_of_one_rank_counts() -> None:
+    rows = RowsOnRanks.from_problem(mixed())
+    z = rows.solve().z
+    assert rows.solve(z0=None if COMM.rank else z).is_solved
+    refused(InvalidProblem, lambda: rows.slack(z[COMM.rank :]) if COMM.size > 1 else rows.slack([]))
+
+
 @claim
 def limits_and_callbacks_end_all_ranks() -> None:
     rows = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=30).problem)

@@ -286,7 +286,7 @@ class RowData:
         if self.is_rejected(z, tolerance):
             return np.True_
         is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
-        if not (self.start.any() or self.anywhere(is_doubtful)):
+        if not self.anywhere(is_doubtful | (self.start != 0.0)):
             return np.False_
         demand = self.demand
         is_doubtful = (at.violation > tolerance**DEMAND_POWER * demand) & (demand > 0.0)

@@ -22,7 +22,7 @@ import typer
 from scipy.optimize import brentq
 
 from lcp_plugin import LCP, gallery, solve
-from lcp_plugin.evidence.pictures import draw
+from lcp_plugin.evidence.drawing import draw
 
 SIZE = 120  # nodes along each side, the edge not counted
 

@@ -19,7 +19,7 @@ import typer
 from lcp_plugin import gallery
 from lcp_plugin.algorithms import create, paper_options
 from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.evidence.table import Table
+from lcp_plugin.evidence.study import Table
 
 TOLERANCE, DELTA, MAX_ITERATIONS = 1e-5, 4.0, 1000
 

@@ -74,7 +74,7 @@ def run(
         arrays |= names | {"status": np.array(answer.status.name)}
         write_whole({out: lambda file: np.savez_compressed(file, **arrays)})
     if plot is not None:
-        from ..evidence.pictures import draw
+        from ..evidence.drawing import draw
 
         draw(answer, plot, given.scene)
     if saved := [*filter(None, (plot, out))]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
-from ..evidence.methods import PAPER_MSOR
+from ..evidence.measurement import PAPER_MSOR
 from ..proofs.guarantees import convergence_guarantee
 from ..proofs.guarantees.theorems import PAPER, PAPER_TITLE, Guarantee
 from ..proofs.verdicts import analyze

@@ -1,5 +1,14 @@
 """cross_validate(): our solution compared with the solution of a convex solver, within the accuracy of both.
 
+| M | program |
+|---|---|
+| symmetric positive semidefinite, to rounding | min ½ zᵀMz + qᵀz over the bounds |
+| symmetric part positive semidefinite | gap program: min zᵀ(Mz + q) − lᵀa + uᵀb, Mz + q = a − b, a, b ≥ 0 |
+| otherwise | none: a stationary point of a nonconvex program proves nothing |
+
+A factorization checks both conditions. The solver gets the problem in the unknown y = D^½ z / unit, whose matrix has a
+diagonal of at most 1, because the tolerances of convex solvers are absolute.
+
 For any two points with residuals r, r′ (scaled by d, so that A = D^−½ M D^−½) and δ = D^½ (z − z′)
 
     δᵀAδ ≤ ‖D^½ (r − r′)‖ (‖Aδ‖ + ‖δ‖),
@@ -12,8 +21,10 @@ number, ignores directions in which z is not unique, and fails if a reported res
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from functools import partial
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,23 +32,30 @@ from ..api import solve
 from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.certificates.residuals import Certificate
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption
+from ..core.errors import InvalidOption, did_you_mean
+from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
+from ..core.matrix.scaling import scale_by
 from ..core.problem_classes import refusal
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
+from ..engines import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from ..methods.interior_point import MonotoneProgram, signs_of
 from ..methods.newton.active_set import classify, solve_active_set
-from .convex_program import PLAIN, ReferenceProgram, solve_by, solver_name
+from ..problems.programs.program import asymmetry_of
+from ..systems.definiteness import factorised, symmetric_part
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
-ACCURATE_TOLERANCE, ROUGH_TOLERANCE = (
-    1e-7,
-    1e-3,
-)  # tolerances of our criterion that a point must meet to be compared
+PLAIN, GAP, SADDLE = "quadratic program", "gap quadratic program", "quadratic program with rows"
+ACCURATE_TOLERANCE, ROUGH_TOLERANCE = 1e-7, 1e-3  # of our criterion, for a point to be compared
 DIFFERENCE_RATIO = 1e-6
 POLISH_ROUNDS = 3
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
+TIME_LIMITS = {
+    **dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit"),
+    "SCS": "time_limit_secs",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,112 +182,45 @@ def cross_validate(
     ours, seconds = Certificate.of(problem, result.z), result.seconds
     if problem.n == 0:
         return CrossCheck("agree", "the problem has no unknowns", name, "", ours)
-    convex = ReferenceProgram.of(problem)
+    convex, status = ConvexForm.of(problem), result.status.name
+    is_claimed = result.is_solved or result.status is Status.PRECISION_LIMIT
+    is_false = is_claimed and not _keeps_claim(result, ours)
+    found = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
     if not convex.kind:
-        is_false = _claims(result) and not _keeps_claim(result, ours)
-        reason = f"no convex program to compare with; our status {result.status.name} is " + (
-            "false" if is_false else "consistent with our residual"
-        )
+        told = "false" if is_false else "consistent with our residual"
         verdict: Verdict = "mismatch" if is_false else "not comparable"
-        return CrossCheck(verdict, reason, name, convex.evidence, ours, seconds=seconds)
-    formulation = f"{convex.kind} ({convex.evidence})"
-    if _is_computed_by(result, name):
-        reason = f"{name} computed our solution too (interior_point); choose another reference"
-        return CrossCheck("not comparable", reason, name, formulation, ours, seconds=seconds)
-    tight = CLARABEL_OPTIONS if name == "CLARABEL" else {}
-    reply = solve_by(name, convex, max_seconds, tight | options)
-    if reply.z is None:
-        reason = f"{name} gave no point: {reply.status}"
-        return CrossCheck("not comparable", reason, name, formulation, ours, seconds=seconds)
-    theirs = polish(Certificate.of(problem, reply.z))
-    facts = _compare(convex, ours, theirs) if np.isfinite(ours.z).all() else {}
-    return CrossCheck(
-        *_verdict_of(result, ours, theirs, name, facts),
-        name,
-        formulation,
-        ours,
-        theirs,
-        seconds,
-        reply.seconds,
-        **{key: value for key, value in facts.items() if key[0] != "_"},
-    )
-
-
-def _is_computed_by(result: Result, name: str) -> bool:
-    """Return whether the convex solver may have computed our result: interior_point hands its program to PIQP first."""
+        reason = f"no convex program to compare with; our status {status} is {told}"
+        return found(verdict, reason, formulation=convex.evidence)
+    found = partial(found, formulation=f"{convex.kind} ({convex.evidence})")
     remarks = [stage.remark for stage in result.stages if stage.name == "interior_point"]
-    return bool(remarks) and (name == "PIQP" or any(name.lower() in one for one in remarks))
-
-
-def _compare(convex: ReferenceProgram, ours: Certificate, theirs: Certificate) -> dict[str, Any]:
-    """Return the differences, in the unit-free variables D^½ z / unit and D^−½ w / unit where they have no unit."""
-    step, rise = ours.z - theirs.z, ours.w - theirs.w
-    weight, unit = convex.weight / convex.unit, convex.weight * convex.unit
-    length, slope = float(np.linalg.norm(step * weight)), float(np.linalg.norm(rise / unit))
-    size = max(float(np.linalg.norm(side.z * weight)) for side in (ours, theirs))
-    is_plain = convex.kind == PLAIN  # the gap is a difference of squares then, without cancellation
-    gap = float(0.5 * step @ (ours.w + theirs.w))
-    if not is_plain:
-        gap = float(np.sum(ours.products) - np.sum(theirs.products))
-    return {
-        "difference_z": _largest(step),
-        "difference_w": _largest(rise),
-        "objective_gap": gap,
-        "disagreement": max(float((step * weight) @ (rise / unit)), 0.0) / (length + slope)
-        if length + slope
-        else 0.0,
-        "allowance": _weighted_residual(convex, ours) + _weighted_residual(convex, theirs),
-        "_apart": length / size if length else 0.0,
-        "_rise": slope / length if length else 0.0,
-    }
-
-
-def _weighted_residual(convex: ReferenceProgram, side: Certificate) -> float:
-    """Return ‖D^½ r‖ / unit, rounding included."""
-    problem, scale = side.problem, np.square(convex.weight)
-    data = row_data(problem)
-    floor = data.rounding_floor(data.rows(side.z).terms, scale)
-    residual = np.abs(scaled_residual(problem, side.z, side.w, scale)) + floor
-    return float(np.linalg.norm(residual * convex.weight / convex.unit))
-
-
-def _verdict_of(
-    result: Result, ours: Certificate, theirs: Certificate, name: str, facts: dict[str, Any]
-) -> tuple[Verdict, str]:
-    """Return the verdict and its reason; the first that applies."""
-    claimed = _claims(result)
+    if remarks and (name == "PIQP" or any(name.lower() in one for one in remarks)):
+        reason = f"{name} computed our solution too (interior_point); choose another reference"
+        return found("not comparable", reason)
+    tight = CLARABEL_OPTIONS if name == "CLARABEL" else {}
+    reply = convex.solve_by(name, max_seconds, **tight | options)
+    if reply.z is None:
+        return found("not comparable", f"{name} gave no point: {reply.status}")
+    theirs = polish(Certificate.of(problem, reply.z))
+    facts, agreement = convex.compare(ours, theirs)
+    found = partial(found, theirs=theirs, reference_seconds=reply.seconds, **facts)
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
     )
     # An interior point need not meet the test of every row: z next to a bound leaves a small w_i unchanged.
     if not theirs.relative_residual <= ACCURATE_TOLERANCE:
-        return (
-            "not comparable",
-            f"the solution of {name} does not reach {ACCURATE_TOLERANCE:.0e}: {residuals}",
-        )
-    if not facts or (claimed and not _keeps_claim(result, ours)):
-        return (
-            "mismatch",
-            f"our status {result.status.name} is false, {name} is accurate: {residuals}",
-        )
-    if not ours.meets(Settings(tolerance=ROUGH_TOLERANCE if claimed else ACCURATE_TOLERANCE)):
-        return "not comparable", f"our solution is not accurate, {result.status.name}: {residuals}"
+        reason = f"the solution of {name} does not reach {ACCURATE_TOLERANCE:.0e}: {residuals}"
+        return found("not comparable", reason)
+    if is_false or not np.isfinite(ours.z).all():
+        return found("mismatch", f"our status {status} is false, {name} is accurate: {residuals}")
+    if not ours.meets(Settings(tolerance=ROUGH_TOLERANCE if is_claimed else ACCURATE_TOLERANCE)):
+        return found("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
-        return "mismatch", (
+        return found(
+            "mismatch",
             f"the residuals explain {facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}: one of "
-            "them is wrong, or the two sides solved different problems"
+            "them is wrong, or the two sides solved different problems",
         )
-    if facts["_apart"] <= DIFFERENCE_RATIO:
-        return "agree", "same solution within both residuals"
-    if facts["_rise"] <= DIFFERENCE_RATIO:
-        return "agree", "same w and objective; z is not unique"
-    return "agree", (
-        f"z differs by {facts['difference_z']:.1e}, within the residuals and the conditioning of M"
-    )
-
-
-def _claims(result: Result) -> bool:
-    return result.is_solved or result.status is Status.PRECISION_LIMIT
+    return found("agree", agreement)
 
 
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
@@ -288,6 +239,141 @@ def _largest(values: FloatVector) -> float:
 def _side(name: str, side: Certificate, seconds: float) -> str:
     natural = f"natural residual {side.natural_residual:.3e}"
     return f"{name:<18} relative residual {side.relative_residual:.3e}, {natural}, {seconds:.3g} s"
+
+
+# --- A convex solver through cvxpy ----------------------------------------------------------------------------
+
+
+def solver_name(reference: Any) -> str:
+    """Return cvxpy's name of an installed solver of quadratic programs, or raise InvalidOption."""
+    from cvxpy import installed_solvers
+
+    name = reference.upper() if isinstance(reference, str) else repr(reference)
+    known = [one for one in installed_solvers() if one != "LCP"]
+    if name not in known:
+        raise InvalidOption(f"cvxpy has no solver {reference!r}{did_you_mean(name, known)}")
+    return name
+
+
+class CvxpySolver(Engine):
+    """A convex solver through cvxpy: `solver` is its name, `status` cvxpy's status or the message of an exception."""
+
+    solver, status = "", ""
+
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        """Return the solver's point with multipliers; NaN if it gave none."""
+        import cvxpy as cp
+
+        x = cp.Variable(program.c.size, bounds=[program.lower, program.upper])
+        # Without assume_PSD cvxpy makes P dense to check it.
+        curved = 0.5 * cp.quad_form(x, program.P, assume_PSD=True) if abs(program.P).sum() else 0.0
+        rows = [program.G @ x <= program.h] if program.h.size else []
+        rows += [program.A @ x == program.b] if program.b.size else []
+        problem = cp.Problem(cp.Minimize(curved + program.c @ x), rows)
+        try:
+            problem.solve(solver=self.solver, **self.options)
+            self.status = str(problem.status)
+        except Exception as error:  # solvers fail with exceptions of any class
+            self.status = (str(error).splitlines() or [type(error).__name__])[0]
+        if x.value is None:
+            nothing = np.full(program.h.size + program.b.size, np.nan)
+            return EngineAnswer(np.full_like(program.c, np.nan), nothing, 0, EngineStatus.GAVE_UP)
+        y = np.concatenate([np.zeros(0), *(np.atleast_1d(row.dual_value) for row in rows)])
+        return EngineAnswer(x.value, y, 0, EngineStatus.OPTIMAL)
+
+
+class Reply(NamedTuple):
+    """cvxpy's status or the message of an exception, seconds with cvxpy's part, and z or None."""
+
+    status: str
+    seconds: float
+    z: FloatVector | None
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexForm:
+    """The problem in equilibrated unknowns y = weight · z, and the kind of its convex program.
+
+    Attributes
+    ----------
+    kind : str
+        PLAIN, SADDLE, GAP, or "" if no convex program exists.
+    evidence : str
+        The reason in one line.
+    problem : LCP
+        Of y; its slacks are w / √d_i / unit.
+    weight : ndarray, shape (n,)
+        √d_i / unit.
+    """
+
+    kind: str
+    evidence: str
+    problem: LCP = field(repr=False)
+    weight: FloatVector = field(repr=False)
+
+    @classmethod
+    def of(cls, given: LCP) -> ConvexForm:
+        """Return the form that symmetry and a factorization of the symmetric part allow."""
+        root = np.sqrt(np.where(given.diagonal > 0.0, given.diagonal, given.residual_scale))
+        A, c = scale_by(given.M, 1.0 / root, 1.0 / root), given.q / root
+        place = asymmetry_of(A)[1]
+        matrix = "M is symmetric"
+        if place is not None:
+            i, j = place
+            matrix = f"M[{i}, {j}] and M[{j}, {i}] differ; the symmetric part of M is"
+        if (given.diagonal < 0.0).any():
+            return cls("", f"{matrix} indefinite: a diagonal entry is negative", given, root)
+        # Skew entries above 1 leave their rounding behind when the symmetric part cancels them.
+        shift = 4.0 * (given.n + 2) * EPSILON * max(1.0, float(abs(A).max()))
+        if factorised(symmetric_part(A), shift) is None:
+            evidence = f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}"
+            return cls("", evidence, given, root)
+        unit = _largest(np.append(c, root * given.nearest_to_zero)) or 1.0
+        lower, upper = (root * bound / unit for bound in (given.lower, given.upper))
+        problem = LCP(A, c / unit, lower=lower, upper=upper)
+        kind = PLAIN
+        if place is not None:
+            kind = GAP if signs_of(problem.matrix) is None else SADDLE
+        evidence = f"{matrix} positive semidefinite: factorized at shift {shift:.1e}"
+        return cls(kind, evidence, problem, root / unit)
+
+    def solve_by(self, name: str, max_seconds: float, **options: Any) -> Reply:
+        """Solve the program by a convex solver; an exception becomes the status."""
+        limit = {TIME_LIMITS[name]: max_seconds} if name in TIME_LIMITS else {}
+        solver = CvxpySolver(**limit | options)
+        solver.solver, began = name, time.perf_counter()
+        y, _ = MonotoneProgram.of(self.problem).answer(solver)
+        z = y / self.weight if np.isfinite(y).all() else None
+        return Reply(solver.status, time.perf_counter() - began, z)
+
+    def compare(self, ours: Certificate, theirs: Certificate) -> tuple[dict[str, float], str]:
+        """Return the differences as fields of a CrossCheck, and the words of an agreement."""
+        ys = [self.weight * side.z for side in (ours, theirs)]
+        ws = [self.problem.slack(y) for y in ys]
+        step, rise = ys[0] - ys[1], ws[0] - ws[1]
+        length, slope, *sizes = (float(np.linalg.norm(one)) for one in (step, rise, *ys))
+        gap = float(np.sum(ours.products) - np.sum(theirs.products))
+        if self.kind == PLAIN:  # a difference of squares, without cancellation
+            gap = float(0.5 * (ours.z - theirs.z) @ (ours.w + theirs.w))
+        facts = {
+            "difference_z": _largest(ours.z - theirs.z),
+            "difference_w": _largest(ours.w - theirs.w),
+            "objective_gap": gap,
+            "disagreement": max(float(step @ rise), 0.0) / ((length + slope) or 1.0),
+            "allowance": sum(map(self._residual, ys, ws)),
+        }
+        if not length > DIFFERENCE_RATIO * max(sizes):
+            return facts, "same solution within both residuals"
+        if slope <= DIFFERENCE_RATIO * length:
+            return facts, "same w and objective; z is not unique"
+        words = "within the residuals and the conditioning of M"
+        return facts, f"z differs by {facts['difference_z']:.1e}, {words}"
+
+    def _residual(self, y: FloatVector, w: FloatVector) -> float:
+        """Return ‖r(y)‖ with d = 1, rounding included."""
+        data, scale = row_data(self.problem), np.ones(y.size)
+        floor = data.rounding_floor(data.rows(y).terms, scale)
+        return float(np.linalg.norm(np.abs(scaled_residual(self.problem, y, w, scale)) + floor))
 
 
 # --- Polish ---------------------------------------------------------------------------------------------------

@@ -18,10 +18,9 @@ from ..api import solve
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..interfaces.files.files import checked_path, write_whole
-from .exact import relative_error
-from .methods import Method, methods_of
-from .stresses import FAMILIES, StressCase
-from .table import csv_text
+from .measurement import Method, methods_of
+from .stresses import FAMILIES, StressCase, relative_error
+from .study import csv_text
 
 Progress = Callable[[int, int, str], Any]
 

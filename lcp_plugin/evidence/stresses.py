@@ -1,4 +1,4 @@
-"""The stresses: problems that are stiff, badly scaled, nearly singular or at the edge of the numbers."""
+"""Problems that are stiff, badly scaled, nearly singular or at the edge of the numbers, with their exact answers."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
+from ..core.errors import UnsuitableProblem
 from ..core.lcp import LCP
 from ..core.matrix.scaling import scale_by
 from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from ..proofs.exact.rational import exact_slack
-from .exact import ExactPoint, exact_answer
+from ..proofs.exact.linear_systems import solved_nearby
+from ..proofs.exact.rational import exact_slack, is_exact_solution, power_of_two, rational_rows
+from ..systems.equilibration import equilibrating_exponents
+
+ExactPoint = tuple[Fraction, ...]
 
 LARGEST_INTEGER = 9
+ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +56,7 @@ class StressCase:
     @cached_property
     def exact(self) -> ExactPoint | None:
         """z* in fractions, verified exactly; None if no solution exists."""
-        return None if self.near is None else exact_answer(self.problem, [*self.near])
+        return None if self.near is None else exact_answer(self.problem, self.near)
 
 
 def grid(
@@ -314,3 +319,92 @@ FAMILIES: dict[str, Callable[[], Iterator[StressCase]]] = {
         cancellation,
     )
 }
+
+
+# --- Exact answers ----------------------------------------------------------------------------------------------
+
+
+def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
+    """Return z* in fractions, verified without rounding, from the active set of a guess.
+
+    Parameters
+    ----------
+    problem : LCP
+    guess : array_like, shape (n,)
+        A point on the right bounds; unknowns strictly between their bounds are taken as free.
+
+    Raises
+    ------
+    UnsuitableProblem
+        If its free block is singular, or gives no solution.
+
+    Examples
+    --------
+    >>> exact_answer(LCP([[3, 0], [0, 1]], [-1, 1]), [0.33, 0])
+    (Fraction(1, 3), Fraction(0, 1))
+    """
+    z = [Fraction(value) for value in guess]
+    if is_exact_solution(problem, z):
+        return tuple(z)
+    lower, upper = (np.asarray(bound) for bound in (problem.lower, problem.upper))
+    at_lower, at_upper = guess <= lower, guess >= upper
+    is_free = ~(at_lower | at_upper)
+    ends = np.where(at_lower, lower, np.where(at_upper, upper, 0.0))
+    z = [Fraction(end) for end in ends.tolist()]
+    right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
+    column = equilibrating_exponents(problem.csr, ALIKE).column
+    units = [power_of_two(int(one)) for one in column]
+    rows = [
+        {j: entry * units[j] for j, entry in row.items() if is_free[j]}
+        for row, free in zip(rational_rows(problem.csr), is_free, strict=True)
+        if free
+    ]
+    change = solved_nearby(rows, right, [Fraction(0)] * problem.n, is_free.tolist())
+    if change is not None:
+        z = [value + by * unit for value, by, unit in zip(z, change, units, strict=True)]
+    if change is None or not is_exact_solution(problem, z):
+        raise UnsuitableProblem(
+            f"no exact answer of {problem!r} found near the guess; give one on the right bounds"
+        )
+    return tuple(z)
+
+
+def relative_error(
+    z: FloatVector, exact: ExactPoint, unit: float | FloatVector, *, has_line: bool = False
+) -> float:
+    """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        Finite.
+    exact : sequence of Fraction, shape (n,)
+    unit : number or ndarray, shape (n,)
+    has_line : bool
+        All z* + t with t ≥ 0 are also solutions; the distance is to the nearest one.
+
+    Examples
+    --------
+    >>> relative_error(np.array([1.0, 0.5]), (Fraction(1), Fraction(0)), np.ones(2))
+    0.5
+    """
+    difference = [Fraction(value) - answer for value, answer in zip(z.tolist(), exact, strict=True)]
+    if has_line and difference:
+        along = max((max(difference) + min(difference)) / 2, Fraction(0))
+        difference = [value - along for value in difference]
+    units = [Fraction(value) for value in np.broadcast_to(unit, z.shape).tolist()]
+    error, largest = (
+        max((abs(value) / u for value, u in zip(side, units, strict=True)), default=Fraction(0))
+        for side in (difference, exact)
+    )
+    if error == 0:
+        return 0.0
+    return nearest_double(error / largest) if largest else np.inf
+
+
+def nearest_double(value: Fraction) -> float:
+    """Return the float64 nearest to a fraction, ±∞ if it is beyond the range."""
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import inspect
+import io
 import math
 import os
 import platform
@@ -36,19 +38,19 @@ from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import Scene, builder_of
 from ..interfaces.files.files import checked_path, write_whole
-from .drawing import FORMATS, Panel, PanelLine, draw_panels, save
+from .drawing import FORMATS, draw_curve, draw_tolerance, look_of, panels, save
 from .measurement import (
     BOUND,
     POINT,
     RESIDUAL,
     TRUE_ERROR,
     Measurement,
+    Method,
     error_measure,
     fresh,
     measure_method,
+    methods_of,
 )
-from .methods import Method, methods_of
-from .table import Table, csv_text
 
 PACKAGES = ("numpy", "scipy", "numba", "cvxpy")
 COLUMNS = ("problem", "size", "n", "nonzeros", "method", "family", "status", *POINT, "error_kind")
@@ -70,6 +72,59 @@ LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution coun
 NO_POINTS = np.zeros((0, len(POINT)))
 
 Progress = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table to print.
+
+    Attributes
+    ----------
+    title : str
+    columns : sequence of str
+        Headings.
+    rows : sequence of sequences
+        Texts, numbers and None. CSV keeps all digits, Markdown three.
+
+    Examples
+    --------
+    >>> print(Table("t", ("method", "passes"), [("psor", 12.345), ("lemke", None)]).to_markdown())
+    | method | passes |
+    |:---|---:|
+    | psor | 12.3 |
+    | lemke | – |
+    <BLANKLINE>
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+    def __str__(self) -> str:
+        return f"{self.title}\n\n{self.to_markdown()}"
+
+    def to_markdown(self) -> str:
+        """Return the table as Markdown, numbers to the right."""
+        columns = [[row[k] for row in self.rows] for k in range(len(self.columns))]
+        has_number = [any(isinstance(one, int | float) for one in column) for column in columns]
+        marks = ["---:" if is_number else ":---" for is_number in has_number]
+        texts = ([*map(_text_of, row)] for row in self.rows)
+        lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *texts)]
+        return "\n".join([lines[0], f"|{'|'.join(marks)}|", *lines[1:], ""])
+
+
+def _text_of(value: Any) -> str:
+    """Return a number with three digits, – for none, a text unchanged."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def csv_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows as CSV text; floats keep all their digits."""
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    return buffer.getvalue()
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,31 +231,35 @@ class Study:
         """
         _check_view(view, VIEWS)
         _check_view(against, ("seconds", "work", "iterations"), "against must be")
+        is_curves, timed = view == "curves", against == "seconds"
+        shown = [row for row in self.rows if len(row.points) and (is_curves or row.is_solved)]
+        shown = [row for row in shown if row.family != "reference" or (is_curves and timed)]
+        if not shown:
+            raise InvalidOption(
+                "nothing to draw: no run has a result; print() lists how each run ended"
+            )
+        families = {row.method: row.family for row in shown}
+        looks = {label: look_of(family, k) for k, (label, family) in enumerate(families.items())}
         if view == "profile":
-            return draw_panels([self._profile_panel(against)], width)
-        if view == "curves":
-            groups = self._groups(lambda row: (row.problem, row.size)).values()
-            return draw_panels([_curves(rows, against) for rows in groups], width)
-        panels = []
-        for problem, rows in self._groups(lambda row: row.problem).items():
-            solved = [row for row in rows if row.is_solved and row.family != "reference"]
-            lines = []
-            for method in dict.fromkeys(row.method for row in solved):
-                own = [row for row in solved if row.method == method]
-                n, y = ([row.n for row in own], [_value(row, view) for row in own])
-                lines.append(PanelLine(method, own[0].family, np.array(n), np.array(y)))
-            panels.append(Panel(problem, lines, "unknowns n", VALUES[view], "sizes"))
-        return draw_panels(panels, width)
-
-    def _profile_panel(self, by: str) -> Panel:
-        lines = []
-        for label, ratios in self.profile(by).items():
-            finite = ratios[np.isfinite(ratios)]
-            shares = np.arange(1, finite.size + 1) / max(ratios.size, 1)
-            solves_all = finite.size == ratios.size
-            lines.append(PanelLine(label, self.methods[label], finite, shares, solves_all))
-        title = f"performance profile by {by}"
-        return Panel(title, lines, f"{by} ÷ the least", "share of the problems solved", "shares")
+            with panels([f"performance profile by {against}"], width) as (axes,):
+                _draw_profile(axes, self.profile(against), against, looks)
+            return axes.figure
+        groups = self._groups(lambda row: (row.problem, row.size if is_curves else None))
+        titles = [
+            _title(problem) + ("" if size is None else f", n = {rows[0].n}")
+            for (problem, size), rows in groups.items()
+        ]
+        with panels(titles, width) as every:
+            for axes, rows in zip(every, groups.values(), strict=True):
+                own = [row for row in rows if row in shown]
+                if not own:
+                    words = "no result: print() lists the reasons"
+                    axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
+                elif is_curves:
+                    _draw_errors(axes, own, against, looks)
+                else:
+                    _draw_sizes(axes, own, view, looks)
+        return every[0].figure
 
     def to_csv(self) -> str:
         """Return a line per point of each measurement; the last line of a measurement is its result."""
@@ -263,26 +322,69 @@ def _cell(row: Measurement, name: str) -> Any:
     return row.iterations if name == "iterations" else _value(row, name)
 
 
-def _curves(rows: Sequence[Measurement], against: str) -> Panel:
-    """Return the panel of error curves of one problem; references are single points on the axis of seconds."""
-    lines, marks = [], []
-    for row in (one for one in rows if len(one.points)):
-        if row.family == "reference":
-            marks += [(row.method, row.seconds, row.error)] if against == "seconds" else []
-            continue
-        band = None
-        x = row.column("iteration" if against == "iterations" else against)
-        if against == "seconds":
-            band = (row.column("seconds_low"), row.column("seconds_high"))
-        x = x if band else np.maximum(x, 1.0)
-        lines.append(PanelLine(row.method, row.family, x, row.column("error"), row.is_solved, band))
+def _title(problem: str) -> str:
+    return re.sub(r"([:,])", r"\1 ", problem)
+
+
+def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: Any) -> None:
+    """Draw error curves of one problem with quartiles of seconds; references are single points."""
     kind = rows[0].error_kind
-    title = re.sub(r"([:,])", r"\1 ", rows[0].problem)
-    if rows[0].size is not None:
-        title += f", n = {rows[0].n}"
-    x_label = VALUES[against]
-    level = rows[0].tolerance if kind == RESIDUAL else None
-    return Panel(title, lines, x_label, ERROR_LABELS.get(kind, kind), "errors", marks, level)
+    axes.set(
+        xscale="log", yscale="log", xlabel=VALUES[against], ylabel=ERROR_LABELS.get(kind, kind)
+    )
+    runs = [row for row in rows if row.family != "reference"]
+    low, high = _range(runs or rows)
+    for row in runs:
+        y = np.clip(np.nan_to_num(row.column("error"), nan=high, posinf=high), low, high)
+        look = looks[row.method]
+        if against == "seconds":
+            ends = (
+                np.maximum(row.column(f"seconds_{end}"), LEAST[against]) for end in ("low", "high")
+            )
+            axes.fill_betweenx(y, *ends, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
+        least = LEAST.get(against, 1.0)
+        x = np.maximum(row.column("iteration" if against == "iterations" else against), least)
+        draw_curve(axes, x, y, row.method, look, is_solved=row.is_solved)
+    for row in (row for row in rows if row.family == "reference"):
+        look = looks[row.method] | {"linestyle": "none", "markersize": 5}
+        axes.plot([row.seconds], [max(row.error, low)], label=row.method, zorder=5, **look)
+    if kind == RESIDUAL:
+        draw_tolerance(axes, rows[0].tolerance)
+    axes.set_ylim(low / 1.5, high)
+
+
+def _range(rows: Sequence[Measurement]) -> tuple[float, float]:
+    """Return the errors that are shown: from the least of a result to three times the largest start."""
+    errors = [row.column("error")[[0, -1]] for row in rows]
+    starts, ends = (
+        [value for value in column if 0.0 < value < math.inf]
+        for column in np.reshape(errors, (-1, 2)).T
+    )
+    ends = ends or [1e-16]
+    low = max(min(ends), float(np.median(ends)) * 1e-3) / 2.0
+    return low, 3.0 * max(starts or [1.0], default=1.0)
+
+
+def _draw_sizes(axes: Any, rows: Sequence[Measurement], view: str, looks: Any) -> None:
+    """Draw a value of solved runs against the number of unknowns."""
+    axes.set(xscale="log", yscale="log", xlabel="unknowns n", ylabel=VALUES[view])
+    for method in dict.fromkeys(row.method for row in rows):
+        own = [row for row in rows if row.method == method]
+        n, y = ([row.n for row in own], [_value(row, view) for row in own])
+        draw_curve(axes, n, y, method, looks[method])
+
+
+def _draw_profile(axes: Any, profile: dict[str, FloatVector], by: str, looks: Any) -> None:
+    """Draw the share of problems that each method solves within a ratio to the least cost."""
+    finite = {label: ratios[np.isfinite(ratios)] for label, ratios in profile.items()}
+    end = 1.1 * max(2.0, *(ratio for ratios in finite.values() for ratio in ratios[-1:]))
+    axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.03))
+    axes.set(xlabel=f"{by} ÷ the least", ylabel="share of the problems solved")
+    for label, ratios in finite.items():
+        shares = np.arange(ratios.size + 1) / max(profile[label].size, 1)
+        x, y = np.concatenate([[1.0], ratios, [end]]), np.append(shares, shares[-1])
+        if label in looks:
+            draw_curve(axes, x, y, label, looks[label], drawstyle="steps-post")
 
 
 def _lines(row: Measurement) -> Iterator[tuple[Any, ...]]:
@@ -494,15 +596,15 @@ def _measurements(
             yield _row(blank, method, "ERROR", note=_line(error))
     if not references:
         return
-    from .convex_program import PLAIN, ReferenceProgram, solve_by
+    from .cross_check import PLAIN, ConvexForm
 
-    convex = ReferenceProgram.of(scene.problem)
+    convex = ConvexForm.of(scene.problem)
     if convex.kind != PLAIN:
         yield f"{label}: no convex solver, {convex.evidence}"
         return
     for name in references:
         say(f"{label}, n = {scene.n}: {name}")
-        reply = solve_by(name, convex, max_seconds)
+        reply = convex.solve_by(name, max_seconds)
         method, status, points = Method(name, name, "reference"), "ERROR", NO_POINTS
         if reply.z is not None:
             status = reply.status.upper()
@@ -598,7 +700,7 @@ def _checked_references(names: Any) -> list[str]:
     names = [*names]
     if not names:
         return []
-    from .convex_program import solver_name
+    from .cross_check import solver_name
 
     return [solver_name(name) for name in names]
 

@@ -19,8 +19,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.evidence import cross_check
-from lcp_plugin.evidence.convex_program import GAP, PLAIN
-from lcp_plugin.evidence.cross_check import cross_validate
+from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 
 COUNT = 60
 BATCHES = 10

@@ -23,7 +23,7 @@ from lcp_plugin import (
     gallery,
     solve,
 )
-from lcp_plugin.evidence.pictures import plot_answer
+from lcp_plugin.evidence.drawing import plot_answer
 
 figure = pytest.importorskip("matplotlib.figure")
 M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])

@@ -20,14 +20,15 @@ from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import stability as atlas
-from lcp_plugin.evidence.exact import exact_answer, relative_error
 from lcp_plugin.evidence.stability import stability_atlas
 from lcp_plugin.evidence.stresses import (
     FAMILIES,
     StressCase,
+    exact_answer,
     grid,
     half_active,
     mostly_free,
+    relative_error,
 )
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.strategies import solved_lcps

@@ -21,8 +21,8 @@ from legends import hides_nothing
 from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.matrix.matrix import Matrix, fact
+from lcp_plugin.evidence.drawing import draw
 from lcp_plugin.evidence.measurement import Measurement
-from lcp_plugin.evidence.pictures import draw
 from lcp_plugin.evidence.study import COLUMNS, Study, error_against_time, study
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 

@@ -181,10 +181,10 @@ class BaseResult(Outcome):
         Parameters
         ----------
         **how
-            Options of :func:`lcp_plugin.evidence.pictures.plot_answer`: ``axes`` to draw into, ``shape`` of the
+            Options of :func:`lcp_plugin.evidence.drawing.plot_answer`: ``axes`` to draw into, ``shape`` of the
             unknowns' grid.
         """
-        from ...evidence.pictures import plot_answer
+        from ...evidence.drawing import plot_answer
 
         return plot_answer(self, **how)
 

@@ -224,7 +224,7 @@ class Path(Outcome):
         rows : sequence of int, optional
             Indices of the unknowns to draw; by default the forty that change most.
         """
-        from ...evidence.path_plots import plot_path
+        from ...evidence.drawing import plot_path
 
         return plot_path(self, axes=axes, rows=rows)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,11 +10,12 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy.atoms.affine.add_expr import AddExpression
+from cvxpy.atoms.elementwise.power import Power
 
 from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
-from ..expressions.rows import Indices, Rows, assembled, is_definition
+from ..expressions.rows import Indices, Rows, as_matrix, assembled, is_definition
 from ._compat import (
     KINKS,
     NONSMOOTH,
@@ -39,21 +40,29 @@ def _huber(node: Any, arguments: list[Any]) -> tuple[Any, list[Any]]:
 
 #: Atoms with kinks, and functions that return their epigraphs: a value, and inequalities.
 GRAPHS = {**KINKS, cp.huber: _huber}
+
+
+def _positive_power(u: Any, p: float) -> Any:
+    """Return u**p, NaN for u < 0: the derivative of a function that is not defined there."""
+    return cp.power(cp.sqrt(u), 2 * p)
+
+
 #: Key of the first subexpression that the agent does not influence: larger than any id of a variable.
 FIRST_KEY = 2**61
+OUTSIDE = 1e-8  # of max(1, |x|): a condition of the domain is violated beyond
 NO_BOUND = 1e30  # stands for ∞ in bounds, where constants must be finite
 #: The atom of an elementary function, and its derivatives by its arguments; r is its value.
 FUNCTIONS: dict[str, tuple[Any, Any]] = {
     functions.SAME.name: (lambda u: u, lambda r, u: [np.ones(u.shape)]),
     functions.EXP.name: (cp.exp, lambda r, u: [r]),
-    functions.LOG.name: (cp.log, lambda r, u: [cp.power(u, -1)]),
-    functions.LOG1P.name: (cp.log1p, lambda r, u: [cp.power(1 + u, -1)]),
+    functions.LOG.name: (cp.log, lambda r, u: [_positive_power(u, -1)]),
+    functions.LOG1P.name: (cp.log1p, lambda r, u: [_positive_power(1 + u, -1)]),
     functions.SQUARE.name: (cp.square, lambda r, u: [2 * u]),
     functions.PRODUCT.name: (cp.multiply, lambda r, u, v: [v, u]),
     functions.QUOTIENT.name: (lambda u, v: u / v, lambda r, u, v: [cp.power(v, -1), -r / v]),
     functions.RELATIVE_ENTROPY.name: (
         cp.rel_entr,
-        lambda r, u, v: [1 + cp.log(u) - cp.log(v), -u / v],
+        lambda r, u, v: [1 + cp.log(u) - cp.log(v), -cp.multiply(u, _positive_power(v, -1))],
     ),
     functions.LOG_ADD_EXP.name: (
         lambda u, v: cp.logistic(u - v) + v,
@@ -67,7 +76,8 @@ def function_of(name: str) -> tuple[Any, Any]:
     if name in FUNCTIONS:
         return FUNCTIONS[name]
     p = float(name.removeprefix("power "))
-    return lambda u: cp.power(u, p), lambda r, u: [p * cp.power(u, p - 1)]
+    slope = _positive_power if p < 0.0 else cp.power
+    return lambda u: cp.power(u, p), lambda r, u: [p * slope(u, p - 1)]
 
 
 class SimpleBound(NamedTuple):
@@ -180,6 +190,8 @@ class AgentProgram:
         The pair of each constraint with a multiplier, and the multiplier, by the id of the constraint.
     bounds : list of SimpleBound
         The other constraints.
+    domain : list of Domain
+        Conditions under which the functions of the program are defined.
     has_kinks : bool
     """
 
@@ -219,8 +231,8 @@ class AgentProgram:
         numbers = np.concatenate([self.first[one.id] + columns for one, columns in self.entries])
         self.place[numbers] = np.arange(numbers.size)
         self.reader = Reader(takes_integers=True)
-        roots = [self.goal, *(one.expression for one in self.standard)]
-        nodes = enumerate(uninfluenced(roots, self.own), FIRST_KEY)
+        self.roots = [self.goal, *(one.expression for one in self.standard)]
+        nodes = enumerate(uninfluenced(self.roots, self.own), FIRST_KEY)
         sources = {one.id if isinstance(one, cp.Variable) else k: one for k, one in nodes}
         self.reader.hold(sources)
         sources |= {one.id: one for one, _ in self.entries}
@@ -235,11 +247,13 @@ class AgentProgram:
         """Read the constraints; write the pairs of multipliers, and of decisions with the gradient."""
         sense = cp.Constant([sense_of(self.agent.program)])
         weighted: list[tuple[Rows, Any]] = [(self.reader.rows(self.goal), sense)]
-        for one in self.standard:
-            own = self.reader.rows(one.expression)
-            if (bound := self._simple(one, own)) is not None:
-                self.bounds.append(bound)
-                continue
+        read = [(one, self.reader.rows(one.expression)) for one in self.standard]
+        left = [(one, own) for one, own in read if not self._add_bound(one, own)]
+        self.domain = domain_of(self.roots, self.own)
+        for row in (row for one in self.domain for row in self._inside(one)):
+            self._add_bound(*row)  # may imply other conditions
+        inside = [row for one in self.domain for row in self._inside(one)]
+        for one, own in left + [row for row in inside if self._simple(*row) is None]:
             multiplier = cp.Variable(one.expression.shape)
             if one.origin.id in self.agent.shared:
                 multiplier = one.origin.dual_variables[0]
@@ -252,6 +266,38 @@ class AgentProgram:
             self.rows[one.origin.id] = Complements(first, second), multiplier
         first = box(self.decisions, *self._ends())
         self.stationarity = Complements(first, Side(self._gradient(weighted), "value"))
+
+    def _add_bound(self, one: StandardRows, own: Rows) -> bool:
+        """Store rows that only bound decisions; return whether they do."""
+        if (bound := self._simple(one, own)) is not None:
+            self.bounds.append(bound)
+        return bound is not None
+
+    def _inside(self, domain: Domain) -> Iterator[tuple[StandardRows, Rows]]:
+        """Yield the rows of a condition of the domain that bounds, signs and slopes do not imply."""
+        expression = StandardRows.of(domain.condition).expression
+        rows = self.reader.rows(expression)
+        largest = rows.offset.copy()
+        for key, block in rows.blocks.items():
+            low, high = self._range(key)
+            matrix = as_matrix(block, rows.size)
+            largest += matrix.maximum(0.0) @ high + matrix.minimum(0.0) @ low
+        if (needed := np.flatnonzero(largest > 0.0)).size:
+            one = StandardRows.of(vector_of(expression)[needed] <= 0)
+            rows = rows.taken(needed)
+            if not domain.is_steep or self._simple(one, rows) is not None:
+                yield one, rows
+
+    def _range(self, key: int) -> list[FloatVector]:
+        """Return bounds of the entries of a source, from numbers and signs, for all values of parameters."""
+        source = self._source(key)
+        ends = 0.0 if source.is_nonneg() else -NO_BOUND, 0.0 if source.is_nonpos() else NO_BOUND
+        found = [np.full(source.size, end) for end in ends]
+        if key in self.first:
+            places = self.place[self.first[key] :][: source.size]
+            for own, end in zip(found, self._ends(is_numeric=True), strict=True):
+                own[places >= 0] = end[places[places >= 0]]
+        return found
 
     def _gradient(self, weighted: list[tuple[Rows, Any]]) -> Any:
         """Return the gradient of Σ weights · rows by all decisions; its functions are elementary functions again."""
@@ -301,8 +347,8 @@ class AgentProgram:
 
     # --- bounds ---
 
-    def _ends(self) -> list[Any]:
-        """Return the lower and the upper bounds of all decisions, by attributes and constraints."""
+    def _ends(self, *, is_numeric: bool = False) -> list[Any]:
+        """Return the lower and the upper bounds of all decisions, by attributes and constraints, or by numbers only."""
         stated = list(self.bounds)
         for variable, columns in self.entries:
             given = variable.attributes.get("bounds") or ()
@@ -314,6 +360,8 @@ class AgentProgram:
                 bound = (vector_of if is_symbolic else by_columns)(whole)[columns]
                 stated.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
         stated.sort(key=lambda one: isinstance(one.bound, cp.Expression))
+        if is_numeric:
+            stated = [one for one in stated if not isinstance(one.bound, cp.Expression)]
         found: list[Any] = []
         for sign, extreme in ((-1.0, "maximum"), (1.0, "minimum")):
             found.append(np.full(self.decisions.size, sign * NO_BOUND))
@@ -377,6 +425,56 @@ def joined(parts: Sequence[Any]) -> Any:
     """Return one vector of all entries."""
     vectors = [vector_of(one) for one in parts]
     return cp.hstack(vectors) if len(vectors) > 1 else vectors[0]
+
+
+class Domain(NamedTuple):
+    """Condition under which an atom is defined by cvxpy's rules: least ≤ argument.
+
+    Attributes
+    ----------
+    condition : cvxpy constraint
+    is_steep : bool
+        Whether slopes grow without limit at the boundary.
+    """
+
+    condition: Any
+    is_steep: bool
+
+
+def domain_of(roots: Iterable[Any], own: set[int]) -> list[Domain]:
+    """Return the conditions on the agent's variables under which expressions are defined, as y >= 0 of log(y), y**3."""
+    nodes = {id(node): node for root in roots for node in postorder(root, ())}
+    return [one for node in nodes.values() for one in _own_domain(node, own)]
+
+
+def _own_domain(node: Any, own: set[int]) -> list[Domain]:
+    """Return the conditions of one node."""
+    exponent = node.p.value if isinstance(node, Power) else 0.0
+    if not node.args or exponent is None or own.isdisjoint(one.id for one in node.variables()):
+        return []
+    is_steep = not (isinstance(node, cp.xexp) or np.all(exponent > 1.0))
+    found = [Domain(one, is_steep) for one in node._domain()]
+    return [one for one in found if not own.isdisjoint(v.id for v in one.condition.variables())]
+
+
+def violated_domain(roots: Iterable[Any], own: set[int]) -> Any:
+    """Return a condition of the domain that present values violate; None if there is none."""
+    for one, _ in domain_of(roots, own):
+        size = max(np.abs(dense(each.value)).max(initial=1.0) for each in one.variables())
+        if not np.all(dense(one.expr.value) <= OUTSIDE * size):
+            return one
+    return None
+
+
+def value_in_domain(expression: Any, own: set[int]) -> Any:
+    """Return the value of an expression, with arguments at least at the boundary of their domain."""
+
+    def change(node: Any) -> Any:
+        least = {id(one.args[1]): one.args[0] for one, _ in _own_domain(node, own)}
+        inside = [cp.maximum(least[id(k)], k) if id(k) in least else k for k in node.args]
+        return node.copy(inside) if least else node
+
+    return rewritten(expression, change).value
 
 
 def uninfluenced(roots: Iterable[Any], own: Collection[int]) -> list[Any]:

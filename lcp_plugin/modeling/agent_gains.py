@@ -14,7 +14,7 @@ from ..core.settings import Status
 from ..problems.equilibria.branch_and_bound import minimize_over_solutions
 from ..problems.programs.solving import solve_program
 from ._compat import attribute_bounds
-from .agent_conditions import StandardRows, with_data
+from .agent_conditions import StandardRows, value_in_domain, violated_domain, with_data
 from .best_equilibrium import stated_program
 from .model import level_of_caller
 from .reading import rewritten
@@ -23,6 +23,7 @@ from .stated_terms import dense_value, sense_of
 MAX_SECONDS = 60.0  # of a search for an agent's best value
 
 
+@np.errstate(all="ignore")  # outside of a domain
 def possible_gain(agent: Any) -> float | None:
     """Return the gain that an agent could make, or its largest violation; see :meth:`Optimal.gap`.
 
@@ -32,17 +33,28 @@ def possible_gain(agent: Any) -> float | None:
     values = {one.id: cp.Constant(one.value) for one in agent.program.variables()}
     change = with_data(smooth.entries, values)
     stated = {one.id: StandardRows.of(one).expression for one in agent.program.constraints}
-    held, violation = [], 0.0
+    held = [rewritten(one.condition.expr, change) <= 0 for one in smooth.domain]
+    deciding, violation = {one.id for one, _ in agent.entries}, 0.0
     for one in smooth.standard:
         row, own = rewritten(one.expression, change), stated.get(one.origin.id)
-        excess = np.zeros(row.shape) if own is None else dense_value(own.value)
+        excess = np.zeros(row.shape) if own is None else dense_value(value_in_domain(own, deciding))
         excess = excess if one.is_equation else np.maximum(excess, 0.0)
         held.append(row == excess if one.is_equation else row <= excess)
-        violation = max(violation, float(np.abs(excess).max(initial=0.0)))
+        violation = float(np.maximum(violation, np.abs(excess).max(initial=0.0)))  # NaN also
     for variable, _ in agent.entries:
         lower, upper = attribute_bounds(variable)
         excess = np.maximum(lower - variable.value, variable.value - upper)
-        violation = max(violation, float(excess.max(initial=0.0)))
+        violation = float(np.maximum(violation, excess.max(initial=0.0)))
+    own = sense * float(dense_value(value_in_domain(agent.args[0], deciding)))
+    outside = violated_domain(agent.args, deciding)
+    if outside is not None or not np.isfinite(own + violation):
+        reason = "is not finite" if outside is None else f"is not defined, because {outside} fails"
+        warnings.warn(
+            f"the value of {agent!r} {reason} at its variables, so that its gap is infinite",
+            ModelWarning,
+            stacklevel=level_of_caller(),
+        )
+        return np.inf
     goal = cp.Minimize(sense * rewritten(smooth.goal, change))
     best, reason = _best_value(cp.Problem(goal, held))
     if np.isnan(best):
@@ -52,8 +64,7 @@ def possible_gain(agent: Any) -> float | None:
             stacklevel=level_of_caller(),
         )
         return None
-    gain = sense * float(dense_value(agent.program.objective.value)) - best
-    return max(0.0, violation, gain)
+    return max(0.0, violation, own - best)
 
 
 def _best_value(problem: Any) -> tuple[float, str]:

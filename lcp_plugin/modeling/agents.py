@@ -27,7 +27,8 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     ----------
     program : cvxpy.Problem
         The program of one agent, with affine equations and convex inequalities. An affine inequality that an infinite
-        constant makes true for all variables is left out, by entries; parameters must be finite.
+        constant makes true for all variables is left out, by entries; parameters must be finite. Decisions stay in
+        the domain of cvxpy's rules: ``log(y)`` and ``y**3`` require y ≥ 0.
     over : list of cvxpy.Variable, or of entries of variables
         The agent's decisions, for example ``[x]`` or ``[x[0]]``. Other variables of the program are data of it.
     shared : cvxpy constraint, or list of them
@@ -196,7 +197,8 @@ class Optimal(Condition):
         float or None
             Difference of the present value and the best value of the program, or the largest violation of its
             constraints if that is larger. If SCIP's best point is not confirmed, the largest gain that its bound
-            permits. None with a ModelWarning if no solver finds the best value.
+            permits. None with a ModelWarning if no solver finds the best value; ∞ with a ModelWarning outside of the
+            domain of the program, as for log(y) at y < 0 and for y**3, which is convex for y ≥ 0.
 
         Raises
         ------

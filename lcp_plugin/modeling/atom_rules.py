@@ -246,7 +246,12 @@ def _quad_over_lin(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     groups = _reduced(node)
     squares = compiler.emit(functions.SQUARE, Rows.of(arguments[0]).taken(groups.ravel(order="F")))
     sums = squares.summed(np.arange(groups.size) // groups.shape[0], (groups.shape[1],))
-    return compiler.elementwise(functions.QUOTIENT, sums, arguments[1], sums.shape)
+    below = arguments[1]
+    if not isinstance(below, Rows):
+        return compiler.elementwise(functions.QUOTIENT, sums, below, sums.shape)
+    # A quotient has derivatives for negative denominators.
+    inverse = compiler.emit(functions.power(-1.0), below.spread(sums.shape))
+    return compiler.emit(functions.PRODUCT, sums, inverse)
 
 
 def _quad_form(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:

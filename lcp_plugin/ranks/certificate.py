@@ -99,6 +99,7 @@ class RowDataOnRanks(RowData):
         M, size = (ProductOnRanks(one, problem.halo) for one in (problem.rows, abs(problem.rows)))
         d = problem.residual_scale
         super().__init__(M, size, problem.q, problem.lower, problem.upper, d)
+        self.diagonal = problem.diagonal
         self.problem, self.components = problem, ComponentsOnRanks(problem)
 
     def anywhere(self, mask: Any) -> bool:
@@ -120,6 +121,10 @@ class RowDataOnRanks(RowData):
     def is_infeasible(self, k: Any, z: FloatVector, rows: Any) -> bool:
         """Return False, because no rank has all rows."""
         return False
+
+    def carried_errors(self, d: FloatVector, v: FloatVector) -> FloatVector:
+        """Return ∞, because no rank has all rows."""
+        return np.full(v.shape, np.inf)
 
     def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
         """Return an upper bound of every |r_i(z)|, by sums in twice the precision if rounding decides."""

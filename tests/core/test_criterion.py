@@ -20,8 +20,9 @@ from collection.truth import ExactData
 from hypothesis import given
 from hypothesis import strategies as st
 from inputs.constructed_points import CONSTRUCTED
-from oracles.exact import exact_rows, solve_fractions
+from oracles.exact import exact_rows, exact_solution, solve_fractions
 from oracles.exact_criterion import failures
+from scipy.sparse import csgraph
 
 from lcp_plugin import (
     LCP,
@@ -688,3 +689,54 @@ def test_a_huge_one_accepts_everything() -> None:
     for M, q in (([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), (np.eye(2), [-1e-9, -1.0])):
         assert solve(LCP(M, q), absolute_tolerance=1e300).is_solved
         assert solve(LCP(M, q), absolute_tolerance=1e300, tolerance=0.0).is_solved
+
+
+# --- Tolerated rows in random units ---
+
+
+def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
+    """Return a chain, a directed graph or an M-matrix with few q_i ≠ 0, in random units of rows and unknowns.
+
+    The second problem has other units of the rows.
+    """
+    n, kind = int(rng.integers(3, 8)), rng.integers(3)
+    if kind == 2:
+        N = rng.integers(0, 3, (n, n)) * (rng.random((n, n)) < 0.4)
+        np.fill_diagonal(N, 0)
+        diagonal = N.sum(1) + rng.integers(1, 3, n)
+    else:
+        N = np.tril(rng.integers(1, 4, (n, n)), -1)
+        N = N * (rng.random((n, n)) < 0.5) if kind else np.diag(np.diag(N, -1), -1)
+        diagonal = rng.integers(1, 4, n)
+    q = np.where(rng.random(n) < 0.7, 0, rng.integers(-3, 3, n))
+    q[rng.integers(n)] = -1
+    columns = 2.0 ** rng.integers(-60, 61, n)
+    M = (np.diag(diagonal) - N) * columns
+    units = 1.0 / columns if rng.random() < 0.3 else 2.0 ** rng.integers(-60, 61, n)
+    others = 2.0 ** rng.integers(-60, 61, n)
+    one, other = (LCP(M * unit[:, None], q * unit) for unit in (units, others))
+    return one, other
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("seed", range(20))
+def test_tolerated_rows_in_random_units_result_is_right(
+    seed: int, draws: Callable[[int], range]
+) -> None:
+    """SOLVED means an error of at most 3e-8 of the component's largest unknown; the verdict is equal in all units."""
+    rng = np.random.default_rng([87, seed])
+    for _ in draws(500):
+        problem, other = drawn_in_units(rng)
+        result = solve(problem)
+        with np.errstate(all="ignore"):
+            verdicts = [Certificate.of(one, result.z).meets(Settings()) for one in (problem, other)]
+        assert verdicts[0] == verdicts[1] == result.is_solved
+        if result.is_solved:
+            right = exact_solution(problem).z
+            parts = csgraph.connected_components(problem.csr, directed=False)[1]
+            for i, part in enumerate(parts):
+                size = max(abs(right[j]) for j in np.flatnonzero(parts == part))
+                assert abs(Fraction(float(result.z[i])) - right[i]) <= 3e-8 * size, (
+                    problem.M,
+                    problem.q,
+                )

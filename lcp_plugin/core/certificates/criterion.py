@@ -14,12 +14,15 @@ rounding errors included, and if every row i satisfies the componentwise test
   nearest to 0. So a row at a bound with a large q_i does not relax the test of other rows.
 - a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its neighbors. If w_j(z°) is at its rounding
   level, it counts as 0, and a_i = 0 is omitted. Terms that cancel make T_i large, but not a_i.
-- The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
-  the largest T_k of rows that are off their bounds or violated. Such rows are at rounding level, as in the far field of
+- The second test tolerates a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = d_i min(‖z_P‖∞, T_k/d_k),
+  with the largest T_k/d_k of rows that count. Such rows are at rounding level, as in the far field of
   a grid. A small row (T_i ≤ 2⁻⁴² u_i) is not tolerated if a chain of small rows leads to a small row with q_k ≠ 0, or
   with an unknown at a bound other than 0: this row sets the unit of the chain, and counts as small up to
   T_k ≤ 2⁻⁴⁰ d_k ‖z_P‖∞. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other. A v_i
   that underflow explains is also tolerated.
+- A tolerated row with v_i > 2⁻⁴² T_i must also be harmless. Its error e = D⁻¹(v + |M − D| e), D = m_ii if positive,
+  otherwise d_i, is carried through the tolerated rows, and through each row k with Σ_i |m_ki| e_i > 10⁻⁶ T_k. It must
+  stay within 10⁻⁸ ‖z_P‖∞, in any units of the rows.
 - A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then a proof that no z has
   permitted signs of w is searched for first, in components of up to 300 rows; with a proof, z does not pass.
 - The conditions of a program with rows G or A (``LCP.from_qp``) also need a small duality gap: rows that are right to 8
@@ -53,6 +56,10 @@ VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
+HARMLESS, REACHED = 1e-8, 1e-6  # errors of tolerated rows, relative to ‖z_P‖; to T_k of other rows
+SETTLED = 1.001  # times the errors before: a smaller rise ends the iteration for the errors
+MOST_CARRIES = 50  # iterations; a far field needs one for each row, so a linear system follows
+MOST_FACTORED = 2e9  # rows times the square of their band: a factorization of a second
 LEADING = 2.0**-40  # of ‖z_P‖: a row with q_k ≠ 0 up to 4 small ones sets the unit of its neighbors
 
 
@@ -336,14 +343,60 @@ class RowData:
         if not self.anywhere(is_candidate):
             return is_candidate
         of_z = self.scale * self.largest(np.abs(z))
-        of_active = self.largest(np.where(at.is_active, at.terms, 0.0))
+        of_active = self.scale * self.largest(np.where(at.is_active, at.terms / self.scale, 0.0))
         unit = np.minimum(of_z, of_active)
         is_small = at.terms <= NEGLIGIBLE * unit
         is_at_bound = (z != 0.0) & ((z == self.lower) | (z == self.upper))
         has_unit = ~is_candidate | is_at_bound | (times(self.absolute, is_at_bound) > 0.0)
         leads = has_unit & (is_small | (at.terms <= LEADING * of_z))
         is_led = self.follow_chains(leads, is_small, z)
-        return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
+        excused = is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
+        is_open = excused & ~(at.violation <= NEGLIGIBLE * at.terms)
+        return excused & ~self._is_harmful(z, at, is_open) if self.anywhere(is_open) else excused
+
+    def _is_harmful(self, z: FloatVector, at: RowsAtPoint, is_open: BoolVector) -> Any:
+        """Return the rows of the components in which errors of the open rows are not harmless, bool."""
+        size = np.abs(self.diagonal)
+        d = np.where(self.diagonal > 0.0, self.diagonal, self.scale)
+        limit, errors = HARMLESS * self.largest(np.abs(z)), np.zeros(z.shape)
+        is_carrier, is_harmful = is_open, np.zeros(z.shape, bool)
+        for _ in range(MOST_CARRIES):
+            carried = np.maximum(times(self.absolute, errors) - size * errors, 0.0)
+            is_carrier = (is_carrier | (carried > REACHED * at.terms)) & ~is_harmful
+            after = np.where(is_carrier, (at.violation + carried) / d, 0.0)
+            is_harmful |= self.largest((is_carrier & ~(after <= limit)) * 1.0) > 0.0
+            after = np.where(is_harmful, 0.0, after)
+            is_rising, errors = after > SETTLED * errors, after
+            if not self.anywhere(is_rising):
+                return is_harmful
+        errors = self.carried_errors(d, np.where(is_open & ~is_harmful, at.violation, 0.0))
+        return is_harmful | (self.largest(~(errors <= limit) * 1.0) > 0.0)
+
+    def carried_errors(self, d: FloatVector, v: FloatVector) -> FloatVector:
+        """Return e with D e = v + |M − diag(M)| e, v ≥ 0; ∞ if the series diverges or a factorization is too large."""
+        from scipy.sparse import csc_array, diags_array
+        from scipy.sparse.linalg import splu
+
+        e: Any
+        A, d, none = self.absolute, d + np.abs(self.diagonal), np.full(v.shape, np.inf)
+        try:
+            if isinstance(A, np.ndarray):
+                e = np.linalg.solve(np.eye(v.shape[-1]) * d[..., None] - A, v[..., None])[..., 0]
+            else:
+                i, j = A.nonzero()
+                if not v.shape[-1] * float(np.abs(i - j).max(initial=0)) ** 2 <= MOST_FACTORED:
+                    return none
+                e = splu(csc_array(diags_array(d) - A)).solve(np.ascontiguousarray(v.T)).T
+        except (np.linalg.LinAlgError, RuntimeError):  # singular
+            return none
+        converges: Any = (e >= 0.0) & (times(A, e) <= (1.0 + LEADING) * d * e)
+        return np.where(converges.all(-1)[..., None], e, none)
+
+    @cached_property
+    def diagonal(self) -> FloatVector:
+        """The diagonal of M, shape (…, n)."""
+        is_stack = isinstance(self.M, np.ndarray)
+        return np.diagonal(self.M, axis1=-2, axis2=-1) if is_stack else self.M.diagonal()
 
     def follow_chains(self, is_led: Any, is_small: Any, z: FloatVector) -> Any:
         """Return the small rows to which a chain of small rows leads from the rows `is_led`, bool."""

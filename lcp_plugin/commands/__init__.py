@@ -1,1 +1,1 @@
-"""Functions behind the subcommands of `lcp-plugin`, which :mod:`.cli` declares."""
+"""The command lines `lcp-plugin` (:mod:`.cli`) and `lcp-plugin-ampl` (:mod:`.ampl`)."""

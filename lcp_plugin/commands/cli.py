@@ -1,18 +1,123 @@
-"""lcp-plugin: read a problem, call one function of the package, print its report."""
+"""lcp-plugin: read a problem, call one function of the package, print its report; failures are one line and code 2."""
 
 from __future__ import annotations
 
+import functools
 import json as json_module
+import os
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
 from .. import __version__
-from .app import EXIT_BAD_INPUT, AlgorithmName, Target, algorithm_names, app, command
+from ..core.errors import LCPError
 
 __all__ = ["app", "run"]
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+def scene_names(incomplete: str) -> list[str]:
+    """Return the test problems that begin so; the shell completes files."""
+    from .. import gallery
+
+    return [name for name in gallery.names() if name.startswith(incomplete)]
+
+
+def algorithm_names(incomplete: str) -> list[str]:
+    """Return the algorithms that begin so."""
+    from ..algorithms import REGISTRY
+    from ..engines import ENGINES
+
+    return [name for name in ("auto", *REGISTRY, *ENGINES) if name.startswith(incomplete)]
+
+
+def _ending(exit_codes: str, *examples: str) -> str:
+    """Return the text below a help page."""
+    lines = [f"  lcp-plugin {words}" for words in examples]
+    return "\n".join(["Examples:", *lines, "", f"Exit codes: {exit_codes}."])
+
+
+app = typer.Typer(
+    help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
+    epilog=_ending(
+        "0 done, 1 ran but not solved (or: solutions differ or cannot be compared), 2 bad input (reported on stderr). "
+        "Ctrl-C ends solve and compare with the results so far (1), the others as the shell expects (130)",
+        "solve obstacle_2d --plot obstacle.png",
+        "solve --help",
+        "list",
+    ),
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+F = TypeVar("F", bound=Callable[..., Any])
+
+Target = Annotated[
+    str,
+    typer.Argument(
+        help="A file, a folder with M.mtx and q.mtx, or a test problem: name:key=value,…. A file is an .npz or .mat "
+        "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
+        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib.",
+        autocompletion=scene_names,
+    ),
+]
+AlgorithmName = Annotated[
+    str,
+    typer.Option(
+        "--algorithm",
+        "-a",
+        help="A name that `lcp-plugin list` shows, or auto.",
+        autocompletion=algorithm_names,
+    ),
+]
+
+
+def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
+    """Register a command: False means exit code 1, and every expected failure is one line on stderr and code 2."""
+
+    def registered(body: F) -> F:
+        @functools.wraps(body)
+        def wrapped(*args: Any, **kwargs: Any) -> None:
+            try:
+                is_done = body(*args, **kwargs) is not False
+                sys.stdout.flush()  # a reader that has gone, or a full disk, is still reported here
+                if not is_done:
+                    raise typer.Exit(EXIT_UNSOLVED)
+                return
+            except LCPError as error:
+                message = str(error)
+            except MemoryError as error:
+                message = f"not enough memory ({error}); choose a smaller problem"
+            except BrokenPipeError:
+                _drop_output()
+                raise typer.Exit(EXIT_UNSOLVED) from None
+            except OSError as error:
+                _drop_output()
+                message = (
+                    f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
+                )
+            typer.echo(f"lcp-plugin: {message}", err=True)
+            raise typer.Exit(EXIT_BAD_INPUT)
+
+        app.command(name, epilog=_ending(exit_codes, *examples))(wrapped)
+        return body
+
+    return registered
+
+
+def _drop_output() -> None:
+    """Discard the output that stdout could not write: Python would try again at its end, and exit with 120."""
+    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+# --- The commands ---------------------------------------------------------------------------------------------
 
 
 def run() -> None:
@@ -126,7 +231,7 @@ def check(
 ) -> bool:
     """Compare our solution with a convex solver's solution."""
     from ..evidence.cross_check import cross_validate
-    from .target import read_lcp
+    from .solving import read_lcp
 
     problem = read_lcp(target, "lcp-plugin check", size).problem
     limit = _given(max_seconds=max_seconds)
@@ -142,8 +247,8 @@ def analyze(
     size: Size = None,
 ) -> None:
     """Print the classes of the matrix, with proofs, and which algorithms are proved to converge on it."""
-    from .tables import analysis, analysis_content
-    from .target import read_lcp
+    from .reports import analysis, analysis_content
+    from .solving import read_lcp
 
     problem = read_lcp(target, "lcp-plugin analyze", size).problem
     if json:
@@ -181,16 +286,14 @@ def compare(
 ) -> bool:
     """Measure error against run time of several algorithms on one problem."""
     from ..evidence.study import error_against_time
-    from .solving import check_outputs
-    from .target import read_lcp
-    from .terminal import moving_line
+    from .solving import check_outputs, moving_line, read_lcp
 
     check_outputs(target, plot, out, ".csv")
     given = read_lcp(target, "lcp-plugin compare", size)
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
     with moving_line(target) as say:
         found = error_against_time(
-            given.scene or given.problem,
+            given.test_problem or given.problem,
             algorithm,
             reference or (),
             repeats=repeats,
@@ -207,7 +310,7 @@ def compare(
 @command("list", "0 done", "list")
 def list_names() -> None:
     """List algorithms and external solvers with their requirements, and test problems."""
-    from .tables import print_names
+    from .reports import print_names
 
     print_names()
 
@@ -215,7 +318,7 @@ def list_names() -> None:
 @command("warm-up", "0 done", "warm-up")
 def warm_up() -> None:
     """Compile every kernel now, so that later runs start at once; print the time it took."""
-    from .compiling import compile_everything
+    from .solving import compile_everything
 
     typer.echo(compile_everything())
 

@@ -1,26 +1,104 @@
-"""`lcp-plugin solve`: read a problem, solve it, print the answer, save it."""
+"""Read the problem of a command; solve it, print the result, save it; compile every kernel.
+
+A target is a file, a folder, or the name of a test problem.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import typer
 
-from ..algorithms import made
+from .. import gallery
+from ..algorithms import REGISTRY, made
 from ..api import solve
-from ..core.errors import InvalidOption, UnreadableFile
+from ..core.errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
 from ..core.lcp import LCP
+from ..core.problem_classes import refusal
 from ..core.settings import OF_SOLVE, parse_options
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
-from .target import Target, read_target
-from .terminal import moving_line, steps_on
+
+if TYPE_CHECKING:
+    from ..core.checks import FloatVector
+    from ..core.solving.result import Sample
 
 MAX_VALUES = 20  # values of x that are printed
+UPDATE_SECONDS = 0.1
+
+
+class Target(NamedTuple):
+    """A problem and the facts that its source supplies.
+
+    Attributes
+    ----------
+    problem : LCP, or a problem of another class
+        An ``NLModel`` of an .nl file.
+    test_problem : a test problem of the gallery, or None
+    sign : float
+        The objective of a file is sign · the program's objective.
+    names : sequence of str or None
+        Names of the variables.
+    """
+
+    problem: Any
+    test_problem: Any = None
+    sign: float = 1.0
+    names: Any = None
+
+
+def read_target(target: str, size: int | None = None) -> Target:
+    """Return the problem of a file or a test problem.
+
+    Raises
+    ------
+    LCPError
+        If there is none, or if the size is given twice, or for a file.
+    """
+    from ..interfaces.program_files import MPS, load_problem, load_program
+
+    target = target.strip()
+    name, _, settings = target.partition(":")
+    name = name.strip().replace("-", "_")
+    if name in gallery.names():
+        given = [setting for setting in settings.split(",") if setting.strip()]
+        given += [] if size is None else [f"size={size}"]
+        scene = gallery.parse(f"{name}:{','.join(given)}")
+        return Target(scene.problem, scene)
+    path = Path(target)
+    if not (set(target) & set("/\\.") or path.exists() or Path(f"{target}M.mtx").exists()):
+        hint = did_you_mean(name, gallery.names(), is_listed=True)
+        raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
+    if size is not None:
+        raise InvalidOption(
+            f"--size {size} is for a test problem, but {target!r} is not one; leave it out"
+        )
+    if path.suffix.lower() in MPS:
+        program, sign, names = load_program(target)
+        return Target(program, None, sign, names)
+    if path.suffix.lower() == ".nl":
+        from ..interfaces.nl import read_nl
+
+        return Target(read_nl(target))
+    return Target(load_problem(target))
+
+
+def read_lcp(target: str, way: str, size: int | None = None) -> Target:
+    """Return the LCP of a file or a test problem, or raise InvalidOption for another class of problem."""
+    found = read_target(target, size)
+    problem = getattr(found.problem, "problem", found.problem)  # of an .nl file
+    if not isinstance(problem, LCP):
+        raise InvalidOption(f"{target}: {refusal(way, problem)}")
+    return found._replace(problem=problem)
 
 
 def run(
@@ -63,9 +141,9 @@ def run(
     else:
         if objective is not None and objective != answer.objective:
             lines.append(f"objective {objective:.9g}, as the file states it")
-        source = given.scene or f"{target}:"
+        source = given.test_problem or f"{target}:"
         model = given.problem
-        shown = [] if given.scene else _values(given, answer, x)
+        shown = [] if given.test_problem else _values(given, answer, x)
         typer.echo("\n".join([f"{source}", f"{model}", answer.explain(), *lines, *shown]))
     if out is not None:
         from ..interfaces.files.files import write_whole
@@ -76,7 +154,7 @@ def run(
     if plot is not None:
         from ..evidence.drawing import draw
 
-        draw(answer, plot, given.scene)
+        draw(answer, plot, given.test_problem)
     if saved := [*filter(None, (plot, out))]:
         typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
     return bool(answer.is_solved)
@@ -86,7 +164,7 @@ def _steps(
     given: Target, algorithm: str, options: dict[str, Any], settings: dict[str, Any]
 ) -> list[Any]:
     """Return the answers to all steps of a march, each from the one before; a step that is not solved ends it."""
-    problem, scene = given.problem, given.scene
+    problem, scene = given.problem, given.test_problem
     start = {} if scene is None or scene.start is None else {"z0": scene.start}
     chosen: Any = algorithm
     if isinstance(problem, ConeProblem | FrictionalContact) and algorithm in METHODS:
@@ -104,7 +182,7 @@ def _steps(
 
 def _march_lines(given: Target, answers: list[Any]) -> list[str]:
     """Return lines with the residuals of an LCP, the errors against a known solution, and the totals of a march."""
-    scene, last = given.scene, answers[-1]
+    scene, last = given.test_problem, answers[-1]
     lines = str(last.certificate).splitlines() if isinstance(given.problem, LCP) else []
     if scene is None:
         return lines
@@ -139,6 +217,40 @@ def _values(given: Target, answer: Any, x: Any) -> list[str]:
     values = zip(names[:MAX_VALUES], x[:MAX_VALUES], strict=True)
     lines = [f"{name:<{width}}  {value:.9g}" for name, value in values]
     return lines + ([f"and {rest} more values; --out saves them"] if rest > 0 else [])
+
+
+# --- The terminal --------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def moving_line(text: str) -> Iterator[Callable[[str], None] | None]:
+    """Show a line on stderr while something runs, and yield the function that changes it; None without a terminal."""
+    if not (sys.stderr and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status(escape(text)) as status:
+        yield lambda text: status.update(escape(text))
+
+
+def steps_on(say: Callable[[str], None]) -> Callable[[Sample, FloatVector], bool]:
+    """Return a callback of `solve` that shows the progress of the run."""
+    last = -UPDATE_SECONDS
+
+    def show(sample: Sample, z: FloatVector) -> bool:
+        nonlocal last
+        if sample.seconds >= last + UPDATE_SECONDS:
+            last = sample.seconds
+            residual = "" if sample.residual is None else f", residual {sample.residual:.2e}"
+            keys = "(Ctrl-C stops and keeps the best)"
+            say(
+                f"{sample.label}: iteration {sample.iteration}{residual}, {sample.seconds:.1f} s  {keys}"
+            )
+        return False
+
+    return show
 
 
 # --- Options --------------------------------------------------------------------------------------------------
@@ -176,3 +288,44 @@ def check_place(path: Path) -> None:
         raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
     if path.is_dir():
         raise UnreadableFile(f"cannot write {path}: it is a folder")
+
+
+# --- Compilation ---------------------------------------------------------------------------------------------
+
+
+def compile_everything() -> str:
+    """Compile what is not in the cache yet; return a line with the seconds."""
+    from ..problems.batches.batch import solve_batch
+    from ..problems.march.march_many import march
+    from ..problems.programs.stacked_programs import QuadraticProgramBatch
+    from ..problems.sensitivity import derivative
+    from ..proofs.bounds.error_bounds import error_bound
+
+    began = time.perf_counter()
+    sparse = gallery.build("obstacle_2d", size=20).problem
+    dense = LCP(sparse.csr[:9, :9].toarray(), sparse.q[:9], lower=-1.0, upper=1.0)
+    for name, problem, record in product(REGISTRY, (sparse, dense), (False, True)):
+        with suppress(LCPError):  # not every algorithm takes every matrix
+            solve(problem, name, record=record, max_iterations=20)
+    for problem in (sparse, dense):
+        error_bound(problem, solve(problem).z)
+    steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm="banded"))
+    steps.vjp(np.ones(sparse.n))
+    steps.jvp(dz0=np.ones(sparse.n))
+    contact = FrictionalContact(2.0 * np.eye(6), [-1.0, 3.0, 4.0, -1.0, 0.1, 0.2], 0.5)
+    for name in METHODS:
+        derivative(solve(contact, name)).vjp(np.ones(6))
+    found = derivative(solve_batch([dense]))
+    found.vjp(np.ones((1, 9)))
+    found.jvp(dq=np.ones(9))
+    no_solution = LCP(
+        [[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]
+    )  # an exact search enumerates all pieces
+    solve_batch([no_solution, no_solution], prove_infeasibility=False)
+    for problem in (no_solution, gallery.build("bimatrix_game").problem):
+        solve(problem)
+    solve_batch([contact, contact])
+    solve_batch(QuadraticProgramBatch(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0]))
+    program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
+    program.origin.recover(solve(program)).is_optimal()
+    return f"kernels compiled in {time.perf_counter() - began:.1f} s"

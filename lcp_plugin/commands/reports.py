@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from ..algorithms import REGISTRY, algorithm_class, paper_options
@@ -13,7 +14,6 @@ from ..proofs.guarantees import convergence_guarantee
 from ..proofs.guarantees.theorems import PAPER, PAPER_TITLE, Guarantee
 from ..proofs.verdicts import analyze
 from ..proofs.verdicts.report import wrapped
-from .terminal import console, table
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{
@@ -96,11 +96,15 @@ def _short(value: Any) -> str:
 
 def print_names() -> None:
     """Print algorithms and external solvers with needs and sources, and test problems with their parameters."""
+    from rich.console import Console
+
     from .. import gallery
     from ..engines import ENGINES, engine_class
     from ..problems.cones.methods import METHODS
 
-    terminal = console(160)
+    # as wide as the terminal; 160 letters if the output goes elsewhere
+    width = None if sys.stdout.isatty() else 160
+    terminal = Console(width=width, markup=False, highlight=False)
     heads = ("name", "needs", "proved to converge on", "an iteration costs")
     lists: dict[str, dict[str, Any]] = {
         "Algorithms": {name: algorithm_class(name) for name in REGISTRY},
@@ -108,11 +112,11 @@ def print_names() -> None:
     }
     for title, algorithms in lists.items():
         rows = [(name, one.needs, one.solves, one.cost) for name, one in algorithms.items()]
-        terminal.print(table(title, heads, rows))
+        terminal.print(_table(title, heads, rows))
     engines = {name: engine_class(name) for name in ENGINES}
     rows = [(name, one.solves, one.cost, one.obeys) for name, one in engines.items()]
     heads = ("name", "solves", "costs", "obeys while it runs")
-    terminal.print(table("External solvers, for convex programs", heads, rows))
+    terminal.print(_table("External solvers, for convex programs", heads, rows))
     sources: dict[str, list[str]] = {}
     for algorithms in (*lists.values(), engines):
         for name, one in algorithms.items():
@@ -123,4 +127,17 @@ def print_names() -> None:
         (name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
         for name, summary, parameters in gallery.describe()
     ]
-    terminal.print(table("Test problems", ("name", "description", "parameters"), scenes))
+    terminal.print(_table("Test problems", ("name", "description", "parameters"), scenes))
+
+
+def _table(title: str, headings: Iterable[str], rows: Iterable[Iterable[Any]]) -> Any:
+    """Return a table of rich that breaks long words, except in the first column."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    found = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for k, heading in enumerate(headings):
+        found.add_column(heading, overflow="fold", no_wrap=k == 0)
+    for row in rows:
+        found.add_row(*map(str, row))
+    return found

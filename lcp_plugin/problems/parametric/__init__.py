@@ -6,9 +6,7 @@ affine.
 
 | file | content |
 |---|---|
-| `tracing` | :func:`lcp_plugin.trace` |
-| `path` | the returned :class:`Path` |
-| `families` | per problem class: data that may move, complementarity problem at θ, inverse mapping |
-| `monotone_graphs` | complementarity problem with data affine in θ; rows may have a kink |
-| `following` | path following from breakpoint to breakpoint |
+| `tracing` | :func:`lcp_plugin.trace`; per problem class: data that may move, complementarity problem, point |
+| `path` | the returned :class:`Path`, its pieces and points |
+| `following` | complementarity problem with data affine in θ; path following from breakpoint to breakpoint |
 """

@@ -11,16 +11,20 @@ this point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from ...core.checks import FloatVector
+from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.scaling import scale_matrix
 from ...core.matrix.structure import IntVector
-from .monotone_graphs import MonotoneGraphs
+from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
+from ..least_squares.data import BoundedLeastSquares
 
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
@@ -34,6 +38,132 @@ AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
 SHORT = 1e-14  # of the way: a piece of rounding alone, which the next one takes in
 AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is lost
 MOST_CHANGES = 200  # per row, and 10 000 besides
+MAX_EXPONENT = 500  # of the units of rows and unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class MonotoneGraphs:
+    """Complementarity problem at parameter t, in units of its rows and unknowns: constants and slopes along axis 0.
+
+    Let w = M z + q. The pair (z_i, w_i) of row i lies on a staircase that falls to the right: at z = p₀ any w ≥ v₁, w =
+    v₁ for p₀ ≤ z ≤ p₁, at p₁ any w from v₁ down to v₂, w = v₂ for p₁ ≤ z ≤ p₂, at p₂ any w ≤ v₂. Bounds are a staircase
+    with p₀ = lower, p₁ = upper, v₁ = 0. A penalty λ|z| within bounds is a staircase with p = (lower, 0, upper) and v =
+    (λ, −λ). Step 2k of a staircase is its segment at z = p_k, and step 2k + 1 is its segment at w = v_{k+1}. A row is
+    free on odd steps.
+
+    Attributes
+    ----------
+    columns : callable
+        ``columns(numbers)``: some columns of M as rows of an array, shape (k, n).
+    sizes : ndarray, shape (n,)
+        The largest |m_ij| of each row.
+    units : ndarray, shape (n,)
+        The unknowns of the caller are units · z.
+    q : ndarray, shape (2, n)
+    corners : ndarray, shape (2, 3, n)
+        Corners p of each row; ∞ if a row has fewer corners.
+    levels : ndarray, shape (2, 4, n)
+        +∞, v₁, v₂, −∞ of each row; v₂ = −∞ if a row has two corners.
+    """
+
+    columns: Callable[[IntVector], FloatVector]
+    sizes: FloatVector
+    units: FloatVector
+    q: FloatVector
+    corners: FloatVector
+    levels: FloatVector
+
+    @classmethod
+    def of_matrix(cls, M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Self:
+        """Return the graphs of an LCP, M a CSR array, the vectors of shape (2, n)."""
+        exponents = equilibrating_exponents(M, EQUILIBRATING_PASSES, MAX_EXPONENT)
+        rows, units = (np.ldexp(1.0, part) for part in exponents)
+        scaled = scale_matrix(M, exponents)
+        by_columns = scaled.tocsc()
+
+        def columns(numbers: IntVector) -> FloatVector:
+            return np.asarray(by_columns[:, numbers].T.toarray())
+
+        parts = q * rows, lower / units, upper / units, np.zeros_like(q)
+        return cls._of_staircases(columns, largest_in_rows(scaled), units, *parts)
+
+    @classmethod
+    def of_least_squares(
+        cls,
+        problem: BoundedLeastSquares,
+        q: FloatVector,
+        lower: FloatVector,
+        upper: FloatVector,
+        penalty: FloatVector,
+    ) -> Self:
+        """Return the graphs of the normal equations with penalty · |z|, whose matrix is not computed."""
+        units = 1.0 / problem.column_scales
+        A = problem.weighted_matrix() * units[np.newaxis]
+        A, transpose = (sp.csr_array(A), sp.csr_array(A.T)) if sp.issparse(A) else (A, A.T.copy())
+        ridge = problem.ridge * units * units
+
+        def columns(numbers: IntVector) -> FloatVector:
+            chosen = transpose[numbers]
+            made = (chosen @ A).toarray() if sp.issparse(chosen) else chosen @ A
+            made[np.arange(len(numbers)), numbers] += ridge[numbers]
+            return np.asarray(made)
+
+        sizes = np.sign(largest_in_rows(transpose) + ridge)  # of columns of unit length
+        parts = q * units, lower / units, upper / units, penalty * units
+        return cls._of_staircases(columns, sizes, units, *parts)
+
+    @classmethod
+    def _of_staircases(
+        cls,
+        columns: Any,
+        sizes: FloatVector,
+        units: FloatVector,
+        q: FloatVector,
+        lower: FloatVector,
+        upper: FloatVector,
+        penalty: FloatVector,
+    ) -> Self:
+        """Return the graphs of bounds, and of a penalty in rows whose penalty is not 0 at all t."""
+        has_kink, none = penalty.any(axis=0), np.array([[np.inf], [0.0]])
+        top = np.broadcast_to(none, q.shape)
+        corners = [lower, np.where(has_kink, 0.0, upper), np.where(has_kink, upper, none)]
+        levels = [top, penalty, np.where(has_kink, -penalty, -none), -top]
+        sizes = np.maximum(sizes, np.finfo(np.float64).tiny)
+        return cls(columns, sizes, units, q, np.stack(corners, 1), np.stack(levels, 1))
+
+    @property
+    def n(self) -> int:
+        """The number of rows."""
+        return self.sizes.size
+
+    def at(self, t: float) -> list[FloatVector]:
+        """Return q, corners and levels as values at t and slopes."""
+        parts = self.q, self.corners, self.levels
+        return [np.stack([part[0] + t * part[1], part[1]]) for part in parts]
+
+    def active_set_of(self, steps: IntVector) -> IntVector:
+        """Return −1 at the lower bound, 0 between, 1 at the upper bound, 2 at 0 because of a penalty."""
+        has_kink = np.isfinite(self.levels[0, 2])
+        return np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
+
+    def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
+        """Return the step of each row closest to (z, w) at t; corners are on even steps."""
+        (_, corners, levels), size = self.at(t), self.sizes
+        corners, levels, scaled = corners[0], levels[0] / size, w / size
+        best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)
+        for step in range(2 * len(corners) - 1):
+            k = step // 2
+            if step % 2 == 0:
+                outside = np.maximum(np.maximum(levels[k + 1] - scaled, scaled - levels[k]), 0.0)
+                miss = np.maximum(np.abs(z - corners[k]), outside)
+            else:
+                outside = np.maximum(np.maximum(corners[k] - z, z - corners[k + 1]), 0.0)
+                miss = np.maximum(np.abs(scaled - levels[k + 1]), outside)
+            miss = np.where(np.isfinite(miss), miss, np.inf)
+            order = 1.0 if step % 2 == 0 else 1.0 + 1e-9
+            is_better = order * miss < best
+            steps[is_better], best[is_better] = step, miss[is_better]
+        return steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +286,13 @@ class Follower:
     def _block(self, rows: IntVector) -> FloatVector:
         """Return the columns of M that belong to some rows, shape (k, n)."""
         if new := [int(j) for j in rows if int(j) not in self._columns]:
-            self._columns.update(zip(new, self.problem.columns.many(new), strict=True))
+            self._columns.update(zip(new, self.problem.columns(np.array(new)), strict=True))
         return np.array([self._columns[int(j)] for j in rows]).reshape(rows.size, self.n)
 
     def _settle(self, near: FloatVector) -> Motion | None:
         """Return the motion of the steps through a point near `near`; None if infeasible."""
         q, corners, levels = self.problem.at(self.t)
-        every, sizes, k = np.arange(self.n), self.problem.columns.sizes, self.steps // 2
+        every, sizes, k = np.arange(self.n), self.problem.sizes, self.steps // 2
         is_free = self.steps % 2 == 1
         free = np.flatnonzero(is_free)
         z = np.where(is_free, 0.0, corners[:, k, every])
@@ -202,11 +332,9 @@ def _solve_block(
         for _ in range(2):
             solution = solution + lapack.dgetrs(factor, pivots, right.T - block @ solution)[0]
         return np.asarray(solution.T)
-    root = np.sqrt(sizes)
-    scaled = block / root / root[:, np.newaxis]
     there = np.array([near, np.zeros_like(near)])
-    missing = (right - there @ block.T) / root
-    found = there + np.linalg.lstsq(scaled, missing.T, rcond=SINGULAR)[0].T / root
+    missing = right - there @ block.T
+    found = there + np.linalg.lstsq(block, missing.T, rcond=SINGULAR)[0].T
     terms = np.abs(right) + sizes * np.abs(found).sum(axis=1, keepdims=True)
     left = np.abs(right - found @ block.T)
     return found if (left <= CONSISTENT * terms).all() else None

@@ -3,23 +3,139 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import FloatVector, derived_property, is_number
+from ...core.certificates.residuals import Certificate
+from ...core.checks import FloatVector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
+from ...core.lcp import LCP
 from ...core.representation import format_count
-from ...core.settings import Status
+from ...core.settings import Settings, Status
 from ...core.solving.base_result import Outcome
-from .families import Family, PathPoint, Piece
+from ..least_squares.certificate import Optimality
+from ..least_squares.data import BoundedLeastSquares
+from ..least_squares.enclosures import Enclosures
+from ..programs.solution import QPSolution
 
+NEARLY = 100.0  # times the tolerance: up to here the status is PRECISION_LIMIT
 SHOWN = 8  # breakpoints in a paragraph
 INSIDE = 1e-5  # of a part of a segment: distance from its begin and end at which it is checked
 MIDST = 0.3819660112501051  # of a segment: integers would cancel at a simple fraction
+SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Affine segment of a path: x = x0 + (θ − begin) x1 for θ from begin to end.
+
+    Attributes
+    ----------
+    begin, end : float
+        In the order in which the path is traced.
+    x0, x1 : ndarray, shape (n,)
+    case : ndarray of int, shape (n,)
+        Active set: −1 at the lower bound, 0 between the bounds, 1 at the upper bound, 2 at 0 because of a penalty. For
+        a program, the entries of x are followed by the rows of G (−1 inactive, 0 active) and the rows of A.
+    z0, z1 : ndarray
+        For a program, x followed by the multipliers of rows, and their rates; x0 and x1 for other problem classes.
+    """
+
+    begin: float
+    end: float
+    x0: FloatVector = field(repr=False)
+    x1: FloatVector = field(repr=False)
+    case: Any = field(repr=False)
+    z0: FloatVector = field(repr=False)
+    z1: FloatVector = field(repr=False)
+
+    def z_at(self, theta: float) -> FloatVector:
+        """Return x with the multipliers of rows at θ."""
+        return self.z0 + (theta - self.begin) * self.z1
+
+    def x_at(self, theta: float) -> FloatVector:
+        """Return x at θ."""
+        return self.x0 + (theta - self.begin) * self.x1
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoint(Outcome):
+    """The solution at one value of the parameter.
+
+    Attributes
+    ----------
+    parameter : float
+    problem : LCP, QuadraticProgram or BoundedLeastSquares
+        With its data at that value.
+    x : ndarray, shape (n,)
+        z of an LCP.
+    w : ndarray, shape (n,), or None
+        M z + q of an LCP.
+    solution : QPSolution or None
+        Program only: x with the multipliers of all rows and bounds, and their residuals.
+    status : Status
+        Status by the criterion of the problem class for the data at that value. At a breakpoint it may be
+        PRECISION_LIMIT.
+    objective : float or None
+        Objective of the problem class; None for an LCP.
+    """
+
+    parameter: float
+    problem: Any = field(repr=False)
+    x: FloatVector
+    _tolerance: float = field(repr=False)
+    solution: QPSolution | None = field(default=None, repr=False)
+
+    @property
+    def z(self) -> FloatVector:
+        """X, by the name that it has in an LCP."""
+        return self.x
+
+    @cached_property
+    def w(self) -> FloatVector | None:
+        """M z + q of an LCP."""
+        return read_only(self.problem.slack(self.x)) if isinstance(self.problem, LCP) else None
+
+    @cached_property
+    def objective(self) -> float | None:
+        """Objective at x."""
+        if isinstance(self.problem, BoundedLeastSquares):
+            return float(self.problem.cost(self.x, self.problem.product(self.x) - self.problem.b))
+        return None if self.solution is None else float(self.solution.objective)
+
+    @cached_property
+    def status(self) -> Status:
+        """Status by the criterion of the problem class."""
+        tolerance, near = self._tolerance, NEARLY * self._tolerance
+        if isinstance(self.problem, LCP):
+            found = self.certificate
+            is_solved = found.meets(Settings(tolerance=tolerance))
+            is_near = not is_solved and found.is_limited_by_rounding
+        elif self.solution is not None:
+            is_solved = self.solution.is_optimal(tolerance)
+            is_near = not is_solved and self.solution.error <= near
+        else:
+            at = Optimality.of(Enclosures(self.problem), self.x, tolerance=tolerance)
+            is_solved, is_near = at.residual <= tolerance, at.is_limited or at.residual <= near
+        if is_solved:
+            return Status.SOLVED
+        return Status.PRECISION_LIMIT if is_near else Status.STALLED
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The residuals of an LCP's z.
+
+        Raises
+        ------
+        InvalidProblem
+            For other problem classes: see `solution` and `status`.
+        """
+        return Certificate.of(self.problem, self.x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +181,18 @@ class Path(Outcome):
         Wall-clock time of the trace, certificates included.
     """
 
-    def __init__(self, family: Family, start: float, stop: float) -> None:
-        self.family, self.start, self.stop, self.reached = family, start, stop, start
+    def __init__(self, line: Any) -> None:
+        self.line, self.start, self.stop, self.reached = line, line.start, line.stop, line.start
         self.pieces: list[Piece] = []
         self.jumps: list[float] = []
         self.segments: list[float] = []
         self.beyond: Any = None
         self.crossed, self.starts, self.seconds = "", 0, 0.0
-        self._toward = 1.0 if stop >= start else -1.0
 
     @property
     def problem(self) -> Any:
         """The problem at θ = 0."""
-        return self.family.problem
+        return self.line.problem
 
     @derived_property
     def breakpoints(self) -> FloatVector:
@@ -130,7 +245,8 @@ class Path(Outcome):
             If θ is not on the path.
         """
         piece = self.piece_at(theta) if piece is None else piece
-        return self.family.point(float(theta), piece.z_at(float(theta)))
+        found: PathPoint = self.line.point(float(theta), piece.z_at(float(theta)))
+        return found
 
     def x(self, thetas: ArrayLike) -> FloatVector:
         """Return x at many values, shape (k, n)."""
@@ -159,60 +275,45 @@ class Path(Outcome):
         """Return the segment that contains θ; at a breakpoint the later (or earlier) segment."""
         if not is_number(theta):
             raise InvalidOption(f"θ must be a number, got {theta!r}")
-        along = self._toward * float(theta)
-        low, high = self._toward * self.start, self._toward * self.reached
+        along = self.line.toward * float(theta)
+        low, high = self.line.toward * self.start, self.line.toward * self.reached
         slack = 1e-12 * max(abs(low), abs(high))
         if not self.pieces or not low - slack <= along <= high + slack:
             there = f"from {self.start:.9g} to {self.reached:.9g}" if self.pieces else "nowhere"
             raise InvalidOption(f"θ = {theta!r} is not on the path, which goes {there}")
         side = "left" if is_behind else "right"
-        begins = [self._toward * piece.begin for piece in self.pieces]
+        begins = [self.line.toward * piece.begin for piece in self.pieces]
         return self.pieces[max(int(np.searchsorted(begins, along, side=side)) - 1, 0)]  # type: ignore[call-overload]
 
     # --- text, tables, figures ----------------------------------------------------------------------------
 
     def explain(self) -> str:
         """Return a summary of the path in a few lines."""
-        count = len(self.pieces)
-        if self.is_solved:
-            first = (
-                f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {format_count(count, 'piece')}, each of which is "
-                "certified at both ends and linear in the parameter."
-            )
-        elif self.beyond is not None or self.crossed:
-            place = f"the path ends at {self.reached:.9g}, before {self.stop:.6g}"
-            place = place if count else f"there is no path from {self.start:.6g}"
-            first = f"{self.status.name}: {place}; just beyond: {self._why}."
-        elif self.reached != self.stop:
-            first = f"STALLED: {self.reached:.9g} was reached on the way to {self.stop:.6g}, then the path was lost."
-        else:
-            worst = self.pieces[self.statuses.index(self.status)]
-            first = (
-                f"{self.status.name}: the piece from {worst.begin:.9g} is not within the tolerance."
-            )
-        lines = [first]
-        if count:
-            inner = self.breakpoints[1:-1]
-            shown = ", ".join(f"{value:.6g}" for value in inner[:SHOWN])
-            rest = f", and {inner.size - SHOWN} more" if inner.size > SHOWN else ""
-            lines.append(f"breakpoints: {shown or 'none'}{rest}")
-        lines += [f"the solution jumps at {value:.9g}" for value in self.jumps]
-        if self.segments:
-            values = ", ".join(f"{value:.6g}" for value in self.segments[:SHOWN])
-            lines.append(f"at {values} all points between two solutions are solutions")
-        lines.append(
-            f"{format_count(self.starts, 'solve')}, then a factorization per breakpoint; {self.seconds:.3g} s"
-        )
+        inner = self.breakpoints[1:-1]
+        shown = ", ".join(f"{value:.6g}" for value in inner[:SHOWN])
+        rest = f", and {inner.size - SHOWN} more" if inner.size > SHOWN else ""
+        count, reached = format_count(len(self.pieces), "piece"), f"{self.reached:.9g}"
+        lines = [
+            f"{self.status.name}: {count}, affine in θ, from {self.start:.6g} to {reached}{self._why}",
+            f"breakpoints: {shown or 'none'}{rest}",
+            *(f"the solution jumps at {value:.9g}" for value in self.jumps),
+            *(f"at {value:.6g} it jumps along a line of solutions" for value in self.segments),
+            f"{format_count(self.starts, 'solve')}, then a factorization per breakpoint; {self.seconds:.3g} s",
+        ]
         return "\n".join(lines)
 
     @property
     def _why(self) -> str:
-        """Reason why the path ends, as text."""
-        if self.beyond is None:
-            return self.crossed
-        if self.beyond.is_solved:
-            return "it has a solution, which determines no way on, a singular case; solve_batch solves at given values"
-        return str(self.beyond.advice)
+        """Reason why the path is not solved, as text."""
+        if self.is_solved:
+            return ""
+        if self.reached == self.stop and self.beyond is None and not self.crossed:
+            worst = self.pieces[self.statuses.index(self.status)]
+            return f"; the piece from {worst.begin:.9g} is not within the tolerance"
+        why = self.crossed or "the path was lost"
+        if self.beyond is not None:
+            why = SINGULAR if self.beyond.is_solved else self.beyond.advice
+        return f"; it ends at {self.reached:.9g}, before {self.stop:.6g}: {why}"
 
     def plot(self, *, axes: Any = None, rows: Sequence[int] | None = None) -> Any:
         """Return matplotlib's axes with x over θ, and below it the objective and the active rows.

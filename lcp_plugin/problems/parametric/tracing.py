@@ -1,19 +1,32 @@
-"""trace(): the solution path along one parameter."""
+"""trace(): the solution path along one parameter, for LCPs, convex programs and least squares."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...core.checks import FloatVector, is_number
+from ...api import solve
+from ...core.checks import FloatVector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
-from ...core.errors import InvalidOption
-from .families import Family, Piece, family_of
-from .following import Follower, Segment
-from .monotone_graphs import MonotoneGraphs
-from .path import Path
+from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
+from ...core.lcp import LCP
+from ...core.problem_classes import class_of, refusal, takes
+from ...core.settings import DEFAULTS, Settings
+from ...systems.definiteness import is_semidefinite_to_rounding
+from ..programs.conversion import conditions
+from ..programs.convexity import refuse_nonconvex
+from ..programs.criterion import PROGRAM_TOLERANCE
+from ..programs.program import QuadraticProgram
+from ..programs.solution import QPSolution
+from .following import Follower, MonotoneGraphs, Segment
+from .path import Path, PathPoint, Piece
 
+MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
+MET = 1e-12  # of their terms: rounding error by which equal bounds may cross
+BOUNDS = ("lower", "upper")
 BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is restarted
 AT_END = 1e-6  # of a stretch: how much a piece may fall short of it
 SAME = 1e-4  # largest change of a solution over the shortest of these distances
@@ -103,28 +116,245 @@ def trace_stated(
 ) -> Path:
     """Return the path of a problem of one of the three classes."""
     clock = Clock()
-    family = family_of(problem, along, start, stop, tolerance)
-    path = _Trace(family, start, stop).run()
+    path = _Trace(Line(problem, along, start, stop, tolerance)).run()
     _ = path.status
     path.seconds = clock.read()
     return path
 
 
+class Line:
+    """Problems with the vectors of `problem` plus θ times a direction, for θ from start to stop.
+
+    Parameters
+    ----------
+    problem : LCP, QuadraticProgram or BoundedLeastSquares
+    along : mapping from str to number or array
+        Changes of the moving vectors per unit of θ.
+    start, stop : float
+    tolerance : float or None
+        None means the tolerance of the problem class.
+    """
+
+    def __init__(
+        self, problem: Any, along: Any, start: float, stop: float, tolerance: float | None
+    ) -> None:
+        if not takes("trace", problem):
+            raise InvalidOption(refusal("trace", problem))
+        self.family = FAMILIES[class_of(problem) or ""]
+        usual = (
+            PROGRAM_TOLERANCE if isinstance(problem, QuadraticProgram) else DEFAULTS["tolerance"]
+        )
+        self.tolerance = Settings(tolerance=usual if tolerance is None else tolerance).tolerance
+        self.problem, self.start, self.stop = problem, start, stop
+        self.toward = 1.0 if stop >= start else -1.0
+        if not isinstance(along, Mapping) or not along:
+            raise InvalidOption(
+                f'along must name the data that move, for example {{"q": direction}}, got {along!r}'
+            )
+        self.directions = {
+            str(name): self._check_change(name, change) for name, change in along.items()
+        }
+
+    def _check_change(self, name: str, change: Any) -> FloatVector:
+        """Return the change of a vector for θ + 1, shape (size,)."""
+        kind, names = type(self.problem).__name__, self.family.vectors
+        if name in self.family.fixed:
+            raise InvalidOption(
+                f"vectors of {kind} may move, not {name}: {self.family.fixed[name]}"
+            )
+        if name not in names:
+            raise InvalidOption(
+                f"along={{{name!r}: …}} is not a vector of {kind}{did_you_mean(name, names)}; "
+                f"{', '.join(names)} may move"
+            )
+        now: FloatVector = getattr(self.problem, name)
+        if is_number(change):  # it moves all bounds that there are
+            return read_only(np.where(np.isfinite(now), float(change), 0.0))
+        step = checked_vector(change, name, now.size)
+        if (moved := ~np.isfinite(now) & (step != 0.0)).any():
+            i = int(np.argmax(moved))
+            raise InvalidOption(
+                f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0"
+            )
+        return read_only(step)
+
+    def slope(self, name: str) -> FloatVector:
+        """Return the change of a vector for θ + 1, shape (size,)."""
+        return self.directions.get(name, np.zeros(getattr(self.problem, name).size))
+
+    def pair(self, value: FloatVector, slope: FloatVector) -> FloatVector:
+        """Return a vector at start and its change per unit of |θ − start|, shape (2, size)."""
+        return np.array([value + self.start * slope, self.toward * slope])
+
+    def ends(self, name: str) -> list[FloatVector]:
+        """Return a vector at start and at stop."""
+        now, step = getattr(self.problem, name), self.slope(name)
+        return [now + theta * step for theta in (self.start, self.stop)]
+
+    def find_crossing(self) -> tuple[float, str]:
+        """Return the share of the way at which bounds cross (−1: at start), and a message."""
+        lower, upper = map(self.ends, BOUNDS)
+        room = [self._room(*ends) for ends in zip(lower, upper, strict=True)]
+        share = np.where(room[1] < 0.0, room[0] / (room[0] - room[1]), 1.0)
+        share = np.where(room[0] < 0.0, -1.0, share)
+        row = int(np.argmin(share)) if share.size else 0
+        if not share.size or (share[row] == 1.0 and not room[1][row] < 0.0):
+            return 1.0, ""
+        return float(share[row]), f"lower[{row}] exceeds upper[{row}]"
+
+    def _room(self, low: FloatVector, high: FloatVector) -> FloatVector:
+        size = np.nan_to_num(np.abs(low), posinf=0.0) + np.nan_to_num(np.abs(high), posinf=0.0)
+        return np.where(np.abs(high - low) <= MET * size, 0.0, high - low)
+
+    def at(self, theta: float) -> Any:
+        """Return the problem at θ."""
+        moved = {
+            name: getattr(self.problem, name) + theta * step
+            for name, step in self.directions.items()
+        }
+        if "upper" in moved:  # bounds that meet may cross by rounding
+            moved["upper"] = np.maximum(moved["upper"], moved.get("lower", self.problem.lower))
+        elif "lower" in moved:
+            moved["lower"] = np.minimum(moved["lower"], self.problem.upper)
+        if "l1" in moved:
+            moved["l1"] = np.maximum(moved["l1"], 0.0)
+        if isinstance(self.problem, LCP):
+            return self.problem.with_q(moved.pop("q", self.problem.q), **moved)
+        return self.problem.with_vectors(**moved)
+
+    def point(self, theta: float, z: FloatVector) -> PathPoint:
+        """Return the solution at θ from the unknowns of the complementarity problem."""
+        problem = self.at(theta)
+        x = read_only(np.clip(z[: problem.lower.size], problem.lower, problem.upper))
+        if not isinstance(problem, QuadraticProgram):
+            return PathPoint(theta, problem, x, self.tolerance)
+        y, m = z[x.size :], problem.h.size
+        y = np.append(np.maximum(y[:m], 0.0), y[m:])
+        left = problem.P @ x + problem.c + problem.matrices.rows.T @ y
+        at_lower = np.where(x == problem.lower, np.maximum(left, 0.0), 0.0)
+        at_upper = np.where(x == problem.upper, np.maximum(-left, 0.0), 0.0)
+        solution = QPSolution.of_rows(problem, x, np.concatenate([y, at_lower, at_upper]))
+        return PathPoint(theta, problem, x, self.tolerance, solution)
+
+    @cached_property
+    def is_monotone(self) -> bool:
+        """True if the solutions at each θ are known to be convex; for an LCP this costs a factorization."""
+        if not isinstance(self.problem, LCP):
+            return True
+        M = self.problem.M
+        return is_semidefinite_to_rounding(M + M.T) is True
+
+
+# --- Problem classes ----------------------------------------------------------------------------------------------
+
+
+class Family(NamedTuple):
+    """The vectors of a problem class that may move, and its complementarity problem.
+
+    Attributes
+    ----------
+    vectors : tuple of str
+        The bounds are the last two.
+    fixed : dict
+        Advice for each name that may not move.
+    conditions : callable
+        ``conditions(line)``: the complementarity problem from start to stop.
+    """
+
+    vectors: tuple[str, ...]
+    fixed: dict[str, str]
+    conditions: Callable[[Line], MonotoneGraphs]
+
+
+def _matrix_conditions(line: Line) -> MonotoneGraphs:
+    """Return an LCP, or the optimality conditions of a convex program."""
+    stated = line.problem
+    if isinstance(stated, QuadraticProgram):
+        refuse_nonconvex(stated)
+        stated = conditions(stated)
+    if stated.n > MAX_ROWS:
+        raise UnsuitableProblem(
+            f"trace factorizes dense matrices of up to {MAX_ROWS} rows, and this problem has {stated.n}; "
+            "solve_batch(problem, Q) solves at given values"
+        )
+    *rows, lower, upper = map(line.slope, line.family.vectors)
+    rest = np.zeros(stated.n - lower.size)  # bounds of multipliers
+    slopes = np.concatenate(rows), np.append(lower, rest), np.append(upper, rest)
+    values = stated.q, stated.lower, stated.upper
+    return MonotoneGraphs.of_matrix(stated.matrix.csr, *map(line.pair, values, slopes))
+
+
+def _penalty_conditions(line: Line) -> MonotoneGraphs:
+    """Return the normal equations of least squares; a penalty within bounds of both signs is a kink at 0."""
+    problem = line.problem
+    if not problem.has_entries:
+        raise UnsuitableProblem(
+            "trace needs the entries of A, no LinearOperator; give an array or a sparse array"
+        )
+    l1, lower, upper = (line.ends(name) for name in ("l1", *BOUNDS))
+    if (least := np.minimum(*l1)).min(initial=0.0) < 0.0:
+        j = int(np.argmin(least))
+        raise InvalidOption(
+            f"l1 must be ≥ 0, but l1[{j}] = {least[j]} at one end; trace to where it is 0"
+        )
+    has_penalty = np.maximum(*l1) > 0.0
+    is_negative = has_penalty & (np.maximum(*upper) <= 0.0)
+    has_kink = has_penalty & (np.minimum(*lower) < 0.0) & ~is_negative
+    crossing = has_kink & ((np.maximum(*lower) > 0.0) | (np.minimum(*upper) < 0.0))
+    if crossing.any():
+        j = int(np.flatnonzero(crossing)[0])
+        raise UnsuitableProblem(
+            f"a bound of x[{j}], which has a penalty, changes its sign on the way; trace up to there, then on"
+        )
+    names = line.family.vectors
+    b, penalty, low, high = (line.pair(getattr(problem, name), line.slope(name)) for name in names)
+    q = -np.array([problem.apply_transpose(problem.apply_weights(part)) for part in b])
+    q += np.where(has_kink, 0.0, np.where(is_negative, -penalty, penalty))
+    return MonotoneGraphs.of_least_squares(problem, q, low, high, np.where(has_kink, penalty, 0.0))
+
+
+FAMILIES = {
+    "LCP": Family(
+        ("q", *BOUNDS),
+        {"M": "z is not piecewise affine in M; solve_batch takes a list of problems"},
+        _matrix_conditions,
+    ),
+    "QuadraticProgram": Family(
+        ("c", "h", "b", *BOUNDS),
+        {
+            "P": "x is not piecewise affine in P; where θ multiplies the whole quadratic term, divide the objective "
+            "by it and move c",
+            "G": "x is not piecewise affine in G; solve_batch takes a list of programs",
+            "A": "x is not piecewise affine in A; solve_batch takes a list of programs",
+        },
+        _matrix_conditions,
+    ),
+    "BoundedLeastSquares": Family(
+        ("b", "l1", *BOUNDS),
+        {
+            name: f"x is not piecewise affine in {name}; solve_batch takes a list of problems"
+            for name in ("A", "weights", "ridge")
+        },
+        _penalty_conditions,
+    ),
+}
+
+
+# --- the trace ------------------------------------------------------------------------------------------------
+
+
 class _Trace:
     """A path during the trace: t = |θ − start| goes from 0 to `end`, at stop or at crossing bounds."""
 
-    def __init__(self, family: Family, start: float, stop: float) -> None:
-        self.family, self.path = family, Path(family, start, stop)
-        self.toward, self.span = (1.0 if stop >= start else -1.0), abs(stop - start)
-        stated = family.monotone_graphs()
-        self.units = stated.columns.units()
-        self.problem: MonotoneGraphs = stated.rescale(self.units).begun_at(start, self.toward)
-        share, self.path.crossed = family.find_crossing()
+    def __init__(self, line: Line) -> None:
+        self.line, self.path, self.problem = line, Path(line), line.family.conditions(line)
+        self.span = abs(line.stop - line.start)
+        share, self.path.crossed = line.find_crossing()
         self.end, self.reached = self.span * share, 0.0
 
     def theta(self, t: float) -> float:
         """Return θ."""
-        return self.path.stop if t == self.span else self.path.start + self.toward * t
+        return self.line.stop if t == self.span else self.line.start + self.line.toward * t
 
     def run(self) -> Path:
         """Return the path."""
@@ -152,13 +382,17 @@ class _Trace:
         """
         for share in shares:
             t = min(self.reached + share * self.span, self.end)
-            result = self.path.beyond = self.family.solve_at(self.theta(t))
+            stated = self.line.at(self.theta(t))
+            result = self.path.beyond = solve(stated, tolerance=self.line.tolerance)
             self.path.starts += 1
             if result.has_no_solution or result.x is None:
                 return None
-            z = self.family.extract_unknowns(result) / self.units
+            z = result.x
+            if isinstance(stated, QuadraticProgram):
+                z = np.concatenate([z, result.solution.inequality, result.solution.equality])
+            z = z / self.problem.units
             moving, q = np.flatnonzero(z), self.problem.q[0] + t * self.problem.q[1]
-            w = q + z[moving] @ self.problem.columns.many(moving)
+            w = q + z[moving] @ self.problem.columns(moving)
             follower = Follower(self.problem, t, z, w)
             if follower.motion is not None:
                 return follower
@@ -187,17 +421,17 @@ class _Trace:
         path = self.path
         if path.pieces and _is_apart(path.pieces[-1].z_at(piece.begin), piece.z0):
             # All solutions of a monotone problem are one convex set.
-            (path.segments if self.family.is_monotone else path.jumps).append(piece.begin)
+            (path.segments if self.line.is_monotone else path.jumps).append(piece.begin)
         path.pieces.append(piece)
 
     def _piece(self, line: Segment) -> Piece:
         """Return the segment as a `Piece`, from the rounded θ of its begin."""
-        begin, rate = self.theta(line.begin), self.units * line.z[1]
-        z = self.units * line.z[0]
-        z += (self.toward * (begin - self.path.start) - line.begin) * rate
-        slope, family = self.toward * rate, self.family
-        x, x_slope, case = family.x_of(z), family.x_of(slope), family.case_of(line.steps)
-        return Piece(begin, self.theta(line.end), x, x_slope, case, z, slope)
+        begin, toward = self.theta(line.begin), self.line.toward
+        z, rate = self.problem.units * line.z
+        z += (toward * (begin - self.line.start) - line.begin) * rate
+        slope, n = toward * rate, self.line.problem.lower.size
+        case = self.problem.active_set_of(line.steps)
+        return Piece(begin, self.theta(line.end), z[:n], slope[:n], case, z, slope)
 
 
 def _is_apart(one: FloatVector, other: FloatVector) -> bool:

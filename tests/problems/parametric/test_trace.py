@@ -36,7 +36,7 @@ def assert_pieces_join(path: Path) -> None:
             continue
         assert one.end == other.begin
         size = 1e-9 * (1.0 + np.abs(one.z_at(one.end)).max())
-        assert np.abs(path.family.x_of(one.z_at(one.end) - other.z_at(one.end))).max() <= size
+        assert np.abs(one.x_at(one.end) - other.x_at(one.end)).max() <= size
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -309,13 +309,11 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
         )[: 3 if share > 1e-6 else 2]:  # segments are checked 1e-6 of their length inside
             wrong = dataclasses.replace(piece, **change)
             ends = (theta for theta in (wrong.begin, wrong.end) if theta >= path.stop)
-            off = (
-                path.family.point(theta, wrong.z_at(theta)).x - path.at(theta).x for theta in ends
-            )
+            off = (path.line.point(theta, wrong.z_at(theta)).x - path.at(theta).x for theta in ends)
             if max(np.abs(one).max() for one in off) <= 2e-8:
                 continue  # within the tolerance, as a point on its bound is whichever way it is drawn
             pieces = [*path.pieces[:k], wrong, *path.pieces[k + 1 :]]
-            made = Path(path.family, path.start, path.stop)
+            made = Path(path.line)
             made.pieces, made.reached = pieces, path.reached
             planted, refused = planted + 1, refused + (not made.is_solved)
     assert planted > 80
@@ -325,10 +323,10 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
 def test_solved_is_said_of_the_whole_way_alone() -> None:
     """A path that did not reach stop is not SOLVED, and the explanation reports where it ended."""
     path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
-    cut = Path(path.family, 0.0, 6.0)
+    cut = Path(path.line)
     cut.pieces, cut.reached = path.pieces[:1], 3.5
     assert cut.status is Status.STALLED
-    assert "3.5 was reached on the way to 6" in cut.explain()
+    assert "ends at 3.5, before 6" in cut.explain()
 
 
 CROSSING = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from importlib import import_module
@@ -36,7 +35,6 @@ from . import (
     guarantees,
     least_squares,
     matrix_verdicts,
-    near_singular,
     search,
     small_lcps,
 )
@@ -324,19 +322,6 @@ def module(name: str) -> Any:
     return import_module(f"campaigns.{name}")
 
 
-def near_singularity(rng: Generator, kind: str) -> Found:
-    """SOLVED at the rounding level."""
-    yield from (Finding(CLAIM, text) for text in near_singular.judged(kind, rng))
-
-
-def component(rng: Generator, kind: str) -> Found:
-    """Check problems of several components, component by component."""
-    with warnings.catch_warnings(action="ignore"):  # of methods that M is not covered by
-        told = module("components").judge(int(rng.integers(2**31)), int(rng.integers(10**6)))[0]
-    for text in told:
-        yield Finding(OPEN if text.startswith("open") else CLAIM, text)
-
-
 def outlier(rng: Generator, kind: str) -> Found:
     """Small problems with one or two odd numbers."""
     judge = module("outliers")
@@ -345,12 +330,6 @@ def outlier(rng: Generator, kind: str) -> Found:
         yield Finding(CLAIM, outcome.text)
     elif outcome.what != judge.RIGHT:
         yield Finding(OPEN, outcome.text)
-
-
-def flow(rng: Generator, kind: str) -> Found:
-    """Check convection and diffusion at any scale."""
-    for text in module("flows").judged(rng):
-        yield Finding(SOLVED if text.startswith("FALSE") else CLAIM, text)
 
 
 def scaling(rng: Generator, kind: str) -> Found:
@@ -452,14 +431,6 @@ def equilibrium(rng: Generator, kind: str) -> Found:
         yield Finding(CLAIM, text)
 
 
-def attack(rng: Generator, kind: str) -> Found:
-    """Hill climbing against the certificates: points off by more than 1 % that pass."""
-    judge = module("attack_nonlinear" if kind == "nonlinear" else "attack_programs")
-    with np.errstate(all="ignore"):
-        fallen = [*getattr(judge, f"attack_{kind}")(rng, 1)]
-    yield from (Finding(SOLVED, text) for text in fallen)
-
-
 Case = Callable[[Generator, Any], Found]
 
 # name: case, kinds, how often one of the kinds comes in a round
@@ -475,10 +446,7 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),
     "program": (programs, tuple(convex_programs.FAMILIES), 38),
-    "near_singular": (near_singularity, (*near_singular.KINDS,), 14),
-    "component": (component, ("any",), 10),
     "outlier": (outlier, OUTLIERS, 33),
-    "flow": (flow, ("any",), 4),
     "scaling": (scaling, ("mixed", "smooth"), 6),
     "game": (game, ("integers", "odd", "shifted"), 9),
     "margin": (margin, ("any",), 12),
@@ -489,7 +457,6 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "pyomo": (pyomo_model, ("any",), 2),
     "least_squares": (least_cost, (*least_squares.KINDS, least_squares.ODD), 16),
     "equilibrium": (equilibrium, ("any",), 2),
-    "attack": (attack, ("nonlinear", "certify", "least_squares"), 3),
 }
 
 

@@ -33,7 +33,7 @@ from scipy.linalg import block_diag
 
 import lcp_plugin as lp
 
-from .attack_nonlinear import planted as planted_nonlinear
+from .planted_nonlinear import planted as planted_nonlinear
 
 Generator = np.random.Generator
 RIGHT, REFUSED, FALSE, OPEN = "right", "refused", "FALSE", "open"

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable
 from fractions import Fraction
-from itertools import product
-from operator import mul
 from typing import Any
 
 import badly_scaled
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import components as campaign
 from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
 from collection.truth import ExactData
 from hypothesis import given
 from hypothesis import strategies as st
 from inputs.constructed_points import CONSTRUCTED
-from oracles.exact import exact_rows, exact_solution, solve_fractions
+from oracles.exact import exact_solution
 from oracles.exact_criterion import failures
 from scipy.sparse import csgraph
 
@@ -96,65 +92,6 @@ def test_a_row_of_zeros_is_infeasible_in_any_unit(power: int) -> None:
     result = solve(LCP(np.ldexp([[1.0, 1.0], [0.0, 0.0]], power), np.ldexp([-1.0, -1e-9], power)))
     assert result.status is Status.INFEASIBLE
     assert result.proof.verify()
-
-
-def solutions(M: Any, q: Any) -> list[list[Fraction]]:
-    """Return the solutions of all nonsingular complementary bases, in fractions."""
-    n, found, rows, offset = len(q), [], exact_rows(np.array(M)), [Fraction(float(x)) for x in q]
-    for is_free in product((False, True), repeat=n):
-        free = [i for i in range(n) if is_free[i]]
-        part = solve_fractions(
-            [[rows[i][j] for j in free] for i in free], [-offset[i] for i in free]
-        )
-        if part is None:
-            continue
-        z = [Fraction(0)] * n
-        for i, value in zip(free, part, strict=True):
-            z[i] = value
-        w = [sum(map(mul, row, z)) + constant for row, constant in zip(rows, offset, strict=True)]
-        if min(z) >= 0 and min(w) >= 0:
-            found.append(z)
-    return found
-
-
-def drawn(rng: np.random.Generator) -> tuple[Any, Any]:
-    """Return a problem of up to four rows: ties, near-parallel rows, odd diagonals, large integers."""
-    n = int(rng.integers(1, 5))
-    kind = rng.integers(6)
-    M = rng.integers(-3, 4, (n, n)).astype(float)
-    if kind == 1:
-        M = M @ M.T + np.eye(n)
-    elif kind == 2:
-        M[-1] = M[0] * (1.0 + 2.0 ** -int(rng.integers(5, 20)))
-        M[-1, -1] += 1.0
-    elif kind == 3:
-        M[np.diag_indices(n)] *= 2.0 ** -rng.integers(0, 50, n)
-    elif kind == 4:
-        M = M * rng.integers(1, 2**26, (n, n))
-    q = rng.integers(-3, 4, n).astype(float) * 2.0 ** rng.integers(-10, 27, n)
-    return M, q
-
-
-@pytest.mark.few(2)
-@pytest.mark.parametrize("seed", range(20))
-def test_no_wrong_point_is_solved(seed: int, draws: Callable[[int], range]) -> None:
-    """A SOLVED z of a well-conditioned problem is close to an exact solution."""
-    rng = np.random.default_rng([81, seed])
-    for _ in draws(100):
-        M, q = drawn(rng)
-        if abs(np.linalg.det(M)) == 0 or np.linalg.cond(M) > 1e4:
-            continue
-        problem = LCP(M, q)
-        result = solve(problem)
-        if result.is_solved and not ExactData(problem).is_solution(
-            result.z
-        ):  # as one of a continuum does
-            right = solutions(M, q)
-            size = max(1.0, float(np.abs(result.z).max()))
-            errors = [
-                max(abs(float(a) - b) for a, b in zip(z, result.z, strict=True)) for z in right
-            ]
-            assert min(errors, default=np.inf) <= 1e-3 * size, (M, q, result.z)
 
 
 ORDINARY = ("obstacle_1d", "obstacle_2d", "american_put", "random_h_plus", "random_spd")
@@ -411,32 +348,6 @@ def test_marches_take_each_step_in_units_of_its_own() -> None:
     for step in steps:
         assert not is_lie(rods.with_q(forcing[0] - before), step.z)
         before = step.z
-
-
-# --- The campaign ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("first", range(len(campaign.ASKED)))
-def test_the_campaign_finds_nothing(first: int) -> None:
-    """Some problems of campaigns/components.py pass through every interface."""
-    for number in (first * len(REGISTRY) + k for k in range(1, 3)):
-        with warnings.catch_warnings(action="ignore"):  # of methods not covered
-            bad, kind, status = campaign.judge(5, number)
-        assert not bad, number
-        assert kind != campaign.SOLVABLE or status == "SOLVED", number
-
-
-def test_the_campaign_sees_one_norm_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A certificate that compares all components with the largest reference is found out."""
-
-    def by_the_largest(self: Certificate, *_: object) -> float:
-        largest, least = self.residual_ends[1], self.references[0]
-        return float(largest.max(initial=0.0) / max(least.max(initial=0.0), 1e-300))
-
-    monkeypatch.setattr(Certificate, "relative_above", by_the_largest)
-    with warnings.catch_warnings(action="ignore"):
-        found = [text for number in range(8, 15) for text in campaign.judge(5, number)[0]]
-    assert any("exactly" in text or "SOLVED with" in text for text in found)
 
 
 # --- The componentwise test of the criterion ---

@@ -15,8 +15,6 @@ from oracles.exact import exact_solution
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.residuals import Certificate
-from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -90,38 +88,6 @@ def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
             if finding.what in trust.VIOLATIONS
         ]
         assert not found, (kind, k)
-
-
-def finds(what: str, name: str) -> bool:
-    """Whether the campaign says so about one of the first cases of a kind."""
-    kinds = trust.ROUND[name][1]
-    cases = (trust.run(name, kinds[k % len(kinds)], k) for k in range(60))
-    return any(what in {finding.what for finding in found} for found in cases)
-
-
-def test_the_campaign_sees_a_false_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A certificate that finds every residual small is found out."""
-    monkeypatch.setattr(Certificate, "relative_above", lambda *_: 0.0)
-    assert finds("false SOLVED", "small")
-
-
-def test_the_campaign_sees_a_bound_that_is_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bounds of half the size are found out."""
-    from lcp_plugin import error_bound as honest
-
-    def shrunk(problem: LCP, z: np.ndarray, **options: bool) -> ErrorBound:
-        bound = honest(problem, z, **options)
-        object.__setattr__(bound, "componentwise", 0.5 * bound.componentwise)
-        return bound
-
-    monkeypatch.setattr("campaigns.kinds.error_bounds.error_bound", shrunk)
-    assert finds("bound", "bound")
-
-
-def test_the_campaign_sees_a_wrong_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A report that calls every matrix an H-matrix is found out."""
-    monkeypatch.setattr("campaigns.kinds.matrix_verdicts.MatrixReport.is_h_matrix", True)
-    assert finds("verdict", "matrix")
 
 
 def test_a_case_can_be_repeated_from_its_name(capsys: pytest.CaptureFixture[str]) -> None:

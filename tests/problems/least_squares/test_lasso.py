@@ -11,7 +11,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import attack_programs as attacks
+from campaigns import odd_least_squares
 from campaigns.least_squares import bounded_least_squares
 from hypothesis import given
 from hypothesis import strategies as st
@@ -72,7 +72,7 @@ def planted(
 
 
 def exact_cost(A: Any, b: Any, x: Any, **rest: Any) -> Fraction:
-    return attacks.cost({"A": A, "b": b, **rest}, attacks.fractions(x))
+    return odd_least_squares.cost({"A": A, "b": b, **rest}, odd_least_squares.fractions(x))
 
 
 @given(st.integers(2, 9), st.integers(1, 9), st.integers(0, 10**6), st.sampled_from([0.0, 1.0]))

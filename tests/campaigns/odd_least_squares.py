@@ -1,8 +1,4 @@
-"""Hill climbing against the judges of programs and of least squares: large errors with small measures.
-
-Problems are small, with odd numbers that users write in some places; optima are rational. A point falls if it is called
-proved, or SOLVED, and its objective is off by more than 1 %.
-"""
+"""Small least squares problems with one odd number that users write; the least cost by rational arithmetic."""
 
 from __future__ import annotations
 
@@ -13,17 +9,8 @@ from typing import Any
 import numpy as np
 from oracles.exact import solve_fractions
 
-from lcp_plugin import QuadraticProgram, certify
-from lcp_plugin.problems.least_squares.certificate import Optimality
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
-from lcp_plugin.problems.least_squares.enclosures import Enclosures
-
-from .outliers import ExactProgram, odd_program
-
 ODD = (1e-17, float(np.cos(np.pi / 2)), 1e-9, 1e-5, 1e10, 1e15, 1e19)
 MOST = 1e-2  # of the objective's terms: an error that is one
-STEPS = 25
-MOST_CASES = 2000
 ZERO = Fraction(0)
 LEAST_SQUARES = ("entry", "row", "weights", "ridge", "l1", "bound", "b", "column")
 
@@ -36,54 +23,6 @@ def fractions(values: Any) -> list[Any]:
 def product(rows: Any, x: Any) -> list[Fraction]:
     """Return rows · x."""
     return [sum((a * v for a, v in zip(row, x, strict=True) if a), ZERO) for row in rows]
-
-
-# --- Programs ------------------------------------------------------------------------------------------------------
-
-
-def attack_certify(rng: np.random.Generator, count: int) -> list[str]:
-    """Return the points that fall: proved, and off by more than 1 %."""
-    fallen = []
-    for _ in range(count):
-        data, _ = odd_program(rng, linear=False, is_small=True)
-        given, exact = QuadraticProgram(*data), ExactProgram(*data)
-        optimum = exact.optimum() if exact.count() <= MOST_CASES else None
-        if optimum is None:
-            continue
-        best, most, x = exact.value(optimum), exact.size(optimum), np.array([*map(float, optimum)])
-        least, worst = np.inf, None
-        for step in range(STEPS):
-            at = x if step == 0 else climbed(rng, x, step)
-            here, size = exact.value(fractions(at)), exact.size(fractions(at))
-            if abs(here - best) <= MOST * (most or size or 1):
-                continue
-            said = certify(given, at)
-            measure = (
-                np.inf
-                if said.gap is None
-                else max(said.gap / max(float(size), 1e-300), said.violation or 0.0)
-            )
-            if said.verdict == "proved":
-                worst = f"{at.tolist()} of {given!r}: {said}"
-                break
-            if measure < least:
-                least, x = measure, at
-        fallen += [worst] if worst else []
-    return fallen
-
-
-def climbed(rng: np.random.Generator, x: Any, step: int) -> Any:
-    """Return a point beside x, or one with an entry of another size."""
-    moved = x.copy()
-    j = int(rng.integers(x.size))
-    if rng.random() < 0.3:
-        moved[j] = rng.choice([0.0, 1e3, 1e6, 1e10, 1e-9, 1.0]) * rng.choice([-1.0, 1.0])
-    else:
-        moved += 2.0 ** -rng.integers(0, 12) * rng.normal(size=x.size) * (np.abs(x) + (step % 2))
-    return moved
-
-
-# --- Least squares -------------------------------------------------------------------------------------------------
 
 
 def least_squares(kind: str, rng: np.random.Generator) -> dict[str, Any]:
@@ -141,7 +80,7 @@ def cost(case: dict[str, Any], x: list[Fraction]) -> Fraction:
 
 
 def least_cost(case: dict[str, Any]) -> Fraction:
-    """Return the least cost: that of the best of all states, each column free on a side of 0, at a bound or at 0."""
+    """Return the least cost over all states: each column is free on a side of 0, at a bound or at 0."""
     A, b, w = fractions(case["A"]), fractions(case["b"]), fractions(case["weights"])
     n, ridge, l1 = len(A[0]), Fraction(case["ridge"]), fractions(case["l1"])
     gram = [
@@ -179,28 +118,9 @@ def least_cost(case: dict[str, Any]) -> Fraction:
 
 
 def excess(case: dict[str, Any], x: Any, least: Fraction | None = None) -> float:
-    """Return by how much x costs more than the least, beside that and what 1e-13 of each row's terms costs."""
+    """Return the excess of the cost of x, relative to the least cost plus the cost of 1e-13 of each row's terms."""
     least = least_cost(case) if least is None else least
     terms = np.abs(case["A"]) @ np.abs(x) + np.abs(case["b"])
     unit = least + Fraction(float((case["weights"] * np.square(1e-13 * terms)).sum()))
     more = cost(case, fractions(x)) - least
     return 0.0 if more <= 0 else np.inf if more > unit * 10**300 else float(more / unit)
-
-
-def attack_least_squares(rng: np.random.Generator, count: int) -> list[str]:
-    """Return the points that fall: SOLVED, and costing more than 1 % above the least."""
-    fallen = []
-    for k in range(count):
-        case = least_squares(LEAST_SQUARES[k % len(LEAST_SQUARES)], rng)
-        problem, least = BoundedLeastSquares(**case), least_cost(case)
-        enclosures = Enclosures(problem)
-        x, lowest = np.clip(rng.normal(size=problem.shape[1]), problem.lower, problem.upper), np.inf
-        for step in range(4 * STEPS):
-            at = np.clip(climbed(rng, x, step), problem.lower, problem.upper)
-            with np.errstate(all="ignore"):
-                judged = Optimality.of(enclosures, at, tolerance=1e-8)
-            if judged.residual < lowest and excess(case, at, least) > MOST:
-                x, lowest = at, judged.residual
-        if lowest <= 1e-8:
-            fallen.append(f"{x.tolist()} of {case}: {lowest}, off by {excess(case, x, least)}")
-    return fallen

@@ -197,16 +197,3 @@ def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
     assert done.returncode == 0, done.stderr
     assert "→" not in done.stdout
     assert file.read_bytes() == before
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")],
-)
-def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
-    """A wrong name or commit gives exit code 2 and a message without traceback."""
-    done = command(*arguments.split())
-    assert done.returncode == 2
-    assert re.search(told, done.stderr)
-    assert "Traceback" not in done.stderr

@@ -1,7 +1,5 @@
 """Random markets and bilevel programs stated by agents' programs: no agent could gain, and the leader's value is right.
 
-    python tests/campaigns/agents.py --markets 200 --bilevel 60 --seed 0
-
 A market has 2 to 6 agents with quadratic objectives, a quarter of them with smooth terms also, and boxes, budgets and
 shared constraints. Every agent's gap must be at most 1e-6 relative to its value; for every tenth market, each agent's
 program with the others' values as numbers is solved by Clarabel. A bilevel program has 2 leading unknowns and 3
@@ -10,7 +8,6 @@ following ones. Its value is the least over the active sets of the follower's co
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from collections.abc import Iterator
 from typing import Any
@@ -179,17 +176,3 @@ def faults(markets: range, programs: range) -> Iterator[str]:
                 fault = f"{type(error).__name__}: {error}"
             if fault:
                 yield f"{kind.__name__} {number}: {fault}"
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    for option, default in (("--markets", 200), ("--bilevel", 60), ("--seed", 0)):
-        parser.add_argument(option, type=int, default=default)
-    asked = parser.parse_args()
-    count = 0
-    for count, line in enumerate(  # noqa: B007 - the last count is printed
-        faults(*(range(asked.seed, asked.seed + many) for many in (asked.markets, asked.bilevel))),
-        1,
-    ):
-        print(line, flush=True)
-    print(f"{count} faults in {asked.markets} markets and {asked.bilevel} bilevel programs")

@@ -1,7 +1,5 @@
 """Small problems over boxes, second-order cones and friction cones against all their modes, solved in fractions.
 
-    python -m campaigns.cones [SEED] [COUNT]    in the directory tests
-
 In the plane a cone has four modes: the apex, its interior and two edges. All modes of all blocks are enumerated, the
 linear system of each is solved in fractions, and every inequality is verified. Problems in space are problems in the
 plane with one more tangent, which nothing couples to the others.
@@ -9,7 +7,6 @@ plane with one more tangent, which nothing couples to the others.
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from fractions import Fraction
@@ -260,14 +257,3 @@ def check(seed: int, **options: Any) -> Counter[str]:
         else:
             found[f"{name}: {'missed' if right else 'not solved'}"] += 1
     return found
-
-
-if __name__ == "__main__":
-    first, count = (int(x) for x in [*sys.argv[1:], "0", "300"][:2])
-    total: Counter[str] = Counter()
-    for number in range(first, first + count):
-        one = check(number, max_seconds=1.0, prove_infeasibility=False)
-        total += one
-        if any(key.endswith("false") for key in one):
-            print(number, dict(one), flush=True)
-    print(*(f"{value:6d} {key}" for key, value in sorted(total.items())), sep="\n")

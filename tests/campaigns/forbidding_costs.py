@@ -1,7 +1,5 @@
 """Transports and assignments in which a huge cost forbids pairs, checked by HiGHS without these pairs.
 
-    python tests/campaigns/forbidding_costs.py --cases 1000 --seed 0
-
 Costs are integers, and 10²⁰ … 10³⁶ on some pairs. The sums of a transport are equalities, or limits of supplies and
 demands. All sums of supplies and of demands agree exactly, because a plan in which a forbidden pair repairs a rounding
 error costs more. A program whose every plan needs a forbidden pair is not counted.
@@ -9,7 +7,6 @@ error costs more. A program whose every plan needs a forbidden pair is not count
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from typing import Any
 
@@ -84,11 +81,3 @@ def main(cases: int, seed: int) -> Counter[str]:
             found["false"] += 1
             print(f"{k}: {result.status.name}, {verdict}: {result.objective}, not {known}")
     return found
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    print(*sorted(main(given.cases, given.seed).items()), sep="\n")

@@ -21,8 +21,7 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
-from collection.truth import ExactData
-from oracles.exact_components import references_of_rows
+from oracles.truth import ExactData, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from collection.judgement import false_claim, shortfall
-from collection.truth import SOLVABLE, ExactData, decide
 from oracles.exact import Exact
 from oracles.relations import EXACT, bits, scaled
+from oracles.truth import SOLVABLE, ExactData, decide
 
 from lcp_plugin import (
     LCP,
@@ -431,6 +431,33 @@ def equilibrium(rng: Generator, kind: str) -> Found:
         yield Finding(CLAIM, text)
 
 
+def cone(rng: Generator, kind: str) -> Found:
+    """Check problems over cones by all their modes."""
+    found = module("cones").check(int(rng.integers(10**6)), max_seconds=1.0)
+    yield from (Finding(SOLVED, text) for text in found if text.endswith("false"))
+
+
+def curved(rng: Generator, kind: str) -> Found:
+    """Check nonlinear problems with the solutions of an LCP."""
+    for what, text in module("small_nonlinear").attacks(rng, 1, kind):
+        if what == "false":
+            yield Finding(SOLVED, text)
+
+
+def transport(rng: Generator, kind: str) -> Found:
+    """Check transports in which huge costs forbid pairs."""
+    seed = int(rng.integers(10**6))
+    if module("forbidding_costs").main(1, seed)["false"]:
+        yield Finding(SOLVED, f"case {seed}")
+
+
+def agents(rng: Generator, kind: str) -> Found:
+    """Check markets of agents, and bilevel programs."""
+    one = range(k := int(rng.integers(10**6)), k + 1)
+    cases = (one, range(0)) if kind == "market" else (range(0), one)
+    yield from (Finding(CLAIM, text) for text in module("agents").faults(*cases))
+
+
 Case = Callable[[Generator, Any], Found]
 
 # name: case, kinds, how often one of the kinds comes in a round
@@ -457,6 +484,10 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "pyomo": (pyomo_model, ("any",), 2),
     "least_squares": (least_cost, (*least_squares.KINDS, least_squares.ODD), 16),
     "equilibrium": (equilibrium, ("any",), 2),
+    "cone": (cone, ("any",), 10),
+    "curved": (curved, ("affine", "bent rows", "weighted rows", "bent unknowns"), 8),
+    "transport": (transport, ("any",), 4),
+    "agents": (agents, ("market", "bilevel"), 2),
 }
 
 

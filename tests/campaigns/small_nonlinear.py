@@ -3,22 +3,17 @@
 F is M x + q, or curved without another solution: g(M x + q) with g(t) = t + t³/s², rows times 1 + x_i²/s², or
 the unknown y with x = y + y³/s². A run begins at z°, or at a wrong vertex. SOLVED is false if no exact solution of the
 LCP is near the point.
-
-    python tests/campaigns/small_nonlinear.py [count] [seed]
 """
 
 from __future__ import annotations
 
-import sys
-import time
-from collections import Counter
 from collections.abc import Iterator
 from fractions import Fraction
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from collection.truth import Search
+from oracles.truth import Search
 
 from lcp_plugin import LCP, NonlinearProblem, solve
 
@@ -197,13 +192,3 @@ def attacks(
                 f"{one.linear.lower.tolist()}, {one.linear.upper.tolist()}, x0={one.start} → {result.z}"
             ),
         )
-
-
-if __name__ == "__main__":
-    COUNT, SEED = (int(a) for a in (*sys.argv[1:], *("1000", "0")[len(sys.argv) - 1 :]))
-    began, found = time.process_time(), Counter()
-    for what, text in attacks(np.random.default_rng(SEED), COUNT):
-        found[what] += 1
-        if what.startswith("false"):
-            print(what, text)
-    print(dict(found), f"{time.process_time() - began:.0f} s")

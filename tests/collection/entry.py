@@ -7,10 +7,9 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from oracles.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE
 
 from lcp_plugin import LCP
-
-from .truth import INFEASIBLE, NO_SOLUTION, SOLVABLE
 
 EXHAUSTIVE_UP_TO = 12  # unknowns; the search in truth.py decides these in well under a second
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from oracles.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, is_farkas
+
 from .entry import Entry
-from .truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, is_farkas
 
 LARGEST_EXHAUSTIVE = 20  # above, NO_SOLUTION cannot be asked for
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.scenes import SMALL
-from tools.the_command import lcp_plugin
+from tools.processes import lcp_plugin
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +17,11 @@ from inputs.drawn_scaling import (
     scaled_matrices,
     scaled_solved,
 )
-from oracles.exact_components import component_of_rows, references_of_rows, relative_residual
+from oracles.exact_criterion import references
+from oracles.truth import (
+    ExactData,
+    relative_residual,
+)
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
@@ -37,88 +39,19 @@ FAR = st.sampled_from([math.inf, -math.inf, math.nan])
 # --- The oracle: the definitions of MATHS in rational arithmetic -------------------------------------------
 
 
-@dataclass
 class Exact:
-    """The certificate's numbers of (problem, z) without rounding; infinite bounds stay infinite."""
+    """The certificate's numbers of (problem, z) without rounding."""
 
-    problem: LCP
-    z: list[Fraction]
-
-    def __post_init__(self) -> None:
-        M = self.problem.csr.toarray().tolist()
-        self.rows = [[Fraction(value) for value in row] for row in M]
-        self.q = [Fraction(value) for value in self.problem.q.tolist()]
-        self.bounds = list(
-            zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True)
-        )
-        self.w = [q + self.dot(row, self.z) for q, row in zip(self.q, self.rows, strict=True)]
-        self.d = [self.scale(row, row[i]) for i, row in enumerate(self.rows)]
-
-    @staticmethod
-    def dot(row: list[Fraction], z: list[Fraction]) -> Fraction:
-        return sum((m * x for m, x in zip(row, z, strict=True)), Fraction(0))
-
-    @staticmethod
-    def scale(row: list[Fraction], diagonal: Fraction) -> Fraction:
-        """The diagonal where it is at least 2⁻²⁰ of the row's largest entry, else that entry; 1 for an empty row."""
-        largest = max(map(abs, row))
-        if largest == 0:
-            return Fraction(1)
-        return diagonal if diagonal >= largest / 2**20 and diagonal > 0 else largest
-
-    def residual(self, scale: list[Fraction]) -> list[Fraction]:
-        """Row by row, z − mid(lower, upper, z − w/scale)."""
-        found = []
-        for z, w, d, (lower, upper) in zip(self.z, self.w, scale, self.bounds, strict=True):
-            target = z - w / d
-            if target < lower:
-                target = Fraction(lower)
-            elif target > upper:
-                target = Fraction(upper)
-            found.append(z - target)
-        return found
-
-    @property
-    def scaled(self) -> list[Fraction]:
-        return self.residual(self.d)
-
-    @property
-    def natural(self) -> list[Fraction]:
-        return self.residual([Fraction(1)] * len(self.z))
-
-    @property
-    def magnitude(self) -> list[Fraction]:
-        """|M||z| + |q|."""
-        size = [abs(z) for z in self.z]
-        return [
-            self.dot([abs(m) for m in row], size) + abs(q)
-            for row, q in zip(self.rows, self.q, strict=True)
-        ]
-
-    @property
-    def floor(self) -> list[Fraction]:
-        terms = [sum(m != 0 for m in row) + 2 for row in self.rows]
-        return [
-            k * EPSILON * size / d for k, size, d in zip(terms, self.magnitude, self.d, strict=True)
-        ]
-
-    @property
-    def at_zero(self) -> list[Fraction]:
-        nearest = [Fraction(min(max(0.0, lower), upper)) for lower, upper in self.bounds]
-        return Exact(self.problem, nearest).scaled
-
-    @property
-    def reference(self) -> Fraction:
-        return max(map(abs, self.at_zero))
-
-    @property
-    def relative(self) -> Any:
-        components = component_of_rows(self.problem.csr)
-        return relative_residual([*map(abs, self.scaled)], [*map(abs, self.at_zero)], components)
-
-
-def exactly(problem: LCP, z: object) -> Exact:
-    return Exact(problem, [Fraction(value) for value in np.asarray(z, dtype=float).tolist()])
+    def __init__(self, problem: LCP, z: object) -> None:
+        data = ExactData(problem)
+        self.z = [Fraction(value) for value in np.asarray(z, dtype=float).tolist()]
+        self.w, self.d = data.slack(self.z), data.divisor
+        self.scaled = data.steps(self.z, data.divisor)
+        self.natural = data.steps(self.z, [Fraction(1)] * problem.n)
+        self.magnitude, self.floor = data.terms(self.z), data.floor(self.z, Fraction(0))
+        self.at_zero = data.at_zero()
+        self.reference = max(self.at_zero)
+        self.relative = relative_residual(data.residual(self.z), self.at_zero, data.components)
 
 
 # --- Problems to measure -----------------------------------------------------------------------------------
@@ -172,7 +105,7 @@ def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
 def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> None:
     """On short dyadic data w, natural residual, violations and complementarity are the rational values."""
     problem, z = drawn
-    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    certificate, exact = Certificate.of(problem, z), Exact(problem, z)
     assert certificate.w.tolist() == exact.w
     assert certificate.natural_residual == pytest.approx(
         float(max(map(abs, exact.natural))), rel=1e-13, abs=1e-13 * float(max(exact.magnitude))
@@ -183,7 +116,8 @@ def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> Non
     )
 
     outside, products = [0], [0]
-    for z_i, w_i, (lower, upper) in zip(exact.z, exact.w, exact.bounds, strict=True):
+    bounds = zip(problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    for z_i, w_i, (lower, upper) in zip(exact.z, exact.w, bounds, strict=True):
         outside += [lower - z_i, z_i - upper]
         products += [(z_i - Fraction(lower)) * max(w_i, 0)] if math.isfinite(lower) else []
         products += [(Fraction(upper) - z_i) * max(-w_i, 0)] if math.isfinite(upper) else []
@@ -195,21 +129,21 @@ def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> Non
 def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> None:
     """Scaled residual, worst row, relative residual and floor agree with the rational values."""
     problem, z = drawn
-    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    certificate, exact = Certificate.of(problem, z), Exact(problem, z)
     assert problem.residual_scale.tolist() == exact.d
     residual = [abs(r) for r in exact.scaled]
     slip = 4 * float(
         EPSILON
         * max(abs(x) + abs(w / d) for x, w, d in zip(exact.z, exact.w, exact.d, strict=True))
     )
-    references = references_of_rows(exact.at_zero, component_of_rows(problem.csr))
+    of_rows = references(problem, z)
     worst = certificate.worst_index
     assert certificate.scaled_residual == pytest.approx(float(residual[worst]), rel=1e-15, abs=slip)
-    if references[worst]:
-        beside = (residual[worst] + Fraction(slip)) / references[worst]
+    if of_rows[worst]:
+        largest = (residual[worst] + Fraction(slip)) / of_rows[worst]
         assert all(
-            r <= beside * of + Fraction(slip)
-            for r, of in zip(residual, references, strict=True)
+            r <= largest * of + Fraction(slip)
+            for r, of in zip(residual, of_rows, strict=True)
             if of
         )
     assert certificate.rounding_floor == pytest.approx(
@@ -218,7 +152,7 @@ def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> N
 
     assert reference_residual(problem) == pytest.approx(float(exact.reference), rel=1e-14)
     if exact.relative < math.inf:
-        least = float(min((of for of in references if of), default=Fraction(1)))
+        least = float(min((of for of in of_rows if of), default=Fraction(1)))
         assert certificate.relative_residual >= float(exact.relative) * (1 - 1e-12) - slip / least
     else:
         assert certificate.relative_residual == math.inf
@@ -299,7 +233,7 @@ def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> No
     """For z within the bounds no row's floating-point residual is further from the exact one than its floor."""
     problem, z = drawn
     z = np.clip(z, problem.lower, problem.upper)
-    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    certificate, exact = Certificate.of(problem, z), Exact(problem, z)
     floor = [Fraction(value) for value in certificate.rounding_floor.tolist()]
     worst = certificate.worst_index
     assert abs(Fraction(certificate.scaled_residual) - abs(exact.scaled[worst])) <= max(floor)
@@ -351,7 +285,7 @@ def test_solved_is_never_a_lie(name: str) -> None:
                 continue
             statuses[result.status] += 1
             if result.status is Status.SOLVED:
-                exact = exactly(problem, result.z)
+                exact = Exact(problem, result.z)
                 assert exact.relative <= Fraction(tolerance)
 
     check()
@@ -362,7 +296,7 @@ def test_solved_is_never_a_lie(name: str) -> None:
 def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     """The relative, natural and euclidean residuals are no smaller than the exact ones."""
     problem, z = drawn
-    certificate, exact = Certificate.of(problem, z), exactly(problem, z)
+    certificate, exact = Certificate.of(problem, z), Exact(problem, z)
     least, most = (float(end.max()) for end in references_of_components(problem))
     assert least <= exact.reference <= most <= least * (1 + 1e-13)
     natural, squares = max(map(abs, exact.natural)), sum(r * r for r in exact.natural)
@@ -389,7 +323,7 @@ def test_solved_is_proved_where_doubles_measure_nothing(problem: LCP, name: str)
         result = solve(problem, name, max_iterations=1000)
     except (UnsuitableProblem, UnsuitableMatrix):
         return
-    exact = exactly(problem, result.z)
+    exact = Exact(problem, result.z)
     is_within = exact.relative <= Fraction(1e-8)
     assert result.status is not Status.SOLVED or is_within
     if name == "newton":

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
-from collection.truth import ExactData
 from hypothesis import given
 from hypothesis import strategies as st
 from inputs.constructed_points import CONSTRUCTED
 from oracles.exact import exact_solution
 from oracles.exact_criterion import failures
+from oracles.truth import ExactData
 from scipy.sparse import csgraph
 
 from lcp_plugin import (

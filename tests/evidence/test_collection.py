@@ -10,7 +10,7 @@ import pytest
 from collection import all_entries
 from collection.entry import Entry
 from collection.judgement import false_claim, judge
-from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, decide, is_farkas
+from oracles.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, ExactData, decide, is_farkas
 
 from lcp_plugin import LCP, solve
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.families import NEEDS_MONOTONE
-from oracles.exact_components import component_of_rows, relative_residual
+from oracles.truth import component_of_rows, relative_residual
 
 from lcp_plugin import LCP, Certificate, Result, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY

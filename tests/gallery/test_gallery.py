@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from collection.truth import ExactData
 from inputs import scenes
+from oracles.truth import ExactData
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, gallery

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from picture import ARROWS, DRAWN, FOLDERS, STOREYS, above, explained, subpackage_of
-from tools.fresh_process import printed_by
+from tools.processes import printed_by
 
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class

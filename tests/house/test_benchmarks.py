@@ -38,39 +38,12 @@ def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_benchmarks_are_listed() -> None:
-    """Without a name each benchmark is printed with its purpose."""
-    done = benchmarks()
-    assert (done.returncode, done.stderr) == (0, "")
-    assert [line.split()[0] for line in done.stdout.splitlines()] == list(BENCHMARKS)
-    assert all(purpose in done.stdout for purpose in BENCHMARKS.values())
-
-
 @pytest.mark.full
 def test_a_benchmark_runs_by_its_name() -> None:
     """A named benchmark prints its lines and exits with 0."""
     done = benchmarks("small", "--quick")
     assert (done.returncode, done.stderr) == (0, "")
     assert "µs" in done.stdout
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        ("smal", r"unknown benchmark 'smal'; did you mean 'small'\?"),
-        ("xyz", r"unknown benchmark 'xyz'; known: paper-at-scale"),
-        ("small one.npz", "small takes no files"),
-        ("programs none.npz", "none.npz"),
-        ("small --slow", "--slow"),
-    ],
-)
-def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
-    """A wrong name, option or file: exit code 2, and what is wrong in words."""
-    done = benchmarks(*arguments.split())
-    assert done.returncode == 2
-    assert re.search(told, done.stderr)
-    assert "Traceback" not in done.stderr
 
 
 def test_scipy_baselines_compute_the_same_iterates() -> None:

@@ -10,7 +10,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from tools.fresh_process import printed_by
+from tools.processes import printed_by
 
 ROOT = Path(__file__).parents[2]
 WITHOUT = """

@@ -15,8 +15,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from kinds_of_problems import SAMPLES, Sample
-from tools.nl_content import content_of
-from tools.sol_files import read_sol
+from tools.nl_files import content_of, read_sol
 from typer.testing import CliRunner
 
 from lcp_plugin import (

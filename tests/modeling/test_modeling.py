@@ -12,7 +12,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from tools.fresh_process import printed_by
+from tools.processes import printed_by
 
 from lcp_plugin import (
     LCP,

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from collection.truth import ExactData, decide
 
 from lcp_plugin import LCP
+
+from .truth import ExactData, decide
 
 LOWER, FREE, UPPER = -1, 0, 1
 States = tuple[int, ...]

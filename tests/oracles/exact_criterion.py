@@ -9,10 +9,9 @@ import numpy as np
 
 from lcp_plugin import LCP
 
-from .exact_components import component_of_rows
+from .truth import ExactData, component_of_rows, references_of_rows
 
 NEGLIGIBLE = Fraction(1, 2**42)
-DIAGONAL = Fraction(1, 2**20)  # of the largest entry of its row, from which a diagonal entry is d
 
 
 def failures(problem: LCP, z: Any, tolerance: float = 1e-8) -> list[str]:
@@ -22,27 +21,14 @@ def failures(problem: LCP, z: Any, tolerance: float = 1e-8) -> list[str]:
     tolerated here. Powers of the tolerance are compared by their fourth powers: nothing is rounded.
     """
     at, start = _Rows(problem, z), _Rows(problem, problem.nearest_to_zero)
-    goal = Fraction(tolerance)
-    parts = component_of_rows(problem.csr)
-
-    def largest(values: list[Fraction]) -> list[Fraction]:
-        top: dict[int, Fraction] = {}
-        for part, value in zip(parts, values, strict=True):
-            top[part] = max(value, top.get(part, Fraction(0)))
-        return [top[part] for part in parts]
-
-    d, n = at.d, problem.n
-    active = [
-        t / s if on else Fraction(0) for t, s, on in zip(at.terms, d, at.is_active, strict=True)
-    ]
-    references = map(min, largest(list(map(abs, start.residual))), largest(active))
+    goal, d, n = Fraction(tolerance), at.d, problem.n
     w = [
         abs(v) if abs(v) > NEGLIGIBLE * t else Fraction(0)
         for v, t in zip(start.w, start.terms, strict=True)
     ]
     demand = [max([w[i], *(abs(m) * w[j] / d[j] for j, m in at.rows[i])]) for i in range(n)]
     lines = []
-    for i, reference in enumerate(references):
+    for i, reference in enumerate(references(problem, z)):
         r, v, t, a = abs(at.residual[i]), at.violation[i], at.terms[i], demand[i]
         if not at.lower[i] <= at.z[i] <= at.upper[i]:
             lines.append(f"row {i}: outside its bounds")
@@ -57,36 +43,31 @@ def failures(problem: LCP, z: Any, tolerance: float = 1e-8) -> list[str]:
     return lines
 
 
+def references(problem: LCP, z: Any) -> list[Fraction]:
+    """Return the reference of each row: the residual at z° or the active terms at z, largest of the component."""
+    at, start = _Rows(problem, z), _Rows(problem, problem.nearest_to_zero)
+    zips = zip(at.terms, at.d, at.is_active, strict=True)
+    active = [t / d if is_active else Fraction(0) for t, d, is_active in zips]
+    parts = component_of_rows(problem.csr)
+    both = references_of_rows(start.residual, parts), references_of_rows(active, parts)
+    return [*map(min, *both)]
+
+
 class _Rows:
     """The numbers of the rule at z, one entry per row."""
 
     def __init__(self, problem: LCP, z: Any) -> None:
-        M = problem.csr
+        data = ExactData(problem)
         self.z = [Fraction(value) for value in np.asarray(z, dtype=float).tolist()]
-        self.rows = [
-            [(int(j), Fraction(m)) for j, m in zip(M.indices[a:b], M.data[a:b].tolist(), strict=True)]
-            for a, b in zip(M.indptr[:-1], M.indptr[1:], strict=True)
-        ]  # fmt: skip
-        q = [Fraction(value) for value in problem.q.tolist()]
+        self.rows = [[(j, Fraction(m, data.scale)) for j, m in row] for row in data.rows]
         self.lower, self.upper = problem.lower.tolist(), problem.upper.tolist()
-        self.w = [
-            b + sum(m * self.z[j] for j, m in row) for b, row in zip(q, self.rows, strict=True)
+        self.w, self.terms, self.d = data.slack(self.z), data.terms(self.z), data.divisor
+        self.residual = data.steps(self.z, data.divisor)
+        ends = list(zip(self.z, self.w, self.lower, self.upper, strict=True))
+        self.violation = [
+            max(w if x > low else 0, -w if x < high else 0) for x, w, low, high in ends
         ]
-        self.terms = [
-            abs(b) + sum(abs(m * self.z[j]) for j, m in row)
-            for b, row in zip(q, self.rows, strict=True)
+        self.is_active = [
+            violation > 0 or low < x < high
+            for violation, (x, _, low, high) in zip(self.violation, ends, strict=True)
         ]
-        self.d, self.residual, self.violation, self.is_active = [], [], [], []
-        for i, (row, x, w, low, high) in enumerate(
-            zip(self.rows, self.z, self.w, self.lower, self.upper, strict=True)
-        ):
-            top = max((abs(m) for _, m in row), default=Fraction(0))
-            own = dict(row).get(i, Fraction(0))
-            d = own if own > 0 and own >= DIAGONAL * top else top or Fraction(1)
-            target = x - w / d
-            nearest = Fraction(low) if target < low else Fraction(high) if target > high else target
-            violation = max(w if x > low else 0, -w if x < high else 0)
-            self.d.append(d)
-            self.residual.append(x - nearest)
-            self.violation.append(violation)
-            self.is_active.append(violation > 0 or low < x < high)

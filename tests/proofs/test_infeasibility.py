@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import infeasible_by_margin
-from collection.truth import is_farkas
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.truth import is_farkas
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.certificates.criterion import references_of_components

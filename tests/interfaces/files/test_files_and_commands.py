@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import typer
 from scipy.io import savemat
-from tools.nl_content import content_of
-from tools.the_command import lcp_plugin
+from tools.nl_files import content_of
+from tools.processes import lcp_plugin
 
 from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app

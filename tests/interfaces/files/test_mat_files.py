@@ -12,7 +12,7 @@ import pytest
 import scipy.io.matlab
 import scipy.sparse as sp
 from scipy.io import loadmat, savemat, whosmat
-from tools.the_command import lcp_plugin
+from tools.processes import lcp_plugin
 
 from lcp_plugin import LCP, UnreadableFile
 from lcp_plugin.interfaces.files.matrix_market import read_mat

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from binary_nl import write_form
 from scipy.optimize import linprog
-from tools.sol_files import read_sol
+from tools.nl_files import read_sol
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl

@@ -17,8 +17,7 @@ import pytest
 import scipy.sparse as sp
 from binary_nl import write_form
 from random_nl_models import drawn_words, judged, random_model
-from tools.nl_content import content_of
-from tools.sol_files import read_sol
+from tools.nl_files import content_of, read_sol
 
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.interfaces.nl import write_nl

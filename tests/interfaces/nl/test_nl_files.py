@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.relations import bits
 from random_nl import difference, mutilated, random_content
-from tools.sol_files import read_sol
+from tools.nl_files import read_sol
 
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
 from lcp_plugin.core import errors

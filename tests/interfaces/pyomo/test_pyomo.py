@@ -17,7 +17,7 @@ from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
 from pyomo_models import MODELS
-from tools.fresh_process import printed_by
+from tools.processes import printed_by
 
 import lcp_plugin.pyomo
 from lcp_plugin.core.errors import LCPError

@@ -12,7 +12,7 @@ from hypothesis import given
 from qpsolvers import ParamError, Problem, ProblemError, solve_problem, solve_qp
 from qpsolvers import problems as published
 from scipy.optimize import nnls
-from tools.fresh_process import printed_by
+from tools.processes import printed_by
 
 from lcp_plugin import Status
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers

@@ -16,7 +16,7 @@ import pyomo.environ as pe
 import pytest
 from pyomo.mpec import Complementarity
 from pyomo.mpec import complements as complementary
-from tools.sol_files import read_sol
+from tools.nl_files import read_sol
 
 import lcp_plugin.pyomo
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements

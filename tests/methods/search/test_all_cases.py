@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from collection.truth import SOLVABLE, decide
+from oracles.truth import SOLVABLE, decide
 
 from lcp_plugin import LCP, InvalidOption, Status, solve, solve_batch
 

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from collection.truth import ExactData
 from inputs.small_families import FAMILIES, definite_stack, draw, told
 from oracles.exact_criterion import failures
+from oracles.truth import ExactData
 
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.methods.small.rounds import solve_stack

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from oracles.exact_components import component_of_rows, relative_residual
+from scipy.sparse.csgraph import connected_components
 
 Bound = Fraction | None
 Point = tuple[Fraction, ...]
@@ -210,6 +210,33 @@ class Search:
 # --- Measuring a given z exactly -------------------------------------------------------------------------------------
 
 
+def component_of_rows(M: Any) -> list[int]:
+    """Which connected component of the graph of a CSR array each row belongs to, by scipy."""
+    labels: list[int] = connected_components(abs(M) > 0, directed=True, connection="weak")[
+        1
+    ].tolist()
+    return labels
+
+
+def references_of_rows(at_zero: Sequence[Fraction], labels: Sequence[int]) -> list[Fraction]:
+    """The reference of each row's component, from the residuals of z°."""
+    largest: dict[int, Fraction] = {}
+    for label, value in zip(labels, at_zero, strict=True):
+        largest[label] = max(abs(value), largest.get(label, Fraction(0)))
+    return [largest[label] for label in labels]
+
+
+def relative_residual(
+    residuals: Sequence[Fraction], at_zero: Sequence[Fraction], labels: Sequence[int]
+) -> Any:
+    """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components; 0 for 0/0, ∞ for others over 0."""
+    worst: Any = Fraction(0)
+    for value, reference in zip(residuals, references_of_rows(at_zero, labels), strict=True):
+        if value:
+            worst = max(worst, abs(value) / reference if reference else math.inf)
+    return worst
+
+
 class ExactData:
     """M, q and the bounds of a problem as integers over common denominators; measures any z without rounding."""
 
@@ -242,15 +269,18 @@ class ExactData:
             for row, q in zip(self.rows, self.q, strict=True)
         ]
 
-    def residual(self, z: Sequence[Any]) -> list[Fraction]:
-        """Return |z_i − mid(lower_i, upper_i, z_i − w_i/d_i)|."""
-        residual = []
-        for i, (x, w) in enumerate(zip(z, self.slack(z), strict=True)):
-            x, step = Fraction(x), w / self.divisor[i]
+    def steps(self, z: Sequence[Any], divisors: Sequence[Fraction]) -> list[Fraction]:
+        """Return z_i − mid(lower_i, upper_i, z_i − w_i/d_i)."""
+        steps = []
+        for i, (x, w, d) in enumerate(zip(z, self.slack(z), divisors, strict=True)):
+            x, step = Fraction(x), w / d
             step = step if self.upper[i] is None else max(step, x - self.upper[i])
-            step = step if self.lower[i] is None else min(step, x - self.lower[i])
-            residual.append(abs(step))
-        return residual
+            steps.append(step if self.lower[i] is None else min(step, x - self.lower[i]))
+        return steps
+
+    def residual(self, z: Sequence[Any]) -> list[Fraction]:
+        """Return the steps in absolute value."""
+        return [abs(step) for step in self.steps(z, self.divisor)]
 
     @property
     def nearest(self) -> list[Fraction]:
@@ -265,16 +295,17 @@ class ExactData:
         """Return the residuals there."""
         return self.residual(self.nearest)
 
-    def floor(self, z: Sequence[Any]) -> list[Fraction]:
-        """Return what rounding may make of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i."""
+    def terms(self, z: Sequence[Any]) -> list[Fraction]:
+        """Return |M||z| + |q|."""
         values, scale = _integers(z)
         sums = [sum(abs(x * values[j]) for j, x in row) for row in self.rows]
+        return [Fraction(s, self.scale * scale) + abs(q) for s, q in zip(sums, self.q, strict=True)]
+
+    def floor(self, z: Sequence[Any], least: Fraction = LEAST) -> list[Fraction]:
+        """Return the rounding bound of each residual: (nonzeros + 2) (ε (|M||z| + |q|)_i + η) / d_i + η."""
         return [
-            (len(row) + 2)
-            * (MACHINE_EPSILON * (Fraction(s, self.scale * scale) + abs(q)) + LEAST)
-            / d
-            + LEAST
-            for row, s, q, d in zip(self.rows, sums, self.q, self.divisor, strict=True)
+            (len(row) + 2) * (MACHINE_EPSILON * terms + least) / d + least
+            for row, terms, d in zip(self.rows, self.terms(z), self.divisor, strict=True)
         ]
 
     def is_solution(self, z: Sequence[Any]) -> bool:

@@ -1,14 +1,35 @@
-"""What ``.sol`` files say, for tests of what writes them."""
+"""Contents of .nl files, and of the .sol files that answer them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
-from lcp_plugin.interfaces.nl.content import WITH_TOLERANCE
+from lcp_plugin.interfaces.nl.content import WITH_TOLERANCE, NLContent, Trees
 from lcp_plugin.interfaces.nl.solution import OPTIONS
+
+
+def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
+    """Rows M x + q complementary to x ≥ 0."""
+    n, goal = len(q), changes.pop("objective", None)
+    free = np.full(n, np.inf)
+    own = None if goal is None else sp.csr_array([goal])
+    content = NLContent.of_rows(
+        np.zeros(n),
+        free,
+        sp.csr_array(np.asarray(M, float)),
+        Trees.of_numbers(np.asarray(q, float)),
+        (-free, free),
+        np.arange(n),
+        np.ones(n, dtype=np.int64),
+        None if goal is None else Trees.of_numbers(np.zeros(1)),
+        own,
+    )
+    return replace(content, **changes)
 
 
 class SolContent(NamedTuple):
@@ -25,7 +46,7 @@ class SolContent(NamedTuple):
 
 
 def read_sol(path: Path) -> SolContent:
-    """Return what a ``.sol`` file in text says."""
+    """Return the content of a ``.sol`` file in text."""
     lines = path.read_text(encoding="utf-8").splitlines()
     begin = next(k for k, line in enumerate(lines) if line.strip() == OPTIONS)
     message, rest = (

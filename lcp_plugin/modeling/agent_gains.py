@@ -11,16 +11,20 @@ from cvxpy.error import SolverError
 
 from ..core.errors import ModelWarning
 from ..core.settings import Status
+from ..expressions.program import Program
 from ..problems.equilibria.branch_and_bound import minimize_over_solutions
 from ..problems.programs.solving import solve_program
-from ._compat import attribute_bounds
-from .agent_conditions import StandardRows, value_in_domain, violated_domain, with_data
+from ._compat import attribute_bounds, by_columns
+from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .best_equilibrium import stated_program
-from .model import level_of_caller
-from .reading import rewritten
+from .model import level_of_caller, spans_of
+from .reading import Reader, rewritten
 from .stated_terms import dense_value, sense_of
 
 MAX_SECONDS = 60.0  # of a search for an agent's best value
+MARGIN = (
+    1e-8  # of the terms of a gradient, as the tolerance of a solve: a smaller margin gains nothing
+)
 
 
 @np.errstate(all="ignore")  # outside of a domain
@@ -55,8 +59,11 @@ def possible_gain(agent: Any) -> float | None:
             stacklevel=level_of_caller(),
         )
         return np.inf
-    goal = cp.Minimize(sense * rewritten(smooth.goal, change))
-    best, reason = _best_value(cp.Problem(goal, held))
+    goal = sense * rewritten(smooth.goal, change)
+    best, reason = _best_value(cp.Problem(cp.Minimize(goal), held))
+    if not best > -np.inf:  # NaN also: a margin near zero is hard to solve
+        fee, rows = _fee(agent)
+        best, reason = _best_value(cp.Problem(cp.Minimize(goal + fee), held + rows))
     if np.isnan(best):
         warnings.warn(
             f"the best value of {agent!r} is unknown: {reason}",
@@ -65,6 +72,28 @@ def possible_gain(agent: Any) -> float | None:
         )
         return None
     return max(0.0, violation, own - best)
+
+
+def _fee(agent: Any) -> tuple[Any, list[Any]]:
+    """Return MARGIN of the terms of the gradient times the change of each decision, and rows that define the change.
+
+    At equilibrium prices the margin of a linear program is zero up to rounding, and its gain must not be infinite.
+    """
+    gradient = agent.conditions.stationarity.second.expression
+    leaves = {one.id: one for one in gradient.variables()}
+    spans, size = spans_of(leaves)
+    at = np.zeros(size)
+    for key, one in leaves.items():
+        at[spans[key]] = 0.0 if one.value is None else by_columns(one.value)
+    reader = Reader(takes_integers=True)
+    rows = reader.rows(gradient)
+    first = {key: span.start for key, span in spans.items()}
+    program = Program.of(reader.compiler, [rows], first, size)
+    slopes = program.jacobian(at)
+    terms = abs(slopes) @ abs(at) + abs(program.value(at) - slopes @ at)
+    x = joined(agent.decisions)
+    more, less = cp.Variable(x.size, nonneg=True), cp.Variable(x.size, nonneg=True)
+    return MARGIN * terms[: x.size] @ (more + less), [x - x.value == more - less]
 
 
 def _best_value(problem: Any) -> tuple[float, str]:

@@ -665,6 +665,21 @@ def test_a_gap_is_measured_at_values_that_the_user_sets() -> None:
     assert other.gap() == pytest.approx(0.5, abs=1e-6)
 
 
+@pytest.mark.parametrize("margin", [0.0, 4e-16, 1.8e-15, -1.8e-15, 1e-10, 0.1, -0.1])
+@pytest.mark.parametrize("form", ["one", "chain", "kink"])
+def test_a_trader_with_constant_returns_gains_nothing_by_rounding(form: str, margin: float) -> None:
+    """A margin at the rounding level of its prices gains 0; a tenth gains without limit, or its loss at 1.5 units."""
+    price, made = cp.Variable(value=2 + margin), cp.Variable(2, nonneg=True, value=[1.5, 3.0])
+    profit, rows = {
+        "one": (cp.multiply(price - 2, made[0]), []),
+        "chain": (cp.multiply(price, made[0]) - made[1], [made[1] >= 2 * made[0]]),
+        "kink": (cp.multiply(price, made[0]) - 2 * cp.abs(made[0]), [made[1] == 3]),
+    }[form]
+    gap = optimal(cp.Problem(cp.Maximize(profit), rows), over=[made]).gap()
+    expected = np.inf if margin == 0.1 else -1.5 * min(margin, 0.0)
+    assert gap == pytest.approx(expected, abs=1e-7)
+
+
 # --- messages ---
 
 

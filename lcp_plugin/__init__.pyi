@@ -1,7 +1,5 @@
 # The public names and the module of each: __init__.py loads them from this table; editors and mypy read it directly.
 
-from . import gallery as gallery
-from . import strategies as strategies
 from .api import solve as solve
 from .core.certificates.residuals import Certificate as Certificate
 from .core.errors import InvalidOption as InvalidOption
@@ -35,14 +33,14 @@ from .problems.cones.data import ConeProblem as ConeProblem
 from .problems.cones.frictional_contact import FrictionalContact as FrictionalContact
 from .problems.equilibria.equilibrium_program import EquilibriumProgram as EquilibriumProgram
 from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSquares
-from .problems.march.march_many import march as march
+from .problems.march import march as march
 from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
 from .problems.parametric.tracing import trace as trace
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram
 from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
 from .problems.sensitivity import derivative as derivative
-from .proofs.bounds.error_bounds import error_bound as error_bound
+from .proofs.bounds import error_bound as error_bound
 from .proofs.guarantees import convergence_guarantee as convergence_guarantee
 from .proofs.verdicts import analyze as analyze
 

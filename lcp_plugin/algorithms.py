@@ -26,36 +26,35 @@ from .core.settings import OF_SOLVE
 from .engines import ENGINES, engine_class
 
 if TYPE_CHECKING:  # for editors and mypy: __getattr__ has each class of the registry by its name
-    from .core.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
-    from .core.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
+    from .core.splittings import GFP, NPAOR, NPGS, NPJ, NPSOR, PAOR, PGS, PJ, PSOR
     from .methods.banded import Banded
     from .methods.interior_point import InteriorPoint
     from .methods.lemke import Lemke
-    from .methods.modulus.modulus import MAOR, MGS, MJ, MSOR
+    from .methods.modulus import MAOR, MGS, MJ, MSOR
     from .methods.multigrid import Multigrid
-    from .methods.newton.semismooth_newton import Newton
+    from .methods.newton import Newton
     from .methods.npsplitting import NPSplitting
 
 # Each name's module, from this package on, and class: a solve imports the one that it takes.
 REGISTRY = {
-    "psor": "core.splittings.projected_relaxation:PSOR",
-    "pgs": "core.splittings.projected_relaxation:PGS",
-    "paor": "core.splittings.projected_relaxation:PAOR",
-    "pj": "core.splittings.projected_relaxation:PJ",
-    "gfp": "core.splittings.projected_relaxation:GFP",
-    "npaor": "core.splittings.projected_type:NPAOR",
-    "npsor": "core.splittings.projected_type:NPSOR",
-    "npgs": "core.splittings.projected_type:NPGS",
-    "npj": "core.splittings.projected_type:NPJ",
+    "psor": "core.splittings:PSOR",
+    "pgs": "core.splittings:PGS",
+    "paor": "core.splittings:PAOR",
+    "pj": "core.splittings:PJ",
+    "gfp": "core.splittings:GFP",
+    "npaor": "core.splittings:NPAOR",
+    "npsor": "core.splittings:NPSOR",
+    "npgs": "core.splittings:NPGS",
+    "npj": "core.splittings:NPJ",
     "banded": "methods.banded:Banded",
     "interior_point": "methods.interior_point:InteriorPoint",
     "lemke": "methods.lemke:Lemke",
-    "maor": "methods.modulus.modulus:MAOR",
-    "msor": "methods.modulus.modulus:MSOR",
-    "mgs": "methods.modulus.modulus:MGS",
-    "mj": "methods.modulus.modulus:MJ",
+    "maor": "methods.modulus:MAOR",
+    "msor": "methods.modulus:MSOR",
+    "mgs": "methods.modulus:MGS",
+    "mj": "methods.modulus:MJ",
     "multigrid": "methods.multigrid:Multigrid",
-    "newton": "methods.newton.semismooth_newton:Newton",
+    "newton": "methods.newton:Newton",
     "npsplitting": "methods.npsplitting:NPSplitting",
 }
 

@@ -12,15 +12,15 @@ import numpy as np
 
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.lcp import LCP
-from .core.options import OF_CLASS
 from .core.problem_classes import class_of, refusal, with_article
+from .core.settings import OF_CLASS
 from .core.solving.result import Result
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from .core.algorithm import Algorithm
-    from .core.options import (
+    from .core.settings import (
         ConeOptions,
         EngineName,
         EquilibriumOptions,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .problems.cones.methods import ConeAlgorithm
     from .problems.cones.solving import ConeResult
     from .problems.equilibria.equilibrium_program import EquilibriumProgram
-    from .problems.equilibria.result import EquilibriumResult
+    from .problems.equilibria.relaxations import EquilibriumResult
     from .problems.least_squares.data import BoundedLeastSquares
     from .problems.least_squares.solving import LeastSquaresResult
     from .problems.nonlinear.data import NonlinearProblem

@@ -44,19 +44,16 @@ from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kernels.threads import threads_for
 from .core.lcp import LCP
-from .core.matrix.matrix import Matrix, fact
-from .core.matrix.row_sums import has_positive_diagonal
-from .core.matrix.structure import is_nearly_symmetric
+from .core.matrix import Matrix, fact, has_positive_diagonal, is_nearly_symmetric
 from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
 from .core.solving.lcp_run import LCPRun
 from .core.solving.progress import Callback
 from .core.solving.result import Result, StageRecord
 from .core.solving.stage import Stage
-from .core.splittings.projected_relaxation import PSOR
-from .core.splittings.projected_type import NPSOR
+from .core.splittings import NPSOR, PSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from .engines import Engine
-from .methods.small.rounds import Rounds, first_candidate, is_small
+from .methods.small import Rounds, first_candidate, is_small
 
 GUESSED = "small: a few sweeps guess the active set"
 ASKED_EVERY = 20
@@ -89,13 +86,13 @@ def plan(
         yield Stage(method)
         is_unfit = method.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if prove_infeasibility and not is_unfit:
-            from .methods.search.stages import FeasibilityCheck
+            from .methods.search import FeasibilityCheck
 
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
     from .methods.banded import Banded, banded_passes
     from .methods.direct import direct_methods
-    from .methods.lemke.games import is_game
+    from .methods.lemke.pivoting_path import is_game
 
     direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
     if begin is None:
@@ -353,13 +350,13 @@ def run_on(
 
 
 def _polish(problem: LCP, z: FloatVector, most: float) -> Any:
-    from .methods.newton.active_set import polish_active_set
+    from .methods.newton import polish_active_set
 
     return polish_active_set(problem, z, most)
 
 
 def _header(matrix: Matrix) -> tuple[str, str]:
-    from .proofs.verdicts.report import classes_in_words, sign_remark
+    from .proofs.verdicts import classes_in_words, sign_remark
 
     return classes_in_words(matrix), sign_remark(matrix)
 

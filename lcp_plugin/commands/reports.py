@@ -10,10 +10,8 @@ from typing import Any
 from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
 from ..evidence.measurement import PAPER_MSOR
-from ..proofs.guarantees import convergence_guarantee
-from ..proofs.guarantees.theorems import PAPER, PAPER_TITLE, Guarantee
-from ..proofs.verdicts import analyze
-from ..proofs.verdicts.report import wrapped
+from ..proofs.guarantees import PAPER, PAPER_TITLE, Guarantee, convergence_guarantee
+from ..proofs.verdicts import analyze, wrapped
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{

@@ -132,7 +132,7 @@ def run(
         if objective is not None:
             objective = given.sign * objective + 0.0
     if bound:
-        from ..proofs.bounds.error_bounds import error_bound
+        from ..proofs.bounds import error_bound
 
         lines.append(str(error_bound(given.problem, answer.z)))
     if as_json:
@@ -296,10 +296,10 @@ def check_place(path: Path) -> None:
 def compile_everything() -> str:
     """Compile what is not in the cache yet; return a line with the seconds."""
     from ..problems.batches.batch import solve_batch
-    from ..problems.march.march_many import march
+    from ..problems.march import march
     from ..problems.programs.stacked_programs import QuadraticProgramBatch
     from ..problems.sensitivity import derivative
-    from ..proofs.bounds.error_bounds import error_bound
+    from ..proofs.bounds import error_bound
 
     began = time.perf_counter()
     sparse = gallery.build("obstacle_2d", size=20).problem

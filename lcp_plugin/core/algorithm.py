@@ -13,8 +13,7 @@ import numpy as np
 from .checks import FloatVector, is_number
 from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from .lcp import LCP
-from .matrix.iteration_facts import IterationFacts
-from .matrix.row_sums import has_positive_diagonal
+from .matrix import IterationFacts, has_positive_diagonal
 
 #: The `backward` flag of each pass of one iteration.
 SWEEPS = {"forward": (False,), "backward": (True,), "symmetric": (False, True)}

@@ -18,7 +18,7 @@ from .checks import (
     read_only,
     restore_state,
 )
-from .matrix.matrix import Matrix
+from .matrix import Matrix
 from .representation import describe_lcp
 
 
@@ -126,7 +126,7 @@ class LCP:
 
     @property
     def residual_scale(self) -> FloatVector:
-        """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.matrix.Matrix.residual_scale`."""
+        """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
 
     @property
@@ -283,7 +283,7 @@ class LCP:
         InvalidProblem
             If B is missing, or A and B are not real matrices of one shape.
         """
-        from ..problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+        from ..problems.reformulations import lcp_from_bimatrix_game
 
         return lcp_from_bimatrix_game(A, B)
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
-from ..core.matrix.matrix import largest_in_rows
+from ..core.matrix import largest_in_rows
 from .engine import EngineAnswer, ProgramData
 
 STEPS, ROUNDS = 15, 2

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.checks import FloatVector
-from ..core.matrix.matrix import largest_in_rows
-from ..core.matrix.scaling import scale_by
+from ..core.matrix import largest_in_rows, scale_by
 from .engine import EngineAnswer, ProgramData
 
 FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active

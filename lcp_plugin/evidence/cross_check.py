@@ -35,13 +35,13 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
-from ..core.matrix.scaling import scale_by
+from ..core.matrix import scale_by
 from ..core.problem_classes import refusal
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
 from ..engines import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ..methods.interior_point import MonotoneProgram, signs_of
-from ..methods.newton.active_set import classify, solve_active_set
+from ..methods.newton import classify, solve_active_set
 from ..problems.programs.program import asymmetry_of
 from ..systems.definiteness import factorised, symmetric_part
 

@@ -28,7 +28,7 @@ from ..core.certificates.residuals import Certificate
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
-from ..core.matrix.matrix import largest_in_rows
+from ..core.matrix import largest_in_rows
 from ..core.solving.result import Result
 
 FAR = 1.5  # the level of a node that no bound is near to

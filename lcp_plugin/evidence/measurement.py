@@ -231,7 +231,7 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
 def _error_bound(
     problem: LCP, start: FloatVector | None, max_seconds: float
 ) -> tuple[Callable[[FloatVector], float] | None, str]:
-    from ..proofs.bounds.error_bounds import error_bound
+    from ..proofs.bounds import error_bound
 
     try:
         error_bound(problem, problem.nearest_to_zero, sharp=False)

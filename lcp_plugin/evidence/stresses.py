@@ -15,10 +15,15 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem
 from ..core.lcp import LCP
-from ..core.matrix.scaling import scale_by
+from ..core.matrix import scale_by
 from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from ..proofs.exact.linear_systems import solved_nearby
-from ..proofs.exact.rational import exact_slack, is_exact_solution, power_of_two, rational_rows
+from ..proofs.exact import (
+    exact_power_of_two,
+    exact_slack,
+    is_exact_solution,
+    rational_rows,
+    solved_nearby,
+)
 from ..systems.equilibration import equilibrating_exponents
 
 ExactPoint = tuple[Fraction, ...]
@@ -353,7 +358,7 @@ def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
     z = [Fraction(end) for end in ends.tolist()]
     right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
     column = equilibrating_exponents(problem.csr, ALIKE).column
-    units = [power_of_two(int(one)) for one in column]
+    units = [exact_power_of_two(int(one)) for one in column]
     rows = [
         {j: entry * units[j] for j, entry in row.items() if is_free[j]}
         for row, free in zip(rational_rows(problem.csr), is_free, strict=True)

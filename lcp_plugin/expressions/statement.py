@@ -14,8 +14,8 @@ from ..core.certificates.criterion import row_data
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.options import ConeOptions, NonlinearOptions
 from ..core.representation import format_count
+from ..core.settings import ConeOptions, NonlinearOptions
 from ..core.solving.result import Result
 from ..problems.cones.data import Blocks
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
-from ..core.matrix.matrix import largest_in_rows
+from ..core.matrix import largest_in_rows
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

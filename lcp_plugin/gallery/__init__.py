@@ -8,8 +8,8 @@ of this folder, and nothing else.
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from . import mechanics, obstacle, paper  # noqa: F401 - their test problems are registered
-from .economics import binomial_put
+from . import problems  # noqa: F401 - the test problems are registered
+from .problems import binomial_put
 from .scene import Description, Scene, build, builder_of, describe, names, parse, scene_builder
 
 __all__ = ["Description", "Scene", "binomial_put", "build", "describe", "names", "parse"]

@@ -33,10 +33,10 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
-from ..core.matrix.structure import entries_of_row
+from ..core.matrix import entries_of_row
 from ..expressions.program import Program
 from ..problems.equilibria.equilibrium_program import LOWER, UPPER, EquilibriumProgram
-from ..problems.equilibria.result import ENDS
+from ..problems.equilibria.relaxations import ENDS
 from ..problems.programs.program import QuadraticProgram
 
 LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well

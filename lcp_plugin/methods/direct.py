@@ -30,22 +30,21 @@ import numpy as np
 from ..core.algorithm import Algorithm
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
-from ..core.matrix.row_sums import has_positive_diagonal
-from ..core.matrix.structure import is_nearly_symmetric
+from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
 from ..core.solving.stage import Stage
-from ..core.splittings.projected_relaxation import PSOR
+from ..core.splittings import PSOR
 from ..core.tuning import (
     LINEAR_PROGRAM_UP_TO,
     PIVOTED_UP_TO,
     PIVOTS_FIRST_UP_TO,
 )
-from ..proofs.no_solution.infeasibility import contradictory_row
-from ..proofs.verdicts.report import is_negative
+from ..proofs.no_solution import contradictory_row
+from ..proofs.verdicts import is_negative
 from ..systems.factors import factor_fits, sizes_of_factor
 from .interior_point import InteriorPoint, with_signed_equations
 from .lemke import Lemke, has_components_that_fit
-from .lemke.games import is_game
-from .newton.semismooth_newton import Newton
+from .lemke.pivoting_path import is_game
+from .newton import Newton
 
 AGAIN = "the other methods found no solution"
 GAME_PIVOTS = (
@@ -67,8 +66,7 @@ def direct_methods(
         If False, no method looks for proofs.
     """
     from ..proofs.verdicts import analyze
-    from .search import is_searchable
-    from .search.stages import ExhaustiveSearch, FeasibilityCheck
+    from .search import ExhaustiveSearch, FeasibilityCheck, is_searchable
 
     check = Stage(FeasibilityCheck(), "is there a solution at all?")
     # For a convex program, a path from r > 0 ends in a solution if there is one: other starts do not help.

@@ -14,15 +14,14 @@ from ..core.algorithm import Algorithm, Step
 from ..core.checks import FloatVector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
-from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.structure import equation_signs, is_nearly_symmetric, row_numbers
+from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import Engine, ProgramData, SolverLimits
 from ..engines.piqp import PIQP
 from ..engines.scaling import scale_program
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
-from .newton.active_set import classify, is_near, signature, solve_active_set
+from .newton import classify, is_near, signature, solve_active_set
 
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 CASES = 5  # that follow from a point of an engine; from a start, one

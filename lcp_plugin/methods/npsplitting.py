@@ -14,10 +14,16 @@ from ..core.certificates.criterion import scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP
-from ..core.matrix.iteration_facts import PROJECTED_SPLITTING, IterationFacts
-from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.row_sums import balanced_factors, triangle_sums, unit_triangle_sums
-from ..core.splittings.projected_type import ScaledByRows
+from ..core.matrix import (
+    PROJECTED_SPLITTING,
+    IterationFacts,
+    Matrix,
+    balanced_factors,
+    fact,
+    triangle_sums,
+    unit_triangle_sums,
+)
+from ..core.splittings import ScaledByRows
 from ..systems.factors import sparse_lu
 
 

@@ -12,9 +12,9 @@ from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
+from ..problems.programs.criterion import QPSolution
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import QuadraticProgramResult, solve_program
 from ._compat import CVXPY_STATUS, name_of, solver_errors, statistics
 from .stated_terms import dense_value

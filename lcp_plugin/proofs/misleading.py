@@ -10,8 +10,7 @@ from ..core.checks import BoolVector
 from ..core.errors import UnsuitableMatrix
 from ..core.settings import Status
 from ..systems.free_systems import FreeSystem
-from .bounds.active_rows import estimated_error, free_rows
-from .bounds.error_bounds import error_bound
+from .bounds import error_bound, estimated_error, free_rows
 
 if TYPE_CHECKING:
     from ..core.solving.result import Result

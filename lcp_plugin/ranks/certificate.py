@@ -12,7 +12,7 @@ from scipy.sparse import csgraph
 from ..core.certificates.criterion import RowData, RowsAtPoint
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON, TINY
-from ..core.matrix.matrix import largest_products
+from ..core.matrix import largest_products
 from ..core.rounding import compensated_product, lower_end
 from ..systems.comparison_sums import comparison_product
 

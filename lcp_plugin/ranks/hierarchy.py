@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
-from ..systems.hierarchy import galerkin
+from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.levels import (
     COARSEST,
@@ -123,7 +123,7 @@ def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> FloatVector:
 def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRanks:
     indptr, indices, data = matrix.arrays
     first = Operator(indptr[: own + 1], indices[: indptr[own]], data[: indptr[own]])
-    split, inverse = pivots(first, galerkin.SMALLEST_PIVOT)
+    split, inverse = pivots(first, kernels.SMALLEST_PIVOT)
     weight = np.zeros(own)
     if not (halo.is_empty or scales_rows):
         rows = sp.csr_array((first.data, first.indices, first.indptr), (own, own + halo.foreign))
@@ -181,7 +181,7 @@ def _coarser(
             return None
     prolongation = Operator(p_indptr, p_indices, p_data)
     restriction = Operator(R.indptr, R.indices, R.data)
-    rows = galerkin.product(grid.matrix, prolongation, restriction, count + others.size).arrays
+    rows = kernels.product(grid.matrix, prolongation, restriction, count + others.size).arrays
     if not halo.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]
         further = others[np.unique(met[met >= count]) - count]

@@ -15,11 +15,11 @@ import numpy as np
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
-from ..core.matrix.row_sums import split_rows
+from ..core.matrix import split_rows
 from ..core.rounding import read_only_views
-from ..systems.hierarchy import sweeps
+from ..systems.hierarchy import kernels
+from ..systems.hierarchy.kernels import prolong, restrict
 from ..systems.hierarchy.truncation import KrylovCorrection
-from ..systems.hierarchy.vectors import prolong, restrict
 from .hierarchy import HierarchyOnRanks, TruncationOnRanks, build_hierarchy, pivot_weight
 
 if TYPE_CHECKING:
@@ -173,14 +173,14 @@ class GridProblemOnRanks:
         """Overwrite z by one projected Gauss–Seidel sweep."""
         self.halo.fetch(z)
         rows = self.grid.rows
-        sweeps.projected_sweep(rows, self.grid.blocks, self.vectors, 1.0, backward, z)
+        kernels.projected_sweep(rows, self.grid.blocks, self.vectors, 1.0, backward, z)
         self.work += self.grid.matrix.data.size
 
     def look(self, z: FloatVector) -> tuple[float, float]:
         """Find the free rows and truncate to them; return the largest scaled residual and the rows changed."""
         top, residual = self.truncation.grids[0], self.residual[: self.n]
         self.halo.fetch(z)
-        largest, changed = sweeps.free_rows(
+        largest, changed = kernels.free_rows(
             self.grid.rows, self.vectors, z, top.is_free, top.free_changed, residual
         )
         changed_rows = self.halo.total(changed)

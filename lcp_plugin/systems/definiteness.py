@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
-from ..core.matrix.scaling import scale_by
-from ..core.matrix.structure import row_numbers
+from ..core.matrix import row_numbers, scale_by
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 

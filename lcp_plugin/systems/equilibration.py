@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import FloatVector
-from ..core.matrix.scaling import Exponents
-from ..core.matrix.structure import row_numbers
+from ..core.matrix import Exponents, row_numbers
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
 DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed

@@ -19,8 +19,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector, read_only
 from ..core.deadline import enforced_seconds_left, require_seconds
-from ..core.matrix.matrix import Matrix, fact, largest_in_rows
-from ..core.matrix.structure import row_numbers
+from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
 

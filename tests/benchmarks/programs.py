@@ -19,8 +19,8 @@ import scipy.sparse as sp
 
 from lcp_plugin import solve
 from lcp_plugin.interfaces.program_files import load_program
+from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.programs.program import QuadraticProgram
-from lcp_plugin.problems.programs.solution import QPSolution
 
 from .timing import rounds, timed
 

@@ -14,7 +14,7 @@ import numpy as np
 from oracles.exact import Exact, exact_solution
 
 from lcp_plugin import LCP, UnsuitableMatrix
-from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
+from lcp_plugin.proofs.bounds import ErrorBound, error_bound
 
 RADII = (0.5, 0.9, 0.99, 0.999)
 DEFINITE = "SPD"

@@ -13,7 +13,7 @@ import numpy as np
 
 from lcp_plugin import LCP
 from lcp_plugin.methods.search import NoSolution, Solution, Solutions, search
-from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
+from lcp_plugin.proofs.no_solution import find_infeasibility
 
 from . import small_lcps
 

@@ -34,8 +34,7 @@ from lcp_plugin import (
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import snap_to_bounds
 from lcp_plugin.core.errors import UnsuitableMatrix
-from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.structure import is_nearly_symmetric
+from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.core.tuning import SEARCHED_UP_TO
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear

@@ -13,9 +13,8 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate, gallery
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
-from lcp_plugin.core.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
-from lcp_plugin.core.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
-from lcp_plugin.methods.modulus.modulus import MAOR, MGS, MJ, MSOR
+from lcp_plugin.core.splittings import GFP, NPAOR, NPGS, NPJ, NPSOR, PAOR, PGS, PJ, PSOR
+from lcp_plugin.methods.modulus import MAOR, MGS, MJ, MSOR
 from lcp_plugin.methods.npsplitting import NPSplitting
 
 STEPS = 30

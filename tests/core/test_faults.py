@@ -15,7 +15,7 @@ import pytest
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import Step
-from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.core.splittings import NPSOR
 
 SWEPT = gallery.build("obstacle_2d", size=30).problem  # auto begins with npsor
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
@@ -194,7 +194,7 @@ COMPILE = """
     from lcp_plugin.core.kernels import splitting_sweeps as kernels
     print(kernels.__file__)
     problem = LCP([[2, 1], [1, 2]], [-5, 1])
-    from lcp_plugin.core.matrix.row_sums import row_splits
+    from lcp_plugin.core.matrix import row_splits
     print(*row_splits(problem.matrix, False))
 """
 SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"

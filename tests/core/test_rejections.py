@@ -31,8 +31,7 @@ from lcp_plugin.core.errors import (
     WorkerLost,
 )
 from lcp_plugin.core.solving.result import Sample
-from lcp_plugin.core.splittings.projected_relaxation import PSOR
-from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.core.splittings import NPSOR, PSOR
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.stability import Atlas, stability_atlas
 from lcp_plugin.evidence.study import Study, error_against_time

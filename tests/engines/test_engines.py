@@ -19,7 +19,7 @@ from lcp_plugin.engines import (
     SolverLimits,
     engine_class,
 )
-from lcp_plugin.problems.programs.engine_calls import GIVEN, run_engine
+from lcp_plugin.problems.programs.solving import GIVEN, run_engine
 
 INF = np.inf
 QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_alone]

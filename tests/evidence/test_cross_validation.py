@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import (
-    LCP,
-    Certificate,
-    InvalidOption,
-    InvalidProblem,
-    Result,
-    gallery,
-    solve,
-)
+from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, gallery, solve
 from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 

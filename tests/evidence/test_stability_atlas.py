@@ -30,7 +30,7 @@ from lcp_plugin.evidence.stresses import (
     mostly_free,
     relative_error,
 )
-from lcp_plugin.proofs.exact.rational import is_exact_solution
+from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.strategies import solved_lcps
 
 SCALE_INVARIANT = [name for name in REGISTRY if name not in ("newton", "interior_point", "lemke")]

@@ -20,11 +20,11 @@ from legends import hides_nothing
 
 from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step
-from lcp_plugin.core.matrix.matrix import Matrix, fact
+from lcp_plugin.core.matrix import Matrix, fact
 from lcp_plugin.evidence.drawing import draw
 from lcp_plugin.evidence.measurement import Measurement
 from lcp_plugin.evidence.study import COLUMNS, Study, error_against_time, study
-from lcp_plugin.proofs.bounds.error_bounds import error_bound
+from lcp_plugin.proofs.bounds import error_bound
 
 NAP = 0.06
 

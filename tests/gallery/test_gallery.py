@@ -15,7 +15,7 @@ from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.errors import InvalidOption
-from lcp_plugin.gallery.obstacle import (
+from lcp_plugin.gallery.problems import (
     CONE_BEGINS,
     CONTACT_RADIUS,
     sphere_obstacle,

@@ -11,9 +11,9 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ELSEWHERE = {
     "algorithms": "Algorithm Step algorithm_class create",
-    "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
+    "problems.reformulations": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data",
-    "problems.programs.solution": "QPSolution",
+    "problems.programs.criterion": "QPSolution",
     "problems.programs.conversion": "lcp_from_qp qp_from_lcp",
     "evidence.measurement": "Measurement",
     "evidence.drawing": "draw",

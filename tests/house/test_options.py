@@ -12,16 +12,16 @@ from mypy import api as mypy
 
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.api import solver_of
-from lcp_plugin.core import options
+from lcp_plugin.core import settings
 from lcp_plugin.core.settings import DEFAULTS, OF_SOLVE
 from lcp_plugin.engines import ENGINES
 
 
-@pytest.mark.parametrize("kind", options.OF_CLASS)
+@pytest.mark.parametrize("kind", settings.OF_CLASS)
 def test_the_typed_options_of_a_class_are_those_of_its_solver(kind: str) -> None:
     """Those that the solver does not name are fields of Settings; z0 is another name of x0."""
     named = set(signature(solver_of(kind)).parameters) - {"problem", "algorithm", "options"}
-    typed = set(options.OF_CLASS[kind].__annotations__)
+    typed = set(settings.OF_CLASS[kind].__annotations__)
     assert named - {"x0", "z0"} <= typed
     assert typed - named - {"x0", "z0"} <= set(DEFAULTS)
 
@@ -29,15 +29,15 @@ def test_the_typed_options_of_a_class_are_those_of_its_solver(kind: str) -> None
 def test_the_typed_options_of_an_equilibrium_program_are_those_of_its_solver() -> None:
     """Neither has an option that the other lacks; z0 is another name of x0."""
     taken = set(signature(solver_of("EquilibriumProgram")).parameters) - {"problem"}
-    assert set(options.EquilibriumOptions.__annotations__) - {"z0"} == taken
+    assert set(settings.EquilibriumOptions.__annotations__) - {"z0"} == taken
 
 
 def test_the_typed_options_of_an_lcp_are_those_of_a_run_and_of_the_algorithms() -> None:
     """An option of a new algorithm is added to the table."""
     of_algorithms = {field.name for name in REGISTRY for field in fields(algorithm_class(name))}
-    assert set(options.AlgorithmOptions.__annotations__) == of_algorithms
-    assert set(options.LCPOptions.__annotations__) == of_algorithms | set(OF_SOLVE)
-    assert set(get_args(options.EngineName)) == set(ENGINES)
+    assert set(settings.AlgorithmOptions.__annotations__) == of_algorithms
+    assert set(settings.LCPOptions.__annotations__) == of_algorithms | set(OF_SOLVE)
+    assert set(get_args(settings.EngineName)) == set(ENGINES)
 
 
 @pytest.mark.full

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import Phase
 from hypothesis import strategies as st
 
-from lcp_plugin.strategies import assert_solves, judge, not_h_matrices, strictly_dominant_matrices
+from lcp_plugin import strategies
+from lcp_plugin.strategies import assert_solves, not_h_matrices, strictly_dominant_matrices
 
 ENOUGH = 500
 MANY = 120
@@ -104,7 +105,7 @@ BUGS: dict[str, tuple[Solver, str, str, dict[str, Any], str]] = {
 @pytest.fixture(autouse=True)
 def as_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Problems are not made smaller here: that a bug is found is the claim, and shrinking takes most of the time."""
-    monkeypatch.setattr(judge, "PHASES", (Phase.generate,))
+    monkeypatch.setattr(strategies, "PHASES", (Phase.generate,))
 
 
 @pytest.mark.few(2)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP
-from lcp_plugin.proofs.exact.rational import exact_slack
+from lcp_plugin.proofs.exact import exact_slack
 from lcp_plugin.strategies import positive_semidefinite_matrices, strictly_dominant_matrices
 
 Solved = tuple[LCP, tuple[Fraction, ...]]

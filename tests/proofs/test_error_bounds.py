@@ -18,12 +18,9 @@ from inputs.drawn_scaling import (
 from oracles.exact import exact_solution, has_positive_pivots
 
 from lcp_plugin import LCP, UnsuitableMatrix, gallery
-from lcp_plugin.proofs.bounds import solution_bounds
-from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
-from lcp_plugin.proofs.bounds.solution_bounds import (
-    smallest_eigenvalue_bound,
-)
-from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
+from lcp_plugin.proofs import bounds
+from lcp_plugin.proofs.bounds import ErrorBound, error_bound, smallest_eigenvalue_bound
+from lcp_plugin.proofs.exact import product_above, quotient_above, sum_above
 from lcp_plugin.proofs.verdicts import comparison_certificate
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 from lcp_plugin.systems.equilibration import unit_diagonal
@@ -215,8 +212,8 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
         exponents = unit_diagonal(problem.diagonal)
-        part, blur = solution_bounds._symmetric_part(problem.csr, exponents)
-        value, scale = solution_bounds._proven_bound(part, blur), np.exp2(exponents.row)
+        part, blur = bounds._symmetric_part(problem.csr, exponents)
+        value, scale = bounds._proven_bound(part, blur), np.exp2(exponents.row)
     else:
         bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)

@@ -27,10 +27,8 @@ from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.methods.npsplitting import NPSplitting
-from lcp_plugin.proofs.guarantees import convergence_guarantee
-from lcp_plugin.proofs.guarantees.radius import bound_of_errors
-from lcp_plugin.proofs.guarantees.theorems import theorem_4_1
-from lcp_plugin.proofs.verdicts.report import sign_remark
+from lcp_plugin.proofs.guarantees import bound_of_errors, convergence_guarantee, theorem_4_1
+from lcp_plugin.proofs.verdicts import sign_remark
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems.comparison import nonnegative_radius
 

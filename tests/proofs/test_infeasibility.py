@@ -15,10 +15,8 @@ from oracles.truth import is_farkas
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.certificates.criterion import references_of_components
 from lcp_plugin.methods.search import NoSolution, search
-from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
-from lcp_plugin.proofs.exact.rational import exact_residuals
-from lcp_plugin.proofs.no_solution.infeasibility import contradictory_row, find_infeasibility
-from lcp_plugin.proofs.no_solution.proof import Infeasibility
+from lcp_plugin.proofs.exact import exact_residuals, rank_profile, solve_exactly
+from lcp_plugin.proofs.no_solution import Infeasibility, contradictory_row, find_infeasibility
 
 
 def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 0) -> LCP:

@@ -16,16 +16,20 @@ from oracles.exact import determinant, principal_minors
 
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.core.errors import UnsuitableMatrix
-from lcp_plugin.core.matrix.matrix import Matrix
-from lcp_plugin.core.matrix.structure import (
-    is_nearly_symmetric,
-)
+from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
 from lcp_plugin.core.rounding import lower_end, upper_end
 from lcp_plugin.methods.direct import _seems_monotone
+from lcp_plugin.proofs import verdicts
 from lcp_plugin.proofs.guarantees import convergence_guarantee
-from lcp_plugin.proofs.verdicts import analyze, comparison_certificate, h_matrix, h_verdict
-from lcp_plugin.proofs.verdicts.h_matrix import is_nonpositive, positive_margin
-from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
+from lcp_plugin.proofs.verdicts import (
+    analyze,
+    comparison_certificate,
+    h_verdict,
+    is_nonpositive,
+    is_p_matrix_by_recursion,
+    nonpositive_pair,
+    positive_margin,
+)
 from lcp_plugin.systems.comparison_sums import comparison_product, exact_comparison_row
 from lcp_plugin.systems.definiteness import (
     is_positive_definite,
@@ -425,7 +429,7 @@ def test_signs_that_the_sums_hide_are_decided_exactly(
     for other_rows in (0, -1):
         assert is_nonpositive(hidden_sign(sign, other_rows), ones) == (sign <= 0)
         assert positive_margin(hidden_sign(sign, other_rows), ones) is None
-    monkeypatch.setattr(h_matrix, "EXACT_ROWS", 0)
+    monkeypatch.setattr(verdicts, "EXACT_ROWS", 0)
     assert positive_margin(M, ones) is None
     assert not is_nonpositive(hidden_sign(sign, 0), ones)
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, solve
+from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
-from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.proofs.no_solution.linear_constraints import WIDE
+from lcp_plugin.proofs.farkas import WIDE
 
 DECIMAL = np.array([[0.1, 0.2, 0.3], [0.7, 0.1, 0.2], [0.8, 0.3, 0.5]])  # .1 + .7 ≠ .8
 CONTRADICTORY, MET = [1.0, 2.0, 3.1], [0.6, 1.0, 1.6]

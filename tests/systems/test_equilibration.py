@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import gallery
 from lcp_plugin.systems.comparison import ComparisonMatrix
-from lcp_plugin.systems.least_norm import have_one_unit
+from lcp_plugin.systems.free_systems import have_one_unit
 
 
 def test_small_units_are_seen() -> None:

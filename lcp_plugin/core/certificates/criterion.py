@@ -45,9 +45,7 @@ import numpy as np
 from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
-from ..matrix.matrix import Matrix, fact, largest_products
-from ..matrix.row_sums import BLOCK
-from ..matrix.structure import IntVector, connected_components
+from ..matrix import BLOCK, IntVector, Matrix, connected_components, fact, largest_products
 from ..rounding import compensated_product
 from ..tuning import SEARCHED_UP_TO
 from .measured import Measured
@@ -328,7 +326,7 @@ class RowData:
 
     def is_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
         """Return whether a proof from these rows excludes every solution of problem k, of which z is a candidate."""
-        from ...proofs.no_solution.infeasibility import is_proved_infeasible
+        from ...proofs.no_solution import is_proved_infeasible
 
         whole = self.q.shape
         M = self.M[min(*k, len(self.M) - 1)] if self.M.ndim > 2 else self.M

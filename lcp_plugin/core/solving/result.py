@@ -19,8 +19,8 @@ from ..settings import Settings, Status
 from .base_result import NEXT, BaseResult
 
 if TYPE_CHECKING:
-    from ...proofs.bounds.error_bounds import ErrorBound
-    from ...proofs.guarantees.theorems import Guarantee
+    from ...proofs.bounds import ErrorBound
+    from ...proofs.guarantees import Guarantee
 
 
 class StageRecord(NamedTuple):
@@ -183,7 +183,7 @@ class Result(BaseResult):
     def _bound_or_reason(self) -> tuple[ErrorBound | None, str]:
         if not self._wants_bound:
             return None, ""
-        from ...proofs.bounds.error_bounds import error_bound
+        from ...proofs.bounds import error_bound
 
         try:
             return error_bound(self.certificate.problem, self.z), ""

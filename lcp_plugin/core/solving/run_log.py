@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..lcp import LCP
-from ..matrix.matrix import Matrix
+from ..matrix import Matrix
 from .result import Result, Sample
 from .stage import Stage
 

@@ -40,7 +40,7 @@ axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``
 use :meth:`BatchDerivative.jvp` in numpy.
 
 **Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of
-:class:`~lcp_plugin.problems.sensitivity.contact_batch_derivative.ContactBatchDerivative`.
+:class:`~lcp_plugin.problems.sensitivity.batch_derivative.ContactBatchDerivative`.
 
 **Double precision**, on the CPU: single precision raises an error, because a certificate of rounded data certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.

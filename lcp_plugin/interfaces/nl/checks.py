@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
-from ...core.matrix.structure import entries_of_row
+from ...core.matrix import entries_of_row
 from ...expressions.program import Program
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
-from ...core.matrix.structure import entries_of_row
+from ...core.matrix import entries_of_row
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows

@@ -16,7 +16,7 @@ from ...core.algorithm import Algorithm, Step
 from ...core.checks import FloatVector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
-from ...core.matrix.matrix import Matrix, fact
+from ...core.matrix import Matrix, fact
 from ...core.rounding import read_only_views
 from ...core.tuning import BANDED_PASSES
 from ...systems.factors import Bands, bands

@@ -16,12 +16,12 @@ from ...core.checks import FloatVector
 from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.matrix.structure import connected_components
+from ...core.matrix import connected_components
 from ...core.settings import whole_number
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
-from ..newton.active_set import classify, is_near, solve_active_set
-from .canonical_box import CanonicalBox, canonical_box
+from ..newton import classify, is_near, solve_active_set
+from .pivoting_path import CanonicalBox, canonical_box
 
 CAREFUL_BLOCK = 5
 

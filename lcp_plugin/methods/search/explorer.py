@@ -11,9 +11,8 @@ from fractions import Fraction
 from typing import Any
 
 from ...core.lcp import LCP
-from ...proofs.exact.rational import integer_matrix, slack_bounds
-from ...proofs.no_solution.infeasibility import Case
-from ...proofs.no_solution.proof import FIXED, LOWER, SLACKLESS, UPPER, row_choices
+from ...proofs.exact import integer_matrix, slack_bounds
+from ...proofs.no_solution import FIXED, LOWER, SLACKLESS, UPPER, Case, row_choices
 from .simplex import Bound, Effort, ExactSimplex
 
 Point = tuple[Fraction, ...]

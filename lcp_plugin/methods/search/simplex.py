@@ -11,7 +11,7 @@ from itertools import compress
 import numpy as np
 
 from ...core.checks import FloatVector
-from ...proofs.exact.rational import IntegerMatrix, integers, power_of_two
+from ...proofs.exact import IntegerMatrix, exact_power_of_two, integers
 
 Bound = int | None  # None: no bound
 Sides = tuple[FloatVector, FloatVector]  # lower, upper
@@ -368,7 +368,7 @@ def _integer_bounds(sides: Sides) -> tuple[Fraction, list[list[Bound]]]:
         number if finite else None for number, finite in zip(whole, is_finite.tolist(), strict=True)
     ]
     n = sides[0].size
-    return power_of_two(exponent), [bounds[:n], bounds[n:]]
+    return exact_power_of_two(exponent), [bounds[:n], bounds[n:]]
 
 
 def _integer_rows(
@@ -381,8 +381,8 @@ def _integer_rows(
     rows, scales = [], []
     for i, q in enumerate(offset.tolist()):
         constant = Fraction(q) / unit
-        step = min(power_of_two(matrix.exponent), Fraction(1, constant.denominator))
-        factor = int(power_of_two(matrix.exponent) / step)
+        step = min(exact_power_of_two(matrix.exponent), Fraction(1, constant.denominator))
+        factor = int(exact_power_of_two(matrix.exponent) / step)
         row = [0] * offset.size + [int(constant / step)]
         for j, entry in matrix.row(i):
             row[j] = entry * factor

@@ -15,17 +15,16 @@ from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
-from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
-from ...core.options import BatchOptions
+from ...core.matrix import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.problem_classes import class_of, refusal, takes
-from ...core.settings import DEFAULTS, Settings, checked_threads
+from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
 from ...methods.banded import banded_passes
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..least_squares.data import BoundedLeastSquares
-from ..programs.convexity import refuse_nonconvex
 from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
+from ..programs.program_matrices import refuse_nonconvex
 from ..programs.solving import programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_run import BatchAnswers, BatchRun

@@ -22,8 +22,7 @@ from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...core.solving.base_result import BaseResult
 from ...core.solving.result import Result, StageRecord
 from ..least_squares.certificate import Optimality
-from ..least_squares.data import BoundedLeastSquares
-from ..least_squares.enclosures import Enclosures
+from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
 from ..many.answers import AnswerSequence
 from ..many.chunks import run_in_chunks

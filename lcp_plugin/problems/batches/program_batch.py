@@ -13,10 +13,9 @@ from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
 from ..many.chunks import run_in_chunks
-from ..programs.criterion import errors_of_each
+from ..programs.criterion import QPSolution, errors_of_each
 from ..programs.program import CANCELS, QuadraticProgram
 from ..programs.program_matrices import may_be_small
-from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
 from ..programs.stacked_programs import QuadraticProgramBatch, block_matrices
 from .batch_run import BatchRun

@@ -13,15 +13,14 @@ from ...auto import takes_rounds
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
-from ...methods.small.rounds import CHUNK, SMALL_DENSE, is_small, solve_stack
+from ...methods.small import CHUNK, SMALL_DENSE, is_small, solve_stack
+from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern
-from ...systems.least_norm import products
 from ..cones.data import Blocks
 from ..cones.solving import solve_cone_stack
 from ..cones.stack import ConeStack, Pattern
-from ..least_squares.data import BoundedLeastSquares
-from ..least_squares.enclosures import times
-from ..least_squares.stack import length_of_stack, solve_least_squares_stack, suits_stack
+from ..least_squares.data import BoundedLeastSquares, times
+from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
 from ..many.data import length_of_all, rows_of_a_batch
 
 CONES_UP_TO = 400  # rows of a problem over cones in a stack

@@ -1,6 +1,6 @@
 """Derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0.
 
-The derivative is computed as in :mod:`lcp_plugin.systems.linearized` with the generalised derivatives of Newton's
+The derivative is computed as in :mod:`lcp_plugin.systems.free_systems` with the generalised derivatives of Newton's
 steps, and R_μ dμ. If several impulses give the same motion, dz is the change of least norm, and dw is the same for
 all. If a block is on the boundary of two modes, dz is one-sided: it uses the elements of the piece into which dz
 and dw lead.
@@ -24,12 +24,11 @@ from ...core.checks import (
     rectangular_matrix,
 )
 from ...core.errors import InvalidOption, UnsuitableProblem
-from ...core.matrix.matrix import Matrix
-from ...systems.free_systems import FreeSystem
+from ...core.matrix import Matrix
+from ...systems.free_systems import FreeSystem, LinearizedSystem
 from ...systems.graph import outer_on_pattern
-from ...systems.linearized import LinearizedSystem
 from .data import Blocks
-from .newton import polish_points, system_of_free_rows
+from .methods import polish_points, system_of_free_rows
 from .stack import ON, WITHIN, Array, ConeStack, length
 
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d: distance to another mode of a degenerate block

@@ -1,4 +1,21 @@
-"""Methods for complementarity over cones: block Gauss–Seidel, semismooth Newton, a central path, convex programs."""
+"""Methods for complementarity over cones: block Gauss–Seidel, semismooth Newton, a central path, convex programs.
+
+Central path of contacts with friction, followed by an interior-point method.
+
+Let û = u + μ‖u_T‖ e_N, so that u = û − μ‖û_T‖ e_N, and S = diag(μ, 1, 1) for each contact. Then x = S r and y =
+S⁻¹û are in Lorentz' cone, and are complementary. The path x ∘ y = σ e, û − μ‖û_T‖ e_N = W r + b is followed by
+steps with the scaling of Nesterov and Todd, a predictor and a corrector. One step takes one factorization of W + G
+S H S, H the scaling and G the derivative of u by û. The path ends near the middle of all impulses that make the
+motion, where Newton's method converges. Therefore contacts with undetermined impulses are not harder than others.
+Convergence is not proved, because the problem is not convex.
+
+Newton's method on the natural map of cones, for all problems of a stack at once, and the systems of its steps.
+
+A step solves (R_z + R_w (M + ε D)) s = −R, D = diag(d). The proximal term ε falls with the residual. It keeps the
+system regular if several impulses make the same motion. Open blocks leave the system. The unknowns of the system are
+the unknowns of the blocks, or the velocities of the bodies if contacts are defined by bodies and these have fewer
+velocities.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +25,299 @@ from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ...core.algorithm import Step
+from ...core.checks import FloatVector
 from ...core.errors import UnsuitableProblem
 from ...core.settings import whole_number
-from .central_path import central_path
-from .newton import newton_steps
-from .programs import minimizers
-from .stack import ConeStack
+from ...systems.free_systems import solved
+from .data import minimizers
+from .stack import TINY, ConeStack, Factors, NaturalMap, factorize_matrix, length
 from .sweeps import sweep_blocks
+
+PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
+LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
+EXACT_OF_BODIES = 2.0**-36
+HARDER, EASIER = 100.0, 0.01  # times ε: for a singular system, and after a full step without GAIN
+MEMORY = 5  # a step may rise to the largest of so many residuals
+HALVINGS, DECREASE = 14, 1e-4
+LAST_STEPS = 2
+NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
+PATIENCE = 60  # points without GAIN; each halving is a point
+STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
+
+
+def newton_steps(
+    stack: ConeStack, z: Any, steps: int, goal: float
+) -> Iterator[tuple[Any, Any, Any, float]]:
+    """Yield the open problems, points, residuals and work, for the start and each step.
+
+    Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
+    """
+    open_ones, here, at = np.arange(stack.B), stack, z
+    found = here.measure(at)
+    yield open_ones, at, found.largest, 1.0
+    norms, widest = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, PROXIMAL)
+    best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
+    for count in range(steps):
+        going = np.isfinite(found.norm) & (found.largest > goal) & (since < PATIENCE)
+        if not going.any():
+            return
+        if not going.all():
+            kept = (open_ones, at, norms, widest, best, since)
+            open_ones, at, norms, widest, best, since = (one[going] for one in kept)
+            here, found = here.take(going), NaturalMap(*(one[going] for one in found))
+        by_z, by_w = here.derivative(*found[1:6])
+        epsilon = np.maximum(np.minimum(widest, 0.1 * found.largest), least)
+        step = None
+        while step is None and epsilon.min() <= 1.0:
+            try:
+                shift = (epsilon[:, None] * here.d)[..., None, None]
+                factors = factorize_blocks(here, by_z + shift * by_w, by_w)
+                step = factors.solve(-found.R)
+            except np.linalg.LinAlgError:
+                epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
+        if step is None:
+            return
+        t, allowed, before, start = np.ones(here.B), norms.max(1), found.norm, at
+        at = start + step
+        found = here.measure(at)
+        for _ in range(HALVINGS):
+            is_short = ~(found.norm <= (1.0 - DECREASE * t) * allowed)
+            if not is_short.any():
+                break
+            t[is_short] *= 0.5
+            at[is_short] = (start + t[:, None, None] * step)[is_short]
+            shorter = here.take(is_short).measure(at[is_short])
+            for whole, part in zip(found, shorter, strict=True):
+                whole[is_short] = part
+        is_poor = (t < 1.0) | (found.norm >= before)
+        narrower = np.where(found.norm > NEWTON_GAIN * before, EASIER * epsilon, widest)
+        widest = np.where(is_poor, PROXIMAL, narrower)
+        norms[:, count % MEMORY] = found.norm
+        tried = 1 - np.log2(t).astype(np.int64)  # each halving costs as much as a step
+        since = np.where(found.norm < NEWTON_GAIN * best, 0, since + tried)
+        best = np.minimum(best, found.norm)
+        yield open_ones, at, found.largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
+
+
+def accuracy_of(stack: ConeStack) -> tuple[float, float]:
+    """Return the least proximal term, and the residual that no further step reduces."""
+    if stack.arms is not None and stack.arms.are_fewer(stack.pattern.n):
+        return LEAST_OF_BODIES, EXACT_OF_BODIES
+    return LEAST_PROXIMAL, EXACT
+
+
+def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
+    """Return points and residuals after the linear systems of two active sets, if these reduce the residual.
+
+    The linear systems are solved because a small residual does not imply a small error if M is ill-conditioned.
+    """
+    least, exact = accuracy_of(stack)
+    found = stack.measure(z)
+    best, smallest, shift = z, found.largest, least * stack.d[..., None, None]
+    for _ in range(LAST_STEPS):
+        if (found.largest <= exact).all():
+            break
+        by_z, by_w = stack.derivative(*found[1:6])
+        try:
+            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found.R)
+        except np.linalg.LinAlgError:
+            break
+        found = stack.measure(z)
+        is_better = found.largest < smallest
+        best = np.where(is_better[:, None, None], z, best)
+        smallest = np.where(is_better, found.largest, smallest)
+    return best, smallest
+
+
+def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
+    """Return a solver for (mixed + by_w M) s = right, shape (B, k, m).
+
+    Raises
+    ------
+    LinAlgError
+        For a singular matrix.
+    """
+    pattern = stack.pattern
+    if stack.B > 1 or (not pattern.is_sparse and pattern.n <= STACKED_UP_TO):
+        J = whole_systems(stack, mixed, by_w)
+
+        def solve_all(right: Any) -> Any:
+            return pattern.wide(solved(J, pattern.flat(right)[..., None])[..., 0])
+
+        return Factors(solve_all, pattern.n**3 / 3.0)
+    free = by_w[0].any((1, 2))
+    arms = stack.arms
+    if arms is not None and arms.are_fewer(pattern.sizes[free].sum()):
+        found: Factors = arms.factorize(mixed[0], by_w[0], np.flatnonzero(free))
+        return found
+    J, rows = system_of_free_rows(stack, mixed[0], by_w[0], free)
+    inverse = factorize_matrix(J)
+
+    def solve(right: Any) -> Any:
+        # of open blocks s is the right-hand side
+        held = np.where(free[:, None], 0.0, right)
+        known = right[0]
+        if held.any():
+            known = known - (by_w[0] @ pattern.times(held)[0][..., None])[..., 0]
+        s = pattern.flat(held)
+        s[0, rows] = inverse.solve(pattern.flat(known[None])[0, rows])
+        return pattern.wide(s)
+
+    return Factors(solve, inverse.entries)
+
+
+def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
+    """Return mixed + by_w M of each problem, shape (B, n, n)."""
+    pattern = stack.pattern
+    row, column = pattern.inner
+    J = pattern.flat(by_w @ pattern.wide(pattern.M))
+    J[:, row, column] += mixed[pattern.entry(row, column)]
+    return J
+
+
+def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> tuple[Any, Any]:
+    """Return mixed + by_w M on rows and columns of the free blocks of one problem, and the rows."""
+    pattern = stack.pattern
+    rows = np.flatnonzero(free[pattern.of_row])
+    if not pattern.is_sparse:
+        return whole_systems(stack, mixed[None], by_w[None])[0][np.ix_(rows, rows)], rows
+    row, column = pattern.inner
+    entry, indptr = pattern.entry(row, column), np.searchsorted(row, np.arange(pattern.n + 1))
+    of_w, of_z = (
+        sp.csr_array((part[None][entry][0], column, indptr), shape=pattern.M.shape)[rows]
+        for part in (by_w, mixed)
+    )
+    return (of_w @ pattern.M + of_z)[:, rows], rows
+
+
+Cones = NDArray[np.float64]  # shape (k, d)
+
+LEAST_SLOPE = 1e-3  # of the cones of the path; Newton's steps use the user's cones
+TO_THE_BOUNDARY = 0.9
+SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
+
+
+def central_path(stack: ConeStack, z: Any, share: float) -> Iterator[tuple[Any, float]]:
+    """Yield impulses on the path of one problem, in the user's cones, (1, k, d), and the work of each step.
+
+    Parameters
+    ----------
+    stack : ConeStack
+        Stack of one problem.
+    z : array, shape (1, k, d)
+        A point near which the path begins; 0 means a cold start.
+    share : float
+        Distance of the start from z, relative to the largest velocity.
+    """
+    scale = np.ones((stack.k, stack.m))
+    scale[:, 0] = np.maximum(stack.mu[0], LEAST_SLOPE)
+    speed = share * (float(np.abs(stack.q[0] / scale).max(initial=0.0)) or 1.0)
+    x, y = scale * z[0], np.zeros_like(scale)
+    d: Any = np.median(stack.d[0]) if stack.k else 1.0
+    if z.any():
+        y, d = stack.slack(z)[0], stack.d[0]
+        y[:, 0] = np.maximum(y[:, 0], 0.0) / scale[:, 0] + length(y[:, 1:])
+    x[:, 0] += speed / d
+    y[:, 0] += speed
+    while (step := take_step(stack, scale, x, y)) is not None:
+        x, y, entries = step
+        yield stack.project((x / scale)[None]), 2.0 + entries / max(stack.pattern.nonzeros, 1)
+
+
+def take_step(
+    stack: ConeStack, scale: Cones, x: Cones, y: Cones
+) -> tuple[Cones, Cones, float] | None:
+    """Return the next x and y, and the entries that the factorization processed; None if no step is possible."""
+    H, root = nesterov_todd_scaling(x, y)
+    eye = np.eye(stack.m)
+    G = np.tile(eye, (stack.k, 1, 1))
+    G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), TINY)[:, None]
+    left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
+    by_z = G * scale[:, None] @ H * scale[:, None]
+    if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
+        return None
+    try:
+        factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
+
+        def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
+            """Return dx, dy with H dx + dy = c that remove a share of the residual."""
+            dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
+            return dx, c - apply(H, dx)
+
+        dx, dy = direction(-y)
+        t = min(1.0, longest(x, dx), longest(y, dy))
+        mean = float((x * y).sum()) / len(x)
+        after = float(((x + t * dx) * (y + t * dy)).sum()) / len(x)
+        at, moved = apply(root, x), apply(root, dx)
+        right = product(moved, at + moved) - product(at, at)
+        right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
+        dx, dy = direction(apply(root, quotient(right, at)))
+        t = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
+        for sigma in CENTRED if t < SHORT else ():
+            right = -product(at, at)
+            right[:, 0] += sigma * mean
+            centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
+            further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
+            if further > t:
+                (dx, dy), t = centring, further
+    except np.linalg.LinAlgError:
+        return None
+    return x + min(1.0, t) * dx, y + min(1.0, t) * dy, factors.entries
+
+
+def apply(blocks: NDArray[np.float64], x: Cones) -> Cones:
+    """Return the product of each block with its part of x."""
+    found: Cones = np.einsum("kij,kj->ki", blocks, x)
+    return found
+
+
+def determinant(x: Cones) -> FloatVector:
+    """Return x_N² − ‖x_T‖², shape (k,)."""
+    tangent = np.linalg.norm(x[:, 1:], axis=1)
+    found: FloatVector = (x[:, 0] - tangent) * (x[:, 0] + tangent)
+    return found
+
+
+def product(a: Cones, b: Cones) -> Cones:
+    """Return Jordan's product (aᵀb, a_N b_T + b_N a_T)."""
+    return np.column_stack([(a * b).sum(axis=1), a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:]])
+
+
+def quotient(b: Cones, a: Cones) -> Cones:
+    """Return the c whose Jordan product with a is b."""
+    normal = ((a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1)) / determinant(a))[:, None]
+    return np.column_stack([normal, (b[:, 1:] - normal * a[:, 1:]) / a[:, :1]])
+
+
+def nesterov_todd_scaling(x: Cones, y: Cones) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the symmetric H with H x = y, a quadratic representation, and its root, shape (k, d, d) each."""
+    mirror = np.diag(np.r_[1.0, -np.ones(x.shape[1] - 1)])
+    of_x, of_y = np.sqrt(determinant(x))[:, None], np.sqrt(determinant(y))[:, None]
+    a, b = x / of_x, y / of_y
+    w = (a @ mirror + b) / np.sqrt(2.0 * (1.0 + (a * b).sum(axis=1)))[:, None]
+    half = w.copy()
+    half[:, 0] += 1.0
+    half /= np.sqrt(2.0 * (1.0 + w[:, 0]))[:, None]
+    ratio = (of_y / of_x)[:, :, None]
+    H, root = (2.0 * v[:, :, None] * v[:, None, :] - mirror for v in (w, half))
+    return ratio * H, np.sqrt(ratio) * root
+
+
+def longest(x: Cones, step: Cones) -> float:
+    """Return the largest t for which x + t step is in the cones."""
+    a = determinant(step)
+    b = x[:, 0] * step[:, 0] - (x[:, 1:] * step[:, 1:]).sum(axis=1)
+    c = determinant(x)
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    larger = -(b + np.where(b >= 0.0, root, -root))
+    ends = np.stack([larger / a, c / larger, -x[:, 0] / step[:, 0]])
+    ends[:2, b * b < a * c] = np.inf
+    return float(np.where(ends > 0.0, ends, np.inf).min(initial=np.inf))
+
 
 Points = Iterator[Step]  # z of shape (1, k, m), its relative residual without rounding, work
 

@@ -22,14 +22,13 @@ from ...core.solving.run import Run
 from ...core.solving.run_log import RunLog
 from ...core.solving.stage import Stage
 from ...core.solving.termination import FAILED, TerminationReason
-from ...methods.search import is_searchable
-from ...methods.search.stages import ExhaustiveSearch
+from ...methods.search import ExhaustiveSearch, is_searchable
 from ..contact import ContactMotion, motion_of
-from .certificate import ConeCertificate, Measures
+from .certificate import ConeCertificate, ContactInfeasibility, Measures, infeasibility_proof
 from .data import Blocks
 from .frictional_contact import FrictionalContact
-from .infeasibility import ContactInfeasibility, infeasibility_proof
 from .methods import (
+    EXACT,
     METHODS,
     NEWTON_STEPS,
     STOP,
@@ -42,10 +41,11 @@ from .methods import (
     Points,
     move_at_random,
     newton_points,
+    newton_steps,
     path_points,
+    polish_points,
     sweep_points,
 )
-from .newton import EXACT, newton_steps, polish_points
 from .stack import Array, ConeStack
 from .sweeps import sweep_blocks
 

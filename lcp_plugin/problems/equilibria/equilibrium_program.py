@@ -18,9 +18,9 @@ from ...core.checks import (
     rectangular_matrix,
 )
 from ...core.errors import InvalidProblem, UnsupportedModel
-from ...core.matrix.matrix import largest_in_rows
-from ..programs.convexity import refuse_nonconvex
+from ...core.matrix import largest_in_rows
 from ..programs.program import QuadraticProgram
+from ..programs.program_matrices import refuse_nonconvex
 
 Indices = NDArray[np.int64]
 #: The open branches of each pair, as a sum of LOWER, BETWEEN, UPPER.

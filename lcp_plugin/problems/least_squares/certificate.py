@@ -40,11 +40,11 @@ from ...core.checks import BoolVector, FloatVector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.rounding import compensated_product
-from .data import BoundedLeastSquares
-from .enclosures import (
+from .data import (
     NOTHING,
     OUTWARD,
     Ball,
+    BoundedLeastSquares,
     Enclosures,
     clip,
     shortest_solution,

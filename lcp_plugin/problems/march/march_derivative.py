@@ -23,13 +23,11 @@ from ...core.checks import (
 from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.matrix import Matrix
-from ...core.matrix.structure import row_numbers
+from ...core.matrix import Matrix, row_numbers
 from ...methods.banded import held_entries, solve_held
 from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
-from . import BLOCK, March, checked_propagator, checked_rows
-from .on_band import propagation
+from . import BLOCK, March, checked_propagator, checked_rows, propagation
 
 if TYPE_CHECKING:
     from ..sensitivity import Derivative

@@ -20,9 +20,7 @@ import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from ...core.checks import FloatVector
-from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.scaling import scale_matrix
-from ...core.matrix.structure import IntVector
+from ...core.matrix import IntVector, largest_in_rows, scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
 

@@ -18,9 +18,8 @@ from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.base_result import Outcome
 from ..least_squares.certificate import Optimality
-from ..least_squares.data import BoundedLeastSquares
-from ..least_squares.enclosures import Enclosures
-from ..programs.solution import QPSolution
+from ..least_squares.data import BoundedLeastSquares, Enclosures
+from ..programs.criterion import QPSolution
 
 NEARLY = 100.0  # times the tolerance: up to here the status is PRECISION_LIMIT
 SHOWN = 8  # breakpoints in a paragraph

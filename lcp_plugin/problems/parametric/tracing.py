@@ -17,10 +17,9 @@ from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import DEFAULTS, Settings
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..programs.conversion import conditions
-from ..programs.convexity import refuse_nonconvex
-from ..programs.criterion import PROGRAM_TOLERANCE
+from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
 from ..programs.program import QuadraticProgram
-from ..programs.solution import QPSolution
+from ..programs.program_matrices import refuse_nonconvex
 from .following import Follower, MonotoneGraphs, Segment
 from .path import Path, PathPoint, Piece
 

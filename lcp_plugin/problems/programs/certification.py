@@ -1,7 +1,7 @@
 """Rigorous verdicts on a claimed solution of a convex program from any solver: `certify`.
 
 All verdicts hold for the stored doubles, rounding included, and do not rely on the solver. Weak duality gives a lower
-bound of the optimal value (:mod:`lcp_plugin.problems.programs.dual_bounds`), from the user's multipliers and from the
+bound of the optimal value (:mod:`lcp_plugin.problems.programs.value_bounds`), from the user's multipliers and from the
 multipliers of a built-in solve. A point that is proved feasible gives an upper bound.
 """
 
@@ -20,23 +20,19 @@ from ...core.checks import FloatVector, checked_vector, derived_property, is_num
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
-from ...core.matrix.matrix import largest_products
+from ...core.matrix import largest_products
 from ...core.problem_classes import class_of, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance
 from ...core.solving.base_result import BaseResult
-from ...proofs.bounds.curvature import constrained_curvature
-from ...proofs.bounds.solution_bounds import norm_above
-from ...proofs.exact.rational import enclosures
-from ...proofs.exact.upward import quotient_above, sum_above
-from .convexity import refuse_nonconvex
-from .criterion import excused_rows, least_size
-from .dual_bounds import DualBounds, implied_box
-from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
+from ...proofs.bounds import constrained_curvature, norm_above
+from ...proofs.exact import enclosures, quotient_above, sum_above
+from .criterion import QPSolution, excused_rows, least_size
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
-from .solution import QPSolution
+from .program_matrices import refuse_nonconvex
 from .solving import QuadraticProgramResult, solve_program
+from .value_bounds import DualBounds, FeasiblePoint, FeasiblePoints, implied_box, objective_bounds
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SHARE = 0.5  # of a time limit: for multipliers, so that proofs have as much time
@@ -67,7 +63,7 @@ def certify(
         The solution of a `QuadraticProgram`; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
         Multipliers of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
-        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, which also has the multipliers of the bounds. They
+        :class:`~lcp_plugin.problems.programs.criterion.QPSolution`, which also has the multipliers of the bounds. They
         are checked to 10 · tolerance, relative to the terms of each condition: wrong multipliers are never proved.
         Without them the multipliers of a new solve are used.
     claim : str, optional

@@ -12,10 +12,9 @@ from ...core.checks import FloatVector, checked_answer
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
-from .convexity import refuse_nonconvex
-from .criterion import PROGRAM_TOLERANCE, KKTErrors
+from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
 from .program import QuadraticProgram, asymmetry_of
-from .solution import QPSolution
+from .program_matrices import refuse_nonconvex
 
 __all__ = ["QuadraticProgram", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
@@ -37,7 +36,7 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     -------
     LCP
         Problem whose ``origin.recover(result)`` returns the
-        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, with the multipliers of all rows and bounds,
+        :class:`~lcp_plugin.problems.programs.criterion.QPSolution`, with the multipliers of all rows and bounds,
         including folded rows.
 
     Raises

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
-from ...core.matrix.matrix import largest_products
+from ...core.matrix import largest_products
 from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
-from ...proofs.exact.linear_systems import solved_nearby
-from ...proofs.exact.rational import (
+from ...proofs.exact import (
     ZERO,
     Vector,
     common_denominator,
@@ -34,25 +33,23 @@ from ...proofs.exact.rational import (
     rational_rows,
     rounded_down,
     short,
+    solved_nearby,
 )
-from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, best_proof, linear_program
-from ...proofs.no_solution.free_motion import (
-    is_at_rest,
-    is_minimizer_beyond_radius,
-    moved_unknowns,
-)
-from ...proofs.no_solution.linear_constraints import (
+from ...proofs.farkas import (
     DECISIVE,
     FarkasCertificate,
+    FarkasProgram,
     LinearConstraints,
+    Multipliers,
+    best_proof,
     exact_dot,
+    linear_program,
 )
+from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_unknowns
 from ...systems.definiteness import positive_definite_solver
 from ...systems.equilibration import equilibrating_exponents
-from .constraints import Constraints, stationarity
 from .criterion import ROWS
-from .program_matrices import sums_and_terms
-from .reductions import FoldedRows
+from .program_matrices import Constraints, FoldedRows, stationarity, sums_and_terms
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram

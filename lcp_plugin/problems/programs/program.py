@@ -25,10 +25,8 @@ from ...core.checks import (
 from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
-from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.structure import mismatch
+from ...core.matrix import largest_in_rows, mismatch
 from ...core.rounding import compensated_pair, compensated_product
-from .constraints import Constraints
 from .criterion import PROGRAM_TOLERANCE
 from .no_minimum import (
     QPInfeasibility,
@@ -36,8 +34,7 @@ from .no_minimum import (
     proof_of_contradiction,
     proof_of_no_minimum,
 )
-from .program_matrices import ProgramMatrices
-from .reductions import FoldedRows
+from .program_matrices import Constraints, FoldedRows, ProgramMatrices
 
 VECTORS = "c", "h", "b", "lower", "upper"
 SYMMETRIC_TO = 1e-12

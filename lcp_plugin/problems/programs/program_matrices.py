@@ -1,11 +1,19 @@
-"""Matrices of a quadratic program, and facts that depend on them only: shared by programs with other vectors."""
+"""Matrices of a quadratic program, and facts that depend on them only: shared by programs with other vectors.
+
+The constraints of a quadratic program as one list of rows.
+
+Convexity test of quadratic programs, and the error messages for nonconvex programs.
+
+Program without rows of one variable, and the inverse transformation of solutions and proofs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,10 +24,17 @@ from ...core.checks import (
     DENSE_UP_TO_SIZE,
     FloatVector,
 )
-from ...core.matrix.matrix import Matrix, largest_in_rows, largest_products
-from ...core.matrix.structure import row_numbers
+from ...core.errors import UnsupportedModel
+from ...core.matrix import Matrix, largest_in_rows, largest_products, row_numbers
+from ...core.rounding import compensated_product, upper_end
+from ...proofs.exact import Row, like, rational_rows
+from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
 from .criterion import BLUR, ProgramComponents
+
+if TYPE_CHECKING:
+    from .no_minimum import QPInfeasibility, QPUnboundedness
+    from .program import QuadraticProgram
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = (
@@ -364,3 +379,313 @@ def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, Flo
     sums += np.bincount(rows.indices, terms, rows.shape[1])
     sizes += np.bincount(rows.indices, np.abs(terms), rows.shape[1])
     return sums, sizes
+
+
+NOISE = 1e-5  # of the coefficients of a row: 1e-14 of this on the right counts as a rounded 0
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """Rows C x ≤ d, including equalities: G x ≤ h, A x = b, −x ≤ −lower, x ≤ upper; d_i = ∞ means no constraint.
+
+    Attributes
+    ----------
+    matrices : ProgramMatrices
+    limit : ndarray
+        d.
+    """
+
+    matrices: ProgramMatrices
+    limit: FloatVector
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> Constraints:
+        """Return the constraints of a program."""
+        limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
+        return cls(program.matrices, limit)
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """C, shape (m + p + 2n, n)."""
+        return self.matrices.constraints
+
+    @property
+    def is_equality(self) -> NDArray[np.bool_]:
+        """Mask of the equality rows."""
+        return self.matrices.is_equality
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """m, p, n, n: numbers of rows of G, of A, of lower and of upper bounds."""
+        return self.matrices.sizes
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of G and A."""
+        return self.sizes[0] + self.sizes[1]
+
+    @property
+    def right(self) -> FloatVector:
+        """[h; b]: the limits of the rows of G and A."""
+        return self.limit[: self.rows]
+
+    @property
+    def finite(self) -> Indices:
+        """The rows that say something."""
+        return np.flatnonzero(np.isfinite(self.limit))
+
+    def split(self, values: Any) -> list[Any]:
+        """Return the parts of values per row: of G, of A, of the lower and of the upper bounds."""
+        ends = np.cumsum(self.sizes).tolist()
+        return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
+
+    @cached_property
+    def own_sizes(self) -> FloatVector:
+        """Size of each row: |right-hand side|, or 1e-5 of its smallest coefficient if larger; 1 without coefficients.
+
+        An inconsistency at rounding level, relative to all unscaled coefficients, is attributed to rounded data.
+        """
+        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
+        inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
+        return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, NOISE))
+
+    @cached_property
+    def unit(self) -> FloatVector:
+        """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
+        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
+        return np.asarray(self.matrices.row_sizes + right)
+
+    @cached_property
+    def as_rows(self) -> LinearConstraints:
+        """All constraints, including bounds, as rows of an unbounded x, with w = d − C x."""
+        free, kept = np.full((2, self.matrix.shape[1]), np.inf), np.zeros(self.matrix.shape[1])
+        return LinearConstraints(
+            -self.matrix,
+            self.limit,
+            np.isfinite(self.limit),
+            self.is_equality,
+            -free[0],
+            free[1],
+            self.unit,
+            (kept, kept),
+        )
+
+    @cached_property
+    def within_bounds(self) -> LinearConstraints:
+        """The rows of G and A within the bounds, with w = d − C x."""
+        rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
+        units = self.split(self.unit)
+        return LinearConstraints(
+            -self.matrices.rows,
+            self.limit[rows],
+            np.isfinite(self.limit[rows]),
+            self.is_equality[rows],
+            -below,
+            above,
+            self.unit[rows],
+            (units[2], units[3]),
+        )
+
+    @cached_property
+    def exactly(self) -> list[Row]:
+        """The rows of C in fractions."""
+        return rational_rows(self.matrix)
+
+    def excess(self, x: FloatVector) -> FloatVector:
+        """Return proved upper bounds of the violation of each row: −∞ to 0 if satisfied, ∞ if a sum overflows."""
+        is_finite = np.isfinite(self.limit)
+        value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
+        above = upper_end(np.where(self.is_equality, np.abs(value), value), radius)
+        return np.where(is_finite, above, -np.inf)
+
+
+def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
+    """Return P x + Gᵀy + Aᵀv + c with the signs that bounds require, y ≥ 0; P may contain only spanning rows."""
+    rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
+    matrix = sp.csr_array(sp.vstack([P, rows, sp.csr_array(program.A)], format="csr").T)
+    free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
+    is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
+    return LinearConstraints(
+        matrix,
+        program.c,
+        np.isinf(program.upper),
+        np.isinf(program.lower),
+        np.where(is_inequality, 0.0, -np.inf),
+        free,
+        or_one(largest_in_rows(matrix)) + np.abs(program.c),
+        (nothing, nothing),
+    )
+
+
+LARGEST_SHOWN = 1000  # unknowns of a P whose eigenvalues are computed for a message
+ROUNDED = 1e-2  # of the largest eigenvalue: a negative one that rounding to some digits may cause
+
+
+def refuse_nonconvex(program: QuadraticProgram) -> None:
+    """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
+
+    Only the unknowns count that bounds, and rows of one unknown, do not fix.
+
+    Cost: one factorization, if no row decides and the factorization fits into memory.
+
+    Raises
+    ------
+    UnsupportedModel
+        With the eigenvalue that shows it.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    lcp_plugin.core.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
+    """
+    if program.matrices.is_nearly_semidefinite:
+        return
+    P, (lower, upper) = program.P, (program.folded.reduced.lower, program.folded.reduced.upper)
+    free = np.flatnonzero(lower < upper)
+    if free.size < program.n:
+        none = np.zeros((0, free.size))
+        if ProgramMatrices(P[free][:, free], none, none).is_nearly_semidefinite:
+            return
+    shown, repair = "P has a negative eigenvalue", ""
+    if program.n <= LARGEST_SHOWN:
+        values = np.linalg.eigvalsh(as_array(P))
+        shown = f"the smallest eigenvalue of P is {values[0]:.3g}"
+        if -values[0] <= ROUNDED * values[-1]:
+            repair = (
+                "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
+                "P = V * w.clip(0) @ V.T; otherwise "
+            )
+    raise UnsupportedModel(
+        f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
+        "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install "
+        "'.[global]')"
+    )
+
+
+OWN = -1  # the variable's own bound, not a row's
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedRows:
+    """The program's bounds and rows with singleton, empty and unlimited rows gone.
+
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. An infeasible row – 0 ≤ −1, or
+    singleton rows with inconsistent bounds – remains a row, so that the solver detects that the program is infeasible.
+
+    Attributes
+    ----------
+    program, reduced : QuadraticProgram
+        Before and after; the same object if no row goes.
+    left : ndarray of int
+        Rows of [G; A] that remain.
+    lower_row, upper_row : ndarray of int, shape (n,)
+        The row of [G; A] that gives the bound, or −1.
+    coefficient : ndarray, shape (rows of G + rows of A,)
+        The only entry of a singleton row; 1 elsewhere.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2])
+    >>> folded = program.folded
+    >>> print(folded.reduced)
+    QuadraticProgram(n=2, 0 inequalities, 0 equalities)
+    >>> folded.multipliers(np.array([0.0, 0.0, 0.0, 2.0]))
+    array([1., 0., 0., 0., 0.])
+    """
+
+    program: QuadraticProgram
+    reduced: QuadraticProgram
+    left: Indices
+    lower_row: Indices
+    upper_row: Indices
+    coefficient: FloatVector
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> FoldedRows:
+        """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
+        matrices, right = program.matrices, np.concatenate([program.h, program.b])
+        if not matrices.has_short_rows and np.isfinite(right).all():
+            own = np.full(program.n, OWN)
+            return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))
+        is_equality, (rows, columns, coefficient) = (
+            matrices.is_equality[: right.size],
+            matrices.singletons,
+        )
+        limits = right[rows] / coefficient[rows]
+        is_finite = np.isfinite(limits)
+        rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
+        above, below = (
+            is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0)
+        )
+        upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
+        negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
+        lower = -negated + 0.0  # no negative zeros
+        contradicts = lower > upper
+        lower[contradicts], upper[contradicts] = (
+            program.lower[contradicts],
+            program.upper[contradicts],
+        )
+        lower_row[contradicts] = upper_row[contradicts] = OWN
+
+        is_empty = np.diff(matrices.rows.indptr) == 0
+        stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
+        stays[rows[~contradicts[columns]]] = False
+        left = np.flatnonzero(stays)
+        folded = program
+        if left.size < right.size:
+            folded = program.with_matrices(
+                matrices.of_rows(left),
+                program.c,
+                program.h[left[left < program.h.size]],
+                right[left[left >= program.h.size]],
+                lower,
+                upper,
+            )
+        return cls(program, folded, left, lower_row, upper_row, coefficient)
+
+    def multipliers(self, reduced: Any) -> Any:
+        """Return the multipliers of all constraints, doubles or Fractions; rows get the multipliers of their bounds."""
+        if self.reduced is self.program:
+            return reduced
+        rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
+        every = np.zeros(self.coefficient.size, dtype=reduced.dtype)
+        every[self.left] = rows
+        own = []
+        for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
+            moved = np.flatnonzero((owner != OWN) & (share != 0))
+            every[owner[moved]] += (
+                sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
+            )
+            own.append(np.where(owner == OWN, share, 0))
+        return np.concatenate([every, *own])
+
+    def proof(
+        self, found: QPInfeasibility | QPUnboundedness | None
+    ) -> QPInfeasibility | QPUnboundedness | None:
+        """Return the proof for the original program; None if the proof does not hold there.
+
+        A limit over a coefficient is rounded, and no number of the program.
+        """
+        if found is None or self.reduced is self.program:
+            return found
+        proof: Any = replace(found, program=self.program)
+        if found.verdict == "infeasible":
+            whole = self.multipliers(np.array(proof.multipliers, dtype=object))
+            proof = replace(proof, multipliers=tuple(map(Fraction, whole)))
+        return proof if proof.verify() else None
+
+
+def _tightest(
+    own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices
+) -> tuple[FloatVector, Indices]:
+    """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
+    tightest, owner = own.copy(), np.full(own.size, OWN)
+    np.minimum.at(tightest, columns, limits)
+    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[
+        ::-1
+    ]  # of equal ones the first
+    owner[columns[gives]] = rows[gives]
+    return tightest, owner

@@ -19,10 +19,15 @@ from ...core.checks import (
 )
 from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
-from .convexity import refuse_nonconvex
 from .criterion import ProgramComponents
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
-from .program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_small
+from .program_matrices import (
+    ProgramMatrices,
+    as_array,
+    fit_units_of,
+    may_be_small,
+    refuse_nonconvex,
+)
 
 
 class QuadraticProgramBatch:
@@ -236,7 +241,7 @@ class QuadraticProgramBatch:
     def refuse_nonconvex(self) -> None:
         """Raise if one P for all is not convex.
 
-        As :func:`~lcp_plugin.problems.programs.convexity.refuse_nonconvex`.
+        As :func:`~lcp_plugin.problems.programs.program_matrices.refuse_nonconvex`.
         """
         if self._shared is not None:
             refuse_nonconvex(self._shared)

@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector, read_only
 from ...core.deadline import require_seconds
-from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.structure import is_nearly_symmetric
-from . import galerkin
+from ...core.matrix import Matrix, fact, is_nearly_symmetric
+from . import kernels
 from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 
 # Weaker couplings than this share of the row's largest do not interpolate. With positive couplings, as of a rotated
@@ -91,11 +90,11 @@ def build_hierarchy(
         if not (is_coarse.any() and np.isfinite(P.data).all() and np.isfinite(R.data).all()):
             break
         prolongation, restriction = (Operator(X.indptr, X.indices, X.data) for X in (P, R))
-        products += galerkin.count_products(grid.matrix, prolongation)
+        products += kernels.count_products(grid.matrix, prolongation)
         if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > MOST_PRODUCTS * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
         require_seconds(0.0)
-        coarse = galerkin.product(grid.matrix, prolongation, restriction, P.shape[1])
+        coarse = kernels.product(grid.matrix, prolongation, restriction, P.shape[1])
         grid = grid_of(coarse, may_cut=not scales_rows)
         grids.append(grid)
         transfers.append(Transfer(prolongation, restriction, is_coarse))
@@ -113,7 +112,7 @@ def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
 
 def grid_of(matrix: Operator, *, may_cut: bool = False) -> Grid:
     """Return the grid of a matrix; whether it `may_cut` sweeps."""
-    split, inverse = pivots(matrix, galerkin.SMALLEST_PIVOT)
+    split, inverse = pivots(matrix, kernels.SMALLEST_PIVOT)
     blocks = blocks_of(matrix.arrays, inverse.size, may_cut=may_cut)
     return Grid(matrix, split, blocks, inverse)
 

@@ -12,9 +12,9 @@ import numpy as np
 from ...core.checks import BoolVector, FloatVector, read_only
 from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
-from . import galerkin, sweeps, vectors
+from . import kernels
 from .grids import Grid, Transfer
-from .vectors import add_both, add_within, dot, largest_product, span
+from .kernels import add_both, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
 
@@ -86,11 +86,11 @@ class TruncatedGrid:
     def mark_rows(self, more: BoolVector) -> None:
         """Mark the rows in `more`, and those that meet an unknown in `free_changed`, as touched."""
         flags = (flag.view(np.uint8) for flag in (self.free_changed, more, self.touched))
-        galerkin.mark_rows(*self.grid.matrix.arrays[:2], *flags)
+        kernels.mark_rows(*self.grid.matrix.arrays[:2], *flags)
 
     def find_held(self, transfer: Transfer) -> None:
         """Find the held unknowns among the touched rows: they are free, but not interpolated."""
-        if vectors.find_held(
+        if kernels.find_held(
             *self.grid.matrix.arrays,
             self.values,
             self.is_free,
@@ -104,7 +104,7 @@ class TruncatedGrid:
 
     def update_coarser(self, below: TruncatedGrid, transfer: Transfer) -> tuple[float, int]:
         """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows."""
-        return galerkin.update_product(
+        return kernels.update_product(
             *self.grid.matrix.arrays[:2],
             self.values,
             self.is_interpolated,
@@ -203,7 +203,7 @@ class Truncation:
         top.fetch(top.x)
         p, product = self.vector(), self.vector()
         np.copyto(p, top.x[: p.size])
-        sweeps.free_product(top.rows, top.inverse, top.x, product)
+        kernels.free_product(top.rows, top.inverse, top.x, product)
         self.work += top.values.size
         return p, product
 
@@ -214,22 +214,22 @@ class Truncation:
         if k == len(self.transfers) and self._solves_directly(level):
             return
         blocks = grid.blocks
-        sweeps.first_sweep(rows, blocks, level.inverse, level.b, level.x)
+        kernels.first_sweep(rows, blocks, level.inverse, level.b, level.x)
         self.work += 0.5 * entries
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
         level.fetch(level.x)
         residual = level.residual[: grid.n]
-        sweeps.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
+        kernels.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
         level.add_pivot_weights(residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
         below.fetch(below.x)
-        vectors.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
+        kernels.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
         level.fetch(level.x)
-        sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
+        kernels.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def restrict(self, k: int, residual: FloatVector) -> None:
@@ -238,7 +238,7 @@ class Truncation:
         kept = residual[held]
         residual[held] = 0.0
         level.fetch(residual)
-        vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
+        kernels.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
     def _solves_directly(self, level: TruncatedGrid) -> bool:
@@ -256,7 +256,7 @@ class Truncation:
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
             level.fetch(level.x)
-            sweeps.sweep(
+            kernels.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
             )
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size

@@ -18,7 +18,7 @@ from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, starts
 from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST
-from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps
 
 INF = np.inf

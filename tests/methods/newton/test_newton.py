@@ -14,8 +14,7 @@ from hypothesis import given
 from inputs.planted import planted_lcp
 
 from lcp_plugin import LCP, Status, solve
-from lcp_plugin.methods.newton.active_set import NewtonState
-from lcp_plugin.methods.newton.semismooth_newton import Newton, full_steps
+from lcp_plugin.methods.newton import Newton, NewtonState, full_steps
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 TOLERANCE = 1e-9
@@ -174,7 +173,7 @@ import sys
 import numpy as np, scipy.sparse as sp
 from itertools import islice
 from lcp_plugin import LCP
-from lcp_plugin.methods.newton.semismooth_newton import Newton
+from lcp_plugin.methods.newton import Newton
 a, b = int(sys.argv[1]), int(sys.argv[2])
 cost = np.random.default_rng(5).uniform(1, 10, a * b)
 sums = [sp.kron(sp.eye_array(a), np.ones((1, b))), sp.kron(np.ones((1, a)), sp.eye_array(b))]

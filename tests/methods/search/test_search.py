@@ -22,9 +22,9 @@ from lcp_plugin import (
 )
 from lcp_plugin.methods.search import SearchLimitReached, all_solutions, search
 from lcp_plugin.methods.search.simplex import QUANTUM
-from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
-from lcp_plugin.proofs.exact.rational import is_exact_solution
-from lcp_plugin.proofs.no_solution.infeasibility import Case, NoSolution
+from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
+from lcp_plugin.proofs.exact import is_exact_solution
+from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 
 @pytest.mark.few(2)
@@ -232,7 +232,7 @@ def busy(seed: int) -> LCP:
 @pytest.mark.full
 def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Auto stops an exact search after a fixed amount of work, and reports its progress."""
-    monkeypatch.setattr("lcp_plugin.methods.search.stages.MOST_PRODUCTS", 4 * QUANTUM)
+    monkeypatch.setattr("lcp_plugin.methods.search.MOST_PRODUCTS", 4 * QUANTUM)
     runs = [solve(busy(0)) for _ in range(2)]
     for result in runs:
         assert result.status is Status.STALLED

@@ -13,7 +13,7 @@ from oracles.exact_criterion import failures
 from oracles.truth import ExactData
 
 from lcp_plugin import LCP, Status, solve, solve_batch
-from lcp_plugin.methods.small.rounds import solve_stack
+from lcp_plugin.methods.small import solve_stack
 
 INF = np.inf
 

@@ -15,8 +15,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
 from lcp_plugin.interfaces import scip
-from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
-from lcp_plugin.problems.equilibria.incumbents import LocalSearch
+from lcp_plugin.problems.equilibria.branch_and_bound import LocalSearch, minimize_over_solutions
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:

@@ -24,7 +24,7 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
 )
-from lcp_plugin.problems.nonlinear.certificate import Linearizations
+from lcp_plugin.problems.nonlinear.data import Linearizations
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 INF = np.inf

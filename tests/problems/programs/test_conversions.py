@@ -30,8 +30,8 @@ from lcp_plugin.core.errors import (
     UnsupportedModel,
 )
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
-from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
+from lcp_plugin.problems.programs.criterion import QPSolution
+from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 
 TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}
 SEEDS = range(6)

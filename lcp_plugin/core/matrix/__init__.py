@@ -1,1 +1,0 @@
-"""The matrix and its properties, each computed once, at first use."""

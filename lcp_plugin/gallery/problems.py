@@ -1,0 +1,935 @@
+"""Membranes: over obstacles, of uneven stuff, in a wind; and when to stop a drifting diffusion.
+
+A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
+
+Games, markets and options: Nash equilibria, prices that clear, the American put and the tree that checks it.
+
+Problems with a solution chosen first: the paper's examples, one with active constraints, and a random H₊-matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from ..problems.reformulations import lcp_from_bimatrix_game
+from .scene import SYMMETRIC, Scene, require, scene_builder
+from .stencil import (
+    Field,
+    balanced_matrix,
+    dirichlet_terms,
+    interior,
+    nodes,
+    stencil_matrix,
+    stiff_cells,
+    upwind,
+)
+
+CONTACT_RADIUS = {2: 0.6979651482233735, 3: 0.7892441190408083}
+"""By dimension, the root r* in (0, 1) of r² (1 − log(r/2)) = 1 and of 2 r² − r³/2 = 1."""
+
+CONE_BEGINS = 0.9
+"""From this radius on the sphere is continued by its tangent cone, so that ψ is finite everywhere."""
+
+HALF_SIDE = 2.0
+
+MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
+
+
+@scene_builder
+def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
+    """Membrane over a sphere on [−2, 2]², with analytic solution and free boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 4/(size + 1).
+    shifted
+        False: the unknown is u with lower = ψ. True: it is u − ψ with lower = 0, the plain LCP.
+
+    Notes
+    -----
+    ψ(r) = √(1 − r²) and −Δu ≥ 0. Off the contact set the radial solution that vanishes at r = 2 is
+    u = −A log(r/2); u and u′ continuous with ψ at r* give A = r*²/√(1 − r*²) and r*² (1 − log(r*/2)) = 1.
+    This u gives the boundary values on the square, so it also solves the problem there. From r = 0.9
+    on, outside the contact set, ψ is continued by its tangent cone, concave and below u. Rows are the rows of
+    the five-point stencil (4, −1), that is −h²Δ. The discretization error falls about like h², unevenly, as
+    the discrete contact set grows by whole nodes.
+
+    References
+    ----------
+    Kinderlehrer, Stampacchia, *An Introduction to Variational Inequalities and Their Applications*, SIAM
+    2000, doi:10.1137/1.9780898719451.
+    """
+    return _sphere_scene(2, size, shifted)
+
+
+@scene_builder
+def obstacle_3d(*, size: int = 30, shifted: bool = False) -> Scene:
+    """Membrane over a sphere on [−2, 2]³, with analytic solution and free boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size³, mesh width 4/(size + 1).
+    shifted
+        False: the unknown is u with lower = ψ. True: it is u − ψ with lower = 0, the plain LCP.
+
+    Notes
+    -----
+    As `obstacle_2d` with the radial solution u = A (1/r − 1/2): u and u′ continuous with ψ at r* give
+    A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are the rows of the seven-point stencil (6, −1).
+    """
+    return _sphere_scene(3, size, shifted)
+
+
+def sphere_obstacle(r: Field) -> Field:
+    """Return ψ(r) = √(1 − r²), continued by the tangent at r = 0.9; any shape."""
+    slope = -CONE_BEGINS / math.sqrt(1.0 - CONE_BEGINS**2)
+    sphere = np.sqrt(1.0 - np.minimum(r, CONE_BEGINS) ** 2)
+    return sphere + slope * np.maximum(r - CONE_BEGINS, 0.0)
+
+
+def sphere_solution(r: Field, dimension: int) -> Field:
+    """Return the analytic u(r) in dimension 2 or 3; any shape."""
+    contact = CONTACT_RADIUS[dimension]
+    strength = contact**dimension / math.sqrt(1.0 - contact**2)
+    outside = np.maximum(r, contact)
+    free = -np.log(outside / 2.0) if dimension == 2 else 1.0 / outside - 0.5
+    return np.where(r < contact, sphere_obstacle(r), strength * free)
+
+
+def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
+    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
+    r = np.sqrt(sum(x**2 for x in np.ix_(*[axis] * dimension)))
+    solution, radius = sphere_solution(r, dimension), r[interior(dimension)]
+    legs = (-1.0,) * dimension
+    M = stencil_matrix(radius.shape, 2.0 * dimension, legs, legs)
+    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
+    continuum = solution[interior(dimension)].ravel()
+    if shifted:
+        q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
+    return Scene(
+        problem=LCP(M, q, lower=lower),
+        continuum=continuum,
+        active_share=float(np.mean(radius < CONTACT_RADIUS[dimension])),
+        coordinates=(axis[1:-1],) * dimension,
+        axis_labels=("x", "y", "z")[:dimension],
+        **SYMMETRIC | MEMBRANE,
+    )
+
+
+@scene_builder
+def obstacle_bumps(*, size: int = 100, bumps: int = 8, load: float = -5.0, seed: int = 0) -> Scene:
+    """Membrane under a load over several bumps on the unit square, zero on the boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    bumps
+        Number of paraboloids of random height, width and place; ψ is their maximum.
+    load
+        f in −Δu ≥ f; negative values press the membrane onto the bumps.
+    seed
+        Seed of the generator that draws the bumps.
+
+    Notes
+    -----
+    Several contact sets with free boundaries of different curvature, and no closed form. Each paraboloid is
+    positive only inside the square, so ψ ≤ 0 on the boundary. Rows are scaled by h².
+    """
+    axis = nodes(0.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    generator = np.random.default_rng(seed)
+    obstacle = np.full((size, size), -np.inf)
+    for _ in range(bumps):
+        width, height = generator.uniform(0.08, 0.25), generator.uniform(0.1, 0.5)
+        at_x, at_y = generator.uniform(width, 1.0 - width, size=2)
+        bump = height * (1.0 - ((x - at_x) ** 2 + (y - at_y) ** 2) / width**2)
+        np.maximum(obstacle, bump, out=obstacle)
+
+    legs = (-1.0, -1.0)
+    M = stencil_matrix((size, size), 4.0, legs, legs)
+    mesh_width = 1.0 / (size + 1)
+    return Scene(
+        problem=LCP(M, np.full(size**2, -load * mesh_width**2), lower=obstacle.ravel()),
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+        **SYMMETRIC | MEMBRANE,
+    )
+
+
+# --- Uneven stuff and wind --------------------------------------------------------------------------------------
+
+BLOCKS = 10
+PULL = 10.0
+
+
+@scene_builder
+def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) -> Scene:
+    """Membrane above the ground whose stiffness jumps at random between 10 × 10 blocks.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    contrast
+        The logarithm of the stiffness is uniform over a range of this ratio.
+    seed
+        Seed of the generator that draws the blocks.
+
+    Notes
+    -----
+    −∇·(k ∇u) ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy. k is constant on each cell of
+    the mesh; an edge takes the mean of the two cells it separates. Rows are scaled by h². The error of z can be much
+    larger than its residual: about contrast times.
+    """
+    require(contrast >= 1.0, f"contrast must be a number ≥ 1, got {contrast}")
+    stiffness = 10.0 ** (
+        np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast)
+    )
+    block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
+    cells = stiffness[np.ix_(block, block)]
+    M = balanced_matrix((size, size), stiff_cells(cells))
+    return _pulled_membrane(M, size, **SYMMETRIC)
+
+
+@scene_builder
+def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float = 30.0) -> Scene:
+    """Membrane above the ground, stiff along fibres that cross the grid at an angle; M has positive couplings.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    ratio
+        Stiffness across the fibres, divided by that along them.
+    degrees
+        Angle between the fibres and the first axis.
+
+    Notes
+    -----
+    −∇·(K ∇u) ≥ f as in `coefficient_jumps`, K with the eigenvalues 1 and `ratio`, by bilinear finite elements: a
+    nine-point stencil, symmetric and positive definite, but no M-matrix.
+    """
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    first, second = cosine**2 + ratio * sine**2, sine**2 + ratio * cosine**2
+    mixed = (1.0 - ratio) * cosine * sine
+    mass, slope, stiffness = (
+        sp.diags_array(legs, offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64)
+        for legs in ([1 / 6, 4 / 6, 1 / 6], [-0.5, 0.0, 0.5], [-1.0, 2.0, -1.0])
+    )
+    M = sp.csr_array(
+        first * sp.kron(stiffness, mass)
+        + second * sp.kron(mass, stiffness)
+        - 2.0 * mixed * sp.kron(slope, slope)
+    )
+    M.eliminate_zeros()
+    return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=size == 1)
+
+
+@scene_builder
+def convection_diffusion(
+    *, size: int = 100, diffusion: float = 1e-3, wind_angle: float = 0.6
+) -> Scene:
+    """Membrane above the ground in a constant wind: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width h = 1/(size + 1).
+    diffusion
+        ε ≥ 0; below h the wind dominates.
+    wind_angle
+        Between the wind, which has length 1, and the first axis, radian.
+
+    Notes
+    -----
+    −ε Δu + b·∇u ≥ f as in `coefficient_jumps`, first-order upwind. Rows are scaled by h²/max(ε, h).
+    """
+    h = 1.0 / (size + 1)
+    scale = 1.0 / max(diffusion, h)
+    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = balanced_matrix(
+        (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
+    )
+    return _pulled_membrane(M, size, scale, is_symmetric=size == 1, is_h_plus=True)
+
+
+def _pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any) -> Scene:
+    axis = nodes(0.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    q: FloatVector = (-scale / (size + 1) ** 2 * force).ravel()
+    return Scene(
+        problem=LCP(M, q),
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the ground",
+        **facts,
+    )
+
+
+@scene_builder
+def optimal_stopping(
+    *,
+    size: int = 100,
+    diffusion: float = 1e-2,
+    wind_x: float = 1.0,
+    wind_y: float = 0.5,
+    swirl: float = 0.0,
+    discount: float = 1.0,
+    gain: float = 0.0,
+) -> Scene:
+    """Optimal stopping of a drifting diffusion on the unit square: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
+    diffusion
+        ε > 0, length²/time; small values give sharp layers and a strongly nonsymmetric matrix.
+    wind_x, wind_y, swirl
+        b(x, y) = (wind_x − swirl·(y − ½), wind_y + swirl·(x − ½)), length/time. The process drifts with −b.
+    discount
+        Rate r ≥ 0, 1/time.
+    gain
+        Running gain f per unit of time until the process is stopped.
+
+    Notes
+    -----
+    The value u is the largest expected discounted gain plus reward ψ at the moment of stopping, leaving the
+    square included: −ε Δu + b·∇u + r u ≥ f, u ≥ ψ, complementary, u = ψ on the boundary. ψ is a hill and a
+    lower one. First-order upwind differences keep every off-diagonal entry ≤ 0 at any ratio of b to ε, so M
+    is an M-matrix. Rows are scaled by h². With all of the wind zero M is symmetric.
+
+    References
+    ----------
+    Kushner, Dupuis, *Numerical Methods for Stochastic Control Problems in Continuous Time*, Springer 2001,
+    doi:10.1007/978-1-4613-0007-6.
+    """
+    axis = nodes(0.0, 1.0, size)
+    x, y = np.ix_(axis, axis)
+    reward = _hill(x, y, 0.65, 0.6, 0.15) + 0.5 * _hill(x, y, 0.3, 0.25, 0.1)
+    h = 1.0 / (size + 1)
+    wind = (wind_x - swirl * (y[:, 1:-1] - 0.5), wind_y + swirl * (x[1:-1] - 0.5))
+    legs = upwind(diffusion, [h * b for b in wind])
+    M = balanced_matrix((size, size), legs, h**2 * discount)
+    q = dirichlet_terms(reward, *legs) - h**2 * gain
+    return Scene(
+        problem=LCP(M, q, lower=reward[interior(2)].ravel()),
+        is_symmetric=wind_x == wind_y == swirl == 0.0,
+        is_h_plus=True,
+        coordinates=(axis[1:-1], axis[1:-1]),
+        axis_labels=("x", "y"),
+        unknown="value",
+        active_means="stop at once",
+    )
+
+
+def _hill(x: Field, y: Field, at_x: float, at_y: float, width: float) -> Field:
+    return np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / (2.0 * width**2))
+
+
+@scene_builder
+def journal_bearing(
+    *, size: int = 100, eccentricity: float = 0.8, half_length: float = 10.0
+) -> Scene:
+    """Pressure in the oil film of a journal bearing with cavitation.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size².
+    eccentricity
+        Eccentricity relative to the clearance; at 1 the journal would touch. The film's coefficient spans a ratio of
+        ((1 + ε)/(1 − ε))³: 8e6 at 0.99.
+    half_length
+        Half the width of the bearing, in radii.
+
+    Notes
+    -----
+    Reynolds' equation on θ in (0, 2π) and y in (0, 2 · half_length): −∇·(h³ ∇p) ≥ −∂h/∂θ = ε sin θ, p ≥ 0,
+    complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are the rows of the
+    five-point stencil times both mesh widths.
+
+    References
+    ----------
+    Cryer, *The method of Christopherson for solving free boundary problems for infinite journal bearings*, Math.
+    Comp. 25, 1971, doi:10.1090/S0025-5718-1971-0298961-7. Moré, Toraldo, *On the solution of large quadratic
+    programming problems with bound constraints*, SIAM J. Optim. 1, 1991, doi:10.1137/0801008.
+    """
+    require(0.0 <= eccentricity < 1.0, f"eccentricity must lie in [0, 1), got {eccentricity}")
+    require(half_length > 0.0, f"half_length must be a number > 0, got {half_length}")
+    angle, width = nodes(0.0, 2.0 * np.pi, size), nodes(0.0, 2.0 * half_length, size)
+    step, depth = angle[1] - angle[0], width[1] - width[0]
+
+    def film_cubed(at: np.ndarray) -> np.ndarray:
+        return np.asarray((1.0 + eccentricity * np.cos(at)) ** 3)[:, None]
+
+    middle = 0.5 * (angle[1:] + angle[:-1])
+    around = film_cubed(middle) * (depth / step)
+    across = film_cubed(angle[1:-1]) * (step / depth)
+    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
+    source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
+    return Scene(
+        problem=LCP(M, -np.repeat(source, size)),
+        **SYMMETRIC,
+        coordinates=(angle[1:-1], width[1:-1]),
+        axis_labels=("angle", "width"),
+        unknown="pressure",
+        active_means="torn film, no pressure",
+    )
+
+
+@scene_builder
+def elastic_plastic_torsion(
+    *,
+    size: int = 100,
+    section: str = "square",
+    plastic_share: float = 0.5,
+    mixed: bool = False,
+) -> Scene:
+    """Stress function of a twisted elastic, perfectly plastic bar: a box whose width is the distance to the boundary.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width 2/(size + 1).
+    section
+        Square [−1, 1]², or the unit disc within it; the nodes outside the disc are fixed at 0.
+    plastic_share
+        Share of the disc that is plastic, in [0, 1); the square is twisted as much as the disc would be, and less of
+        it yields: its corners stay elastic.
+    mixed
+        Twist the two halves of the section in opposite directions, so that both bounds become active.
+
+    Notes
+    -----
+    −Δu = c where |u| < dist, −dist ≤ u ≤ dist, dist the distance to the boundary; |∇u| ≤ 1 is the yield condition.
+    On the disc, without `mixed`, u = 1 − r where r ≥ r* = 2/c, and u = 1 − r* + c (r*² − r²)/4 elsewhere, so that
+    c = 2/√(1 − plastic_share). Rows are the rows of the five-point stencil (4, −1), that is −h²Δ.
+
+    References
+    ----------
+    Ting, *Elastic-plastic torsion of convex cylindrical bars*, J. Math. Mech. 19, 1969. Moré, Toraldo, *On the
+    solution of large quadratic programming problems with bound constraints*, SIAM J. Optim. 1, 1991,
+    doi:10.1137/0801008.
+    """
+    require(section in ("square", "disc"), f"section must be 'square' or 'disc', got {section!r}")
+    require(0.0 <= plastic_share < 1.0, f"plastic_share must lie in [0, 1), got {plastic_share}")
+    axis = nodes(-1.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    r = np.hypot(x, y)
+    distance = (
+        1.0 - np.maximum(np.abs(x), np.abs(y)) if section == "square" else np.maximum(1.0 - r, 0.0)
+    )
+    twist = 2.0 / math.sqrt(1.0 - plastic_share)
+    load = twist * (np.sign(x) if mixed else 1.0) * (2.0 / (size + 1)) ** 2
+    continuum = None
+    if section == "disc" and not mixed:
+        elastic_radius = 2.0 / twist  # plastic, u = 1 − r, from here on
+        core = 1.0 - elastic_radius + 0.25 * twist * (elastic_radius**2 - r**2)
+        continuum = np.where(r < elastic_radius, np.minimum(core, distance), distance).ravel()
+    bound = distance.ravel()
+    legs = (-1.0, -1.0)
+    return Scene(
+        problem=LCP(
+            stencil_matrix((size, size), 4.0, legs, legs),
+            -np.broadcast_to(load, (size, size)).ravel(),
+            lower=-bound,
+            upper=bound,
+        ),
+        continuum=continuum,
+        **SYMMETRIC,
+        active_share=None if continuum is None else float(np.mean(np.abs(continuum) == bound)),
+        unknown="stress function",
+        active_means="plastic",
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+    )
+
+
+_CYCLE = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
+
+# Payoffs of the row and of the column player; the equilibrium if there is only one.
+_GAMES: dict[str, tuple[Any, Any, tuple[list[float], list[float]] | None]] = {
+    "battle_of_the_sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]], None),
+    "prisoners_dilemma": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]], ([0, 1], [0, 1])),
+    "matching_pennies": ([[1, -1], [-1, 1]], [[-1, 1], [1, -1]], ([1, 1], [1, 1])),
+    "chicken": ([[0, -1], [1, -9]], [[0, 1], [-1, -9]], None),
+    "stag_hunt": ([[4, 1], [3, 2]], [[4, 3], [1, 2]], None),
+    "rock_paper_scissors": (_CYCLE, -_CYCLE, ([1, 1, 1], [1, 1, 1])),
+    "shapley": (np.eye(3), np.roll(np.eye(3), 1, axis=1), ([1, 1, 1], [1, 1, 1])),
+    "indifferent": (np.ones((3, 4)), np.ones((3, 4)), None),
+}
+
+
+@scene_builder
+def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
+    """Nash equilibria of a classical two-player game: M = [[0, K], [Lᵀ, 0]], zero diagonal, often several answers.
+
+    Parameters
+    ----------
+    game
+        Name of the game. Pure and mixed, unique and several equilibria; "indifferent" is degenerate everywhere.
+
+    Notes
+    -----
+    ``scene.problem.origin.recover(result)`` gives the mixed strategies. `exact` is declared if the equilibrium is
+    unique. In Shapley's game the players' best answers chase each other round a cycle.
+
+    References
+    ----------
+    Luce, Raiffa, *Games and Decisions*, Wiley 1957. Lemke, Howson, *Equilibrium points of bimatrix games*, J. SIAM 12,
+    1964, doi:10.1137/0112033.
+    """
+    require(game in _GAMES, f"game must be one of {', '.join(_GAMES)}, got {game!r}")
+    row_payoffs, column_payoffs, unique = _GAMES[game]
+    problem = lcp_from_bimatrix_game(row_payoffs, column_payoffs)
+    M = problem.csr.toarray()
+    exact = None if unique is None else _scaled(M, *unique)
+    return Scene(problem=problem, exact=exact, is_symmetric=np.array_equal(M, M.T))
+
+
+def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> FloatVector:
+    """Return (x, y) with the smallest cost of either player scaled to 1."""
+    m = len(row)
+    x, y = np.array(row, dtype=np.float64), np.array(column, dtype=np.float64)
+    answer: FloatVector = np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
+    return answer
+
+
+@scene_builder
+def market_equilibrium(
+    *,
+    goods: int = 30,
+    activities: int = 60,
+    running: float = 0.5,
+    seed: int = 0,
+) -> Scene:
+    """Market equilibrium with linear demand and constant returns: M = [[D, A], [−Aᵀ, 0]], planted integers.
+
+    Parameters
+    ----------
+    goods
+        Number of markets; the first unknowns are their prices.
+    activities
+        Number of activities; the last unknowns are their levels.
+    running
+        Share of the goods that a running activity of their own produces, in [0, 1], as far as there are activities.
+    seed
+        Seed of the generator that draws all data.
+
+    Notes
+    -----
+    Prices p ≥ 0 against excess supply A y + D p − b ≥ 0, levels y ≥ 0 against losses c − Aᵀp ≥ 0. The symmetric part
+    of D is diagonal and positive, so that the prices are unique. Running activities have positive prices and linearly
+    independent columns, all others make strict losses, so that the levels are also unique. Some goods are free. M is
+    positive semidefinite with a zero diagonal block, and demand is not integrable (D is not symmetric), so no
+    quadratic program has this answer.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.2.
+    """
+    require(0.0 <= running <= 1.0, f"running must lie in [0, 1], got {running}")
+    generator = np.random.default_rng(seed)
+    count = min(round(running * goods), activities)
+    D = np.triu(generator.integers(-2, 3, (goods, goods)), 1).astype(np.float64)
+    D = D - D.T + np.diag(generator.integers(1, 9, goods))
+    A = generator.integers(-1, 4, (goods, activities)).astype(np.float64)
+    A[:count, :count] = np.tril(A[:count, :count], -1) + np.eye(count)
+
+    price = generator.integers(0, 10, goods).astype(np.float64)
+    price[:count] += 1.0
+    level = np.where(np.arange(activities) < count, generator.integers(1, 10, activities), 0.0)
+    excess = np.where(price == 0.0, generator.integers(0, 5, goods), 0.0)
+    loss = np.where(level == 0.0, generator.integers(1, 5, activities), 0.0)
+    M = np.block([[D, A], [-A.T, np.zeros((activities, activities))]])
+    exact = np.concatenate([price, level])
+    problem = LCP(M, np.concatenate([excess, loss]) - M @ exact)
+    is_diagonal = activities == 0 and not np.triu(D, 1).any()
+    return Scene(problem=problem, exact=exact, is_symmetric=is_diagonal, is_h_plus=is_diagonal)
+
+
+# --- Options ----------------------------------------------------------------------------------------------------
+
+
+@scene_builder
+def american_put(
+    *,
+    size: int = 1001,
+    strike: float = 100.0,
+    rate: float = 0.05,
+    volatility: float = 0.2,
+    maturity: float = 1.0,
+    log_range: float = 1.5,
+    steps: int = 100,
+) -> Scene:
+    """American put, one implicit Euler step of length maturity/steps back from the payoff.
+
+    Parameters
+    ----------
+    size
+        Interior nodes in the logarithm of the spot price; odd numbers put one on the strike.
+    strike
+        Strike price K, currency; the unit of z.
+    rate
+        Riskless rate r ≥ 0, 1/year.
+    volatility
+        σ > 0, 1/√year.
+    maturity
+        T > 0, years.
+    log_range
+        The grid covers spot prices K e^±log_range.
+    steps
+        Number of steps that `maturity` is divided into; this problem is the first of them.
+
+    Notes
+    -----
+    With x = log(S/K), time to maturity τ and 𝓐V = −½σ² V_xx − (r − ½σ²) V_x + r V the value solves
+    V_τ + 𝓐V ≥ 0, V ≥ K(1 − eˣ)₊, complementary. One step: M = I + Δτ 𝓐ₕ, q = −V_old, lower = payoff, and
+    the payoff on both endpoints of the grid folded into q. The drift is differenced centrally if that keeps the
+    off-diagonal entries ≤ 0, which is h |r − ½σ²| ≤ σ², and upwind otherwise: M is always a strictly dominant
+    M-matrix. The contact set is one interval of low prices.
+
+    References
+    ----------
+    Brennan, Schwartz, *The valuation of American put options*, J. Finance 32, 1977, doi:10.2307/2326779.
+    Jaillet, Lamberton, Lapeyre, *Variational inequalities and the pricing of American options*, Acta Appl.
+    Math. 21, 1990, doi:10.1007/BF00047211.
+    """
+    return replace(american_put_march(**locals()), steps=1, advance=None)
+
+
+@scene_builder
+def american_put_march(
+    *,
+    size: int = 1001,
+    strike: float = 100.0,
+    rate: float = 0.05,
+    volatility: float = 0.2,
+    maturity: float = 1.0,
+    log_range: float = 1.5,
+    steps: int = 100,
+) -> Scene:
+    """American put, the whole march of implicit Euler steps from the payoff back to today.
+
+    Parameters
+    ----------
+    size, strike, rate, volatility, maturity, log_range
+        As in `american_put`.
+    steps
+        Number of equal steps in time; the solution of the last is today's price.
+
+    Notes
+    -----
+    The matrix is the same in every step, only q changes: ``problem = problem.with_q(scene.advance(z))``.
+    """
+    values = {
+        "strike": strike,
+        "volatility": volatility,
+        "maturity": maturity,
+        "log_range": log_range,
+    }
+    for name, value in values.items():
+        require(value > 0.0, f"{name} must be a number > 0, got {value}")
+    time_step = maturity / steps
+    log_price = nodes(-log_range, log_range, size)
+    payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
+    below, above = _log_price_legs(rate, volatility, time_step, 2.0 * log_range / (size + 1))
+    M = stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
+    # boundary − values, as a partial function that can be sent to other processes
+    advance = partial(np.subtract, dirichlet_terms(payoff, [below], [above]))
+    inside = payoff[1:-1]
+    return Scene(
+        problem=LCP(M, advance(inside), lower=inside),
+        is_symmetric=below == above,
+        is_h_plus=True,
+        coordinates=(strike * np.exp(log_price[1:-1]),),
+        axis_labels=("spot price",),
+        unknown="option price",
+        active_means="exercise at once",
+        steps=steps,
+        advance=advance,
+    )
+
+
+def _log_price_legs(
+    rate: float, volatility: float, time_step: float, h: float
+) -> tuple[float, float]:
+    """Return the entries of Δτ 𝓐ₕ below and above the diagonal, neither of them positive."""
+    diffusion = 0.5 * volatility**2 / h**2
+    drift = (rate - 0.5 * volatility**2) / h
+    below, above = 0.5 * drift - diffusion, -0.5 * drift - diffusion
+    if max(below, above) > 0.0:
+        below, above = min(drift, 0.0) - diffusion, min(-drift, 0.0) - diffusion
+    return time_step * below, time_step * above
+
+
+def binomial_put(
+    spot: ArrayLike,
+    *,
+    strike: float,
+    rate: float,
+    volatility: float,
+    maturity: float,
+    steps: int = 1000,
+) -> FloatVector:
+    """Return American put prices from a binomial tree.
+
+    Parameters
+    ----------
+    spot
+        Spot prices, any shape, currency.
+    strike, rate, volatility, maturity
+        As in `american_put`.
+    steps
+        Levels of the tree, at least 1; the error falls like 1/steps.
+
+    Returns
+    -------
+    ndarray, shape of `spot`
+        Prices, currency.
+
+    Raises
+    ------
+    InvalidOption
+        If volatility, maturity or steps is not positive, if steps is not an integer, or if the steps are so long that
+        the tree's probabilities leave (0, 1).
+
+    Notes
+    -----
+    Up by u = e^{σ√Δ}, down by 1/u, risk-neutral probability (e^{rΔ} − 1/u)/(u − 1/u); on the way back each
+    value is the larger of exercise and discounted expectation. O(steps²) for each spot price.
+
+    References
+    ----------
+    Cox, Ross, Rubinstein, *Option pricing: a simplified approach*, J. Financial Economics 7, 1979,
+    doi:10.1016/0304-405X(79)90015-1.
+
+    Examples
+    --------
+    >>> price = binomial_put(100.0, strike=100.0, rate=0.05, volatility=0.2, maturity=1.0)
+    >>> round(float(price), 2)
+    6.09
+    """
+    for name, value in (("volatility", volatility), ("maturity", maturity), ("steps", steps)):
+        require(value > 0, f"binomial_put: {name} must be positive, got {value}")
+    is_whole = isinstance(steps, (int, np.integer))
+    require(is_whole, f"binomial_put: steps must be an integer ≥ 1, as 1000, got {steps!r}")
+    time_step = maturity / steps
+    up, growth = math.exp(volatility * math.sqrt(time_step)), math.exp(rate * time_step)
+    probability = (growth - 1.0 / up) / (up - 1.0 / up)
+    least = math.floor(maturity * (rate / volatility) ** 2) + 1
+    words = f"steps must be at least {least} at this rate and volatility, got {steps}"
+    require(0.0 < probability < 1.0, f"binomial_put: {words}")
+    price = np.asarray(spot, dtype=np.float64)[..., None]
+    exercise = np.maximum(strike - price * up ** np.arange(-steps, steps + 1), 0.0)
+    values = exercise[..., ::2]
+    for level in range(steps - 1, -1, -1):
+        expected = (probability * values[..., 1:] + (1.0 - probability) * values[..., :-1]) / growth
+        first = steps - level
+        values = np.maximum(expected, exercise[..., first : first + 2 * level + 1 : 2])
+    return values[..., 0]
+
+
+@scene_builder
+def paper_example_1(*, n: int = 100, delta: float = 4.0) -> Scene:
+    """Five-point Laplacian plus delta I with z* = (1, 2, 1, 2, …), nothing active: Example 1 of the paper.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, a perfect square m²; the paper takes 100, 900, 2500, 3600, 6400, 10000.
+    delta
+        Shift of the diagonal, at least 0; the tables take 4. With 0 inner rows are not strictly dominant.
+
+    Notes
+    -----
+    M = blocktridiag(−I, tridiag(−1, 4, −1), −I) + δI, q = −M z*, start (1, 0, 1, 0, …). The identity in
+    the fourth block row is printed without its minus sign. As w* = 0 and z* > 0, the solution solves the
+    linear system M z = −q.
+
+    References
+    ----------
+    Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
+    """
+    return _paper_scene(n, delta, below=-1.0, above=-1.0)
+
+
+@scene_builder
+def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
+    """Nonsymmetric five-point matrix plus delta I with z* = (1, 2, 1, 2, …): Example 2 of the paper.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, a perfect square m²; the paper takes 100, 900, 2500, 3600, 6400, 10000.
+    delta
+        Shift of the diagonal, at least 0; the tables take 4.
+
+    Notes
+    -----
+    M = blocktridiag(−1.5 I, tridiag(−1.5, 4, −0.5), −0.5 I) + δI, q = −M z*, start (1, 0, 1, 0, …). The
+    diagonal block is printed as tridiag(−1, 4, −1); the tables were computed with the block given here.
+
+    References
+    ----------
+    Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, §5.
+    """
+    return _paper_scene(n, delta, below=-1.5, above=-0.5)
+
+
+def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
+    side = _side(n)
+    M = stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
+    exact = np.resize([1.0, 2.0], n)
+    return Scene(
+        problem=LCP(M, -(M @ exact)),
+        exact=exact,
+        start=np.resize([1.0, 0.0], n),
+        is_symmetric=below == above,
+        is_h_plus=True,
+        grid=(side, side),
+        axis_labels=("row", "column"),
+    )
+
+
+@scene_builder
+def half_active(
+    *, n: int = 10_000, delta: float = 4.0, block: int = 5, degenerate: bool = True
+) -> Scene:
+    """Five-point Laplacian plus delta I, constraints active on every other block of a checkerboard.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, a perfect square m².
+    delta
+        Shift of the diagonal, at least 0; q is exact in floating point if it is an integer.
+    block
+        Side of the checkerboard's blocks in nodes. The share is exactly one half if 2·block divides m.
+    degenerate
+        Whether the first corner of each active block has z* = w* = 0; otherwise z* + w* > 0 throughout.
+
+    Notes
+    -----
+    The answer comes first: on free blocks z* = 1, 2, 1, 2, … and w* = 0, on active ones the other way round;
+    then q = w* − M z*. The paper's own examples have no active constraint and so do not test
+    complementarity: an iteration for the linear system alone would solve them.
+    """
+    side = _side(n)
+    M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
+    row, column = np.divmod(np.arange(n), side)
+    is_active = (row // block + column // block) % 2 == 1
+    values = np.resize([1.0, 2.0], n)
+    exact = np.where(is_active, 0.0, values)
+    slack = np.where(is_active, values, 0.0)
+    if degenerate:
+        slack[(row % block == 0) & (column % block == 0)] = 0.0
+    return Scene(
+        problem=LCP(M, slack - M @ exact),
+        exact=exact,
+        grid=(side, side),
+        axis_labels=("row", "column"),
+        **SYMMETRIC,
+    )
+
+
+def _side(n: int) -> int:
+    """Return √n, or raise InvalidOption."""
+    side = math.isqrt(n)
+    require(side**2 == n, f"n must be a perfect square, got {n}")
+    return side
+
+
+# --- A random matrix --------------------------------------------------------------------------------------
+
+
+LARGEST_ENTRY = 9
+
+
+@scene_builder
+def random_h_plus(
+    *,
+    n: int = 2000,
+    entries_per_row: int = 5,
+    row_scale: int = 20,
+    column_scale: int = 10,
+    active_share: float = 0.5,
+    seed: int = 0,
+) -> Scene:
+    """Random sparse H+-matrix, rows and columns wildly scaled, with a planted answer exact to the last bit.
+
+    Parameters
+    ----------
+    n
+        Number of unknowns, at least 2.
+    entries_per_row
+        Off-diagonal entries drawn per row; those that fall on the same place are added.
+    row_scale, column_scale
+        Rows and columns are multiplied by powers of two with random exponents from −scale to scale.
+    active_share
+        Share of components with z* = 0, in [0, 1], rounded to whole components. One in ten of them is
+        degenerate: w* = 0 too.
+    seed
+        Seed of the generator that draws all data.
+
+    Notes
+    -----
+    M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two. Thus
+    ⟨M⟩ C⁻¹1 > 0 and M is H+, though usually neither rows nor columns of M are dominant. z* = C⁻¹ẑ, w* = R ŵ
+    with small integers ẑ, ŵ, and q = w* − M z* = R (ŵ − A ẑ): integers far below 2⁵³ times powers of two, so
+    that no rounding happens anywhere and z* is the exact solution for the stored data.
+    """
+    require(n > 1, f"n must be an integer ≥ 2, got {n}")
+    require(0.0 <= active_share <= 1.0, f"active_share must lie in [0, 1], got {active_share}")
+    require(max(row_scale, column_scale) <= 100, "row_scale and column_scale must be at most 100")
+    generator = np.random.default_rng(seed)
+    A = _random_dominant(generator, n, entries_per_row)
+    z, w = _random_answer(generator, n, active_share)
+    row_power = np.exp2(generator.integers(-row_scale, row_scale + 1, size=n))
+    column_power = np.exp2(generator.integers(-column_scale, column_scale + 1, size=n))
+
+    q = row_power * (w - A @ z)
+    A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
+    return Scene(problem=LCP(A, q), exact=z / column_power, is_h_plus=True)
+
+
+def _random_dominant(generator: Any, n: int, entries_per_row: int) -> sp.csr_array:
+    """Return an integer matrix whose diagonal exceeds the row sum of the absolute other entries by 1 … 9."""
+    count = n * entries_per_row
+    rows = np.repeat(np.arange(n), entries_per_row)
+    # A step of 1 … n − 1 around the circle never lands on the diagonal.
+    columns = (rows + generator.integers(1, n, size=count)) % n
+    signs, sizes = generator.choice([-1.0, 1.0], count), generator.integers(1, 10, count)
+    others = sp.csr_array((signs * sizes, (rows, columns)), shape=(n, n))
+    row_sums: FloatVector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
+    diagonal = row_sums + generator.integers(1, LARGEST_ENTRY + 1, size=n)
+    matrix = (others + sp.diags_array(diagonal)).tocsr()
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _random_answer(generator: Any, n: int, active_share: float) -> tuple[FloatVector, FloatVector]:
+    """Return complementary integer vectors ẑ, ŵ; a tenth of the zeros of ẑ are zeros of ŵ."""
+    order = generator.permutation(n)
+    active = order[: round(active_share * n)]
+    z = generator.integers(1, LARGEST_ENTRY + 1, size=n).astype(np.float64)
+    w = np.zeros(n)
+    w[active] = z[active]
+    z[active] = 0.0
+    w[active[: len(active) // 10]] = 0.0
+    return z, w

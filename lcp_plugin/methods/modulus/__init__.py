@@ -1,1 +1,0 @@
-"""Modulus-based splittings, in which complementarity holds by construction."""

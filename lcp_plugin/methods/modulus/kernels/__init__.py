@@ -1,1 +1,0 @@
-"""Compiled sweeps of the modulus-based iterations."""

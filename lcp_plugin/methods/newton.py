@@ -1,0 +1,474 @@
+"""Semismooth Newton on the scaled natural residual, alias primal-dual active set, with its safeguards.
+
+Active sets: semismooth Newton, and unknowns without bounds eliminated before it (static condensation).
+
+Active sets: their identification, their linear system, and the state of a run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.algorithm import (
+    Algorithm,
+    Step,
+)
+from ..core.certificates.criterion import measured_residual, scaled_residual
+from ..core.checks import BoolVector, FloatVector
+from ..core.lcp import LCP
+from ..systems.factors import factor_operations, factorise
+from ..systems.free_systems import FreeSystem
+from ..systems.graph import bandwidth
+
+LARGE_PATIENCE = 20
+
+
+class ActiveSetSolution(NamedTuple):
+    """Solution for an active set.
+
+    Attributes
+    ----------
+    z : ndarray, shape (n,)
+        At its bound on the active rows; w = 0 on the free rows, as well as can be.
+    system : FreeSystem
+        The system of the free rows, for another call with the same M.
+    work : float
+        Matrix entries touched, including the factorization, divided by the nonzeros of M.
+    """
+
+    z: FloatVector
+    system: FreeSystem
+    work: float
+
+    @property
+    def is_singular(self) -> bool:
+        """True if the free block is singular to working precision: z is one of many solutions, or not a solution."""
+        return self.system.is_singular
+
+
+def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, BoolVector]:
+    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, d the residual scale, shape (n,) each.
+
+    Parameters
+    ----------
+    z, w : ndarray, shape (n,)
+        A row with equal bounds is at its lower one.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> at_lower, at_upper = classify(problem, np.array([2.5, 0.0]), np.array([0.0, 3.5]))
+    >>> at_lower
+    array([False,  True])
+    """
+    step = w / problem.residual_scale
+    # z − step ≤ lower, written so that a small step is not lost next to a large z.
+    at_lower = z - problem.lower <= step
+    at_upper = (problem.upper - z <= -step) & ~at_lower
+    is_fixed = problem.lower == problem.upper
+    return at_lower | is_fixed, at_upper & ~is_fixed
+
+
+def is_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether the residual of z is at most a tenth of the residual of the default start."""
+    # The active set of such a near start is likely the active set of the solution.
+    return bool(
+        measured_residual(problem, z) <= 0.1 * measured_residual(problem, problem.nearest_to_zero)
+    )
+
+
+def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:
+    """Return a short key of an active set, for the detection of cycles."""
+    packed = np.packbits(at_lower).tobytes() + np.packbits(at_upper).tobytes()
+    return blake2b(packed, digest_size=16).digest()
+
+
+def solve_active_set(
+    problem: LCP,
+    at_lower: BoolVector,
+    at_upper: BoolVector,
+    *,
+    near: FloatVector | None = None,
+    system: FreeSystem | None = None,
+) -> ActiveSetSolution | None:
+    """Return z with z at its bounds on the active rows and w = 0 on the free rows; None if the solve overflows.
+
+    Parameters
+    ----------
+    at_lower, at_upper : ndarray of bool, shape (n,)
+        The active rows; the bounds there are finite.
+    near : ndarray, shape (n,), optional
+        Target if the free block is singular: a solution close to this z is computed; 0 by default.
+    system : FreeSystem, optional
+        System of an earlier call with the same M, used if its rows are the free rows.
+
+    Notes
+    -----
+    One factorization of the free block, see :meth:`.FreeSystem.solve_near`. The result is not tested: measure the
+    residual of z.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> solve_active_set(problem, np.array([False, True]), np.array([False, False])).z
+    array([2.5, 0. ])
+    """
+    z = np.where(at_lower, problem.lower, np.where(at_upper, problem.upper, 0.0))
+    free = ~(at_lower | at_upper)
+    if system is None or not np.array_equal(free, system.free):
+        system = FreeSystem(problem.matrix, free, by_factor=True)
+    before = system.work
+    x = system.solve_near(-problem.slack(z), np.zeros(problem.n) if near is None else near)
+    if x is None or not np.isfinite(z).all():
+        return None
+    return ActiveSetSolution(z + x, system, 1.0 + (system.work - before) / max(problem.nonzeros, 1))
+
+
+def polish_active_set(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
+    """Return the solution of the linear system of the active set of z.
+
+    The result is None if the block is singular, so that z is not unique, or if a factorization would take more passes
+    over M than `most_work`.
+
+    Examples
+    --------
+    >>> polish_active_set(LCP([[2, 1], [1, 2]], [-5, 1]), np.array([2.4, 0.1]), 100.0).z
+    array([2.5, 0. ])
+    """
+    at_lower, at_upper = classify(problem, z, problem.slack(z))
+    system = FreeSystem(problem.matrix, ~(at_lower | at_upper), by_factor=True)
+    most = most_work * max(problem.nonzeros, 1)
+    if factor_operations(system.principal, most) > most or system.is_singular:
+        return None
+    return solve_active_set(problem, at_lower, at_upper, near=z, system=system)
+
+
+class NewtonState:
+    """The iterate z with w = M z + q, the best z so far, and the work since the last step.
+
+    Attributes
+    ----------
+    best_z : ndarray, shape (n,)
+        The best so far; it may be outside the bounds.
+    best : float
+        ‖r(best_z)‖∞, the numerator of the relative residual.
+    inside_z, inside : ndarray, shape (n,), and float
+        The best of the iterates projected onto the bounds, and its ‖r‖∞: the data of a step.
+    """
+
+    def __init__(self, problem: LCP, z: FloatVector) -> None:
+        self.problem = problem
+        self.scale = problem.residual_scale
+        self.entries = max(problem.nonzeros, 1)
+        self.work = 0.0
+        self.best = self.inside = math.inf
+        self.best_z = self.inside_z = z
+        self._solved: set[bytes] = set()
+        self._system: FreeSystem | None = None
+        self.move(z)
+
+    def move(self, z: FloatVector) -> None:
+        """Move to z; store z or its projection if the residual is the best so far."""
+        self.z, self.w = z, self.slack(z)
+        self.residual: FloatVector = np.abs(scaled_residual(self.problem, z, self.w))
+        size = float(np.max(self.residual, initial=0.0))
+        if size < self.best or not self._solved:
+            self.best, self.best_z = size, z
+        inside = np.clip(z, self.problem.lower, self.problem.upper)
+        if not np.array_equal(inside, z):
+            residual = np.abs(scaled_residual(self.problem, inside, self.slack(inside)))
+            size = float(np.max(residual, initial=0.0))
+        if size < self.inside or not self._solved:
+            self.inside, self.inside_z = size, inside
+
+    @property
+    def is_large(self) -> bool:
+        """True if steps without clear gain end after LARGE_PATIENCE."""
+        # Steps that gain little are given up early: each costs a factorization.
+        return self.problem.n > 3000
+
+    def slack(self, z: FloatVector) -> FloatVector:
+        """Return M z + q, counted as work."""
+        self.work += 1.0
+        return self.problem.slack(z)
+
+    def step(self) -> Step:
+        """Return the best iterate as a step, with the work since the last step."""
+        work, self.work = self.work, 0.0
+        return Step(self.inside_z, self.inside, work=work)
+
+    def is_known(self, at_lower: BoolVector, at_upper: BoolVector) -> bool:
+        """Return whether this active set has been solved before."""
+        return signature(at_lower, at_upper) in self._solved
+
+    def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
+        """Return the solution for an active set; if its block is singular, the solution nearest to the current z."""
+        self._solved.add(signature(at_lower, at_upper))
+        solution = solve_active_set(
+            self.problem, at_lower, at_upper, near=self.z, system=self._system
+        )
+        if solution is not None:
+            self._system = solution.system
+            self.work += solution.work
+        return solution
+
+
+PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one per row up to PATIENT_ROWS
+PATIENT_ROWS = 250
+ROUNDS = 3
+
+SHIFT = 1e-3  # keeps the Jacobian regular if M is only P₀
+
+
+@dataclass(frozen=True, kw_only=True)
+class Newton(Algorithm):
+    """Semismooth Newton, alias primal-dual active set: w_F = 0, and z_A at the bounds that z − w/d reaches.
+
+    Notes
+    -----
+    Full steps as long as they lead to new active sets; on M-matrices these steps are finite and monotone. When an
+    active set repeats or progress ends, a line search on the Fischer–Burmeister function takes over, which tries full
+    steps again if they halve the function. Unsolved small problems start again from the point of the box nearest to 0.
+    In theory the line search converges on P-matrices; here its steps are bounded in number. Singular blocks are
+    regularized, and the residual decides about the result. On more than 3000 rows, steps that gain little end early.
+    Each step yields the best z so far, projected onto the bounds.
+
+    References
+    ----------
+    Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558. De Luca, Facchinei, Kanzow 1996,
+    doi:10.1007/BF02592192.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> problem = lcp_plugin.LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> lcp_plugin.solve(problem, Newton()).z
+    array([2.5, 0. ])
+    """
+
+    name: ClassVar[str] = "newton"
+    needs: ClassVar[str] = "none"
+    solves: ClassVar[str] = "M-matrices, bounds on one side, n ≤ 250"
+    cost: ClassVar[str] = "1 factorization of the free block"
+    reference: ClassVar[str] = (
+        "Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558; De Luca, Facchinei, Kanzow 1996, "
+        "doi:10.1007/BF02592192"
+    )
+    is_monotone: ClassVar[bool] = False
+    ends_on_active_set: ClassVar[bool] = True
+
+    def theorem(self, problem: LCP, report: Any) -> str | None:
+        """Return the theorem on M-matrices: full steps are monotone then, at most n + 2; patience suffices for them."""
+        is_one_sided = bool(np.all(problem.upper == np.inf) or np.all(problem.lower == -np.inf))
+        if problem.n > PATIENT_ROWS or not is_one_sided or report.is_m_matrix is not True:
+            return None
+        return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the best z so far after each factorization; end if no further step is possible."""
+        start = np.clip(z0, problem.lower, problem.upper)
+        # A second start of a small problem is the point of the bounds nearest to 0.
+        is_elsewhere = problem.n <= 500 and not np.array_equal(start, problem.nearest_to_zero)
+        state = NewtonState(problem, start)
+        yield state.step()
+        if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
+            return
+        again = NewtonState(problem, problem.nearest_to_zero)
+        if state.inside < again.inside:
+            again.inside, again.inside_z = state.inside, state.inside_z
+        yield from rounds(again)
+
+
+def rounds(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield full steps and damped steps alternately; return whether an active set settled."""
+    for _ in range(ROUNDS):
+        is_settled = yield from full_steps(state)
+        before = state.best
+        is_settled = is_settled or (yield from damped_steps(state))
+        if is_settled:
+            return True
+        if not state.best < (0.9 * before if state.is_large else before):
+            break
+    return False
+
+
+def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield undamped active-set steps, until an active set repeats or neither residual nor changes fall.
+
+    Return whether the last set reproduced itself with a regular block: only rounding errors remain.
+    """
+    problem = state.problem
+    patience = LARGE_PATIENCE if state.is_large else PATIENCE + min(problem.n, PATIENT_ROWS)
+    lowest, fewest, idle = math.inf, problem.n + 1, 0
+    previous = classify(problem, state.z, state.w)
+    while idle < patience and not state.is_known(*previous):
+        solution = state.solve(*previous)
+        if solution is None:
+            return False
+        state.move(solution.z)
+        yield state.step()
+        present = classify(problem, state.z, state.w)
+        changes = int(np.count_nonzero((present[0] != previous[0]) | (present[1] != previous[1])))
+        if changes == 0:
+            return not solution.is_singular
+        size = float(np.sum(state.residual))
+        idle = 0 if size < lowest or changes < fewest else idle + 1
+        lowest, fewest = min(lowest, size), min(fewest, changes)
+        previous = present
+    return False
+
+
+# --- the safeguard: a line search on the Fischer–Burmeister function ---
+
+
+class LinearizedPhi(NamedTuple):
+    """Φ(z) and the diagonals of its Jacobian diag(by_z) + diag(by_w/d) M, shape (n,) each."""
+
+    value: FloatVector
+    by_z: FloatVector
+    by_w: FloatVector
+
+    @property
+    def norm(self) -> float:
+        """‖Φ‖₂."""
+        return float(np.linalg.norm(self.value))
+
+
+def fischer_burmeister(
+    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+) -> LinearizedPhi:
+    """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
+
+    d is the scale of the residual unless another one is given, shape (n,), > 0. If a bound is infinite, its φ is
+    replaced by its limit; a row with equal bounds gives z − lower.
+
+    References
+    ----------
+    Billups 1995, *Algorithms for complementarity problems and generalized equations*, PhD thesis, Wisconsin.
+    """
+    s = w / (problem.residual_scale if scale is None else scale)
+    value, by_a, by_b = _phi(problem.upper - z, -s)
+    has_upper, has_lower = np.isfinite(problem.upper), np.isfinite(problem.lower)
+    p = np.where(has_upper, -value, s)
+    p_by_z, p_by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
+    value, by_a, by_b = _phi(z - problem.lower, p)
+    value = np.where(has_lower, value, p)
+    by_z = np.where(has_lower, by_a + by_b * p_by_z, p_by_z)
+    by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
+    is_fixed = problem.lower == problem.upper
+    return LinearizedPhi(
+        np.where(is_fixed, z - problem.lower, value),
+        np.where(is_fixed, 1.0, by_z),
+        np.where(is_fixed, 0.0, by_s),
+    )
+
+
+def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
+    """Return φ(a, b) and an element of its generalized derivative."""
+    root = np.hypot(a, b)
+    # a + b − root cancels if a and b are positive.
+    sum_ = a + b
+    value = np.where(sum_ > 0.0, 2.0 * a * b / np.where(sum_ > 0.0, sum_ + root, 1.0), sum_ - root)
+    safe = np.where(root > 0.0, root, 1.0)
+    by_a = np.where(root > 0.0, 1.0 - a / safe, 1.0 - np.sqrt(0.5))
+    by_b = np.where(root > 0.0, 1.0 - b / safe, 1.0 - np.sqrt(0.5))
+    return value, by_a, by_b
+
+
+def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
+    """Yield steps that reduce ‖Φ‖: full active-set steps if they do so at once, else a line search.
+
+    Ends if ‖Φ‖ stagnates; returns whether an active set reproduced itself with a regular block.
+    """
+    state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
+    phi = fischer_burmeister(state.problem, state.z, state.w)
+    recent, lowest, since = [phi.norm], phi.norm, 0
+    # Steps without a fall of ‖Φ‖ by 1 %; by 30 % on large problems.
+    gain, patience = (0.7, LARGE_PATIENCE) if state.is_large else (0.99, 25)
+    for _ in range(150):
+        if not 0.0 < phi.norm < np.inf:
+            return False
+        full = _full_step(state, phi)
+        is_settled = full is not None and full[1]
+        # The line search compares with the worst of the last five merits.
+        following = _searched(state, phi, max(recent[-5:])) if full is None else full[0]
+        if following is None:
+            return False
+        phi = following
+        recent.append(phi.norm)
+        yield state.step()
+        if is_settled:
+            return True
+        since, lowest = (0, phi.norm) if phi.norm < gain * lowest else (since + 1, lowest)
+        if since >= patience:
+            break
+    return False
+
+
+def _full_step(state: NewtonState, phi: LinearizedPhi) -> tuple[LinearizedPhi, bool] | None:
+    """Move to the solution of the active set of z if the set is new and halves ‖Φ‖; return whether the set settled."""
+    at_lower, at_upper = classify(state.problem, state.z, state.w)
+    if state.is_known(at_lower, at_upper):
+        return None
+    solution = state.solve(at_lower, at_upper)
+    if solution is None:
+        return None
+    w = state.slack(solution.z)
+    found = fischer_burmeister(state.problem, solution.z, w)
+    # A full step to an active set must halve ‖Φ‖.
+    if not found.norm <= 0.5 * phi.norm:
+        return None
+    state.move(solution.z)
+    again = classify(state.problem, state.z, state.w)
+    is_same = np.array_equal(again[0], at_lower) and np.array_equal(again[1], at_upper)
+    return found, is_same and not solution.is_singular
+
+
+def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> LinearizedPhi | None:
+    """Move along the Newton direction of Φ, or its steepest descent, until ½‖Φ‖² falls enough."""
+    jacobian = phi_jacobian(state.problem, phi, 0.0)
+    gradient = jacobian.T @ phi.value
+    for direction in (_newton_direction(state, phi), -gradient):
+        if direction is None:
+            continue
+        slope = float(gradient @ direction)
+        if not slope < -1e-14 * float(np.linalg.norm(gradient) * np.linalg.norm(direction)):
+            continue
+        length = 1.0
+        for _ in range(25):
+            z = state.z + length * direction
+            found = fischer_burmeister(state.problem, z, state.slack(z))
+            if 0.5 * found.norm**2 <= 0.5 * reference**2 + 1e-4 * length * slope:
+                state.move(z)
+                return found
+            length *= 0.5
+    return None
+
+
+def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> FloatVector | None:
+    largest = float(np.max(np.abs(phi.value), initial=0.0))
+    shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
+    jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))
+    factor = factorise(jacobian, bandwidth=bandwidth(state.problem.matrix))
+    if factor is None:
+        return None
+    state.work += (factor.work + factor.solve_work) / state.entries
+    direction = factor.solve(-phi.value)
+    return direction if np.isfinite(direction).all() else None
+
+
+def phi_jacobian(problem: LCP, phi: LinearizedPhi, shift: float) -> Any:
+    """Return the Jacobian of Φ plus shift times the identity, dense or CSR as M is."""
+    M, rows, diagonal = problem.M, phi.by_w / problem.residual_scale, phi.by_z + shift
+    if sp.issparse(M):
+        return sp.csr_array(sp.diags_array(rows) @ M + sp.diags_array(diagonal))
+    jacobian = M * rows[:, None]
+    jacobian[np.diag_indices_from(jacobian)] += diagonal
+    return jacobian

@@ -1,1 +1,0 @@
-"""Active sets: semismooth Newton, and unknowns without bounds eliminated before it (static condensation)."""

@@ -1,1 +1,0 @@
-"""Small dense problems by numpy: sweeps, active-set iterations, pivots."""

@@ -1,0 +1,544 @@
+"""Rigorous lower bounds of the optimal value of a quadratic program, from any point and any multipliers.
+
+With weights μ for which P − diag(μ) is positive semidefinite, any x̂, multipliers λ ≥ 0 of G x ≤ h and any ν of A x = b,
+s = P x̂ + c + Gᵀλ + Aᵀν, every feasible x within a box [l, u] that holds all of them has
+
+    f(x) ≥ f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b) + Σ_i inf over l_i ≤ t ≤ u_i of s_i (t − x̂_i) + ½ μ_i (t − x̂_i)².
+
+If the weights belong to P + ρ AᵀA, ½ ρ‖A x̂ − b‖² must be subtracted: f is then f + ½ ρ‖A x − b‖², with
+multipliers ν − ρ (A x̂ − b).
+
+All sums are rounded downwards. The sum is −∞ if μ_i = 0 and the box is infinite on the side to which s_i falls. Then
+(x̂, λ, ν) is repaired first, by least squares with some slack, or in rationals if s_i must be exactly zero.
+
+Points that are proved to satisfy all constraints of a program, near a point that nearly does.
+
+Least squares move a point to the equalities and away from tight inequalities. Then every row is evaluated with a
+rounding bound, and an approximate inverse proves that the equalities have a solution close by. If this proves no point
+of a small program, a linear program finds an interior point, which is checked in rational arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import BoolVector, FloatVector
+from ...core.deadline import is_over
+from ...core.matrix import largest_in_rows, row_numbers
+from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
+from ...proofs.bounds import Curvature
+from ...proofs.exact import (
+    Row,
+    Vector,
+    enclosures,
+    independent_rows,
+    product_above,
+    products,
+    quotient_above,
+    rational,
+    rational_rows,
+    solved_nearby,
+    sum_above,
+)
+from .no_minimum import feasible_point
+from .program import QuadraticProgram
+from .program_matrices import FoldedRows
+
+SLACKS = (
+    2.0**-46,
+    2.0**-36,
+)  # of the terms of a component: small and large, above the rounding of least squares
+NOISE = 2.0**-44  # of the largest multiplier
+ROUNDS = (
+    4  # of least squares: a repair of some components may break components that were correct before
+)
+NEAR = 2.0**-20  # of its terms: a component that least squares leave unchanged
+DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
+MOST_PASSES = (
+    10_000  # a chain of equalities needs one pass per link; a pass tests only rows with new bounds
+)
+EXACT_UP_TO = 150  # dependent equations in rationals: 100 of them take .4 s, 200 take 1.7 s
+Box = tuple[FloatVector, FloatVector]
+
+
+class DualPoint(NamedTuple):
+    """Point x̂, which may be infeasible, and multipliers of G (not negative) and of A."""
+
+    x: FloatVector
+    y: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class DualBounds:
+    """Program with the data for lower bounds of its optimal value.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+    curvature : Curvature
+    box : pair of ndarray, shape (n,)
+        Bounds that every feasible x keeps.
+    """
+
+    program: QuadraticProgram
+    curvature: Curvature
+    box: Box
+
+    def best(self, x: FloatVector, y: FloatVector, enough: float = np.inf) -> float:
+        """Return the largest lower bound that the point and the multipliers, or their repairs, prove; −∞ for none.
+
+        Repairs end once a bound reaches `enough`.
+        """
+        if not np.isfinite(self.curvature.weights).all():
+            return -np.inf
+        given = self.admit(x, y)
+        found, points = self.value(given), [given]
+        if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
+            points.append(clean)
+            found = max(found, self.value(clean))
+        for slack in SLACKS:
+            if found >= enough or is_over():
+                return found
+            points.append(self._with_slack(given, slack))
+            found = max(found, self.value(points[-1]))
+        for point in points:
+            if found >= enough or is_over():
+                break
+            found = max(found, self._exact_value(point))
+        if (
+            found < enough and not is_over()
+        ):  # at x = 0, the bound also loses too much by rounding in s_j²/μ_j
+            found = max(found, self._exact_value(given, is_fixed=True))
+        return found
+
+    def admit(self, x: FloatVector, y: FloatVector) -> DualPoint:
+        """Return the point with admissible multipliers: not negative, and 0 for rows that the box contains."""
+        m = self.program.h.size
+        allowed = np.where(np.isfinite(y), y, 0.0)
+        allowed[:m] = np.where(np.isfinite(self.program.h), np.maximum(allowed[:m], 0.0), 0.0)
+        allowed[self._is_bound] = 0.0
+        return DualPoint(x, allowed)
+
+    def value(self, at: DualPoint) -> float:
+        """Return a double below the bound that this point proves without a repair; −∞ if it proves no bound."""
+        program, (x, y) = self.program, at
+        high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
+        parts = [
+            compensated_pair(matrix, x, offset)
+            for matrix, offset in (
+                (program.matrices.sparse_P, None),
+                (self._rows, -self._limit),
+            )
+        ]
+        # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
+        factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
+        values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
+        twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
+        blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
+        missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
+        blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
+        loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
+        loss = float(sum_above(_sum_above(np.concatenate(blur)), loss))
+        found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
+        return found if not math.isnan(found) else -np.inf
+
+    def _distances(self, low: FloatVector, high: FloatVector) -> Box:
+        """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
+        return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
+
+    def _loss(
+        self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector
+    ) -> float:
+        """Return Σ sup over −below ≤ t ≤ above of −s t − ½ μ t², rounded up."""
+        weights = self.curvature.weights
+        corners = np.max(
+            [
+                product_above(s_high, below),
+                product_above(s_low, below),
+                product_above(-s_high, above),
+                product_above(-s_low, above),
+            ],
+            axis=0,
+        )
+        largest = np.maximum(np.abs(s_low), np.abs(s_high))
+        bent = np.where(weights > 0.0, weights, 1.0)
+        vertex = quotient_above(product_above(largest, largest), 2.0 * bent)
+        reach = np.maximum(np.abs(below), np.abs(above))
+        sagging = sum_above(corners, product_above(-0.5 * weights, product_above(reach, reach)))
+        return _sum_above(np.where(weights > 0.0, np.minimum(corners, vertex), sagging))
+
+    # --- Repairs ------------------------------------------------------------------------------------------------
+
+    def _with_slack(self, at: DualPoint, slack: float) -> DualPoint:
+        """Return a nearby point whose s has the signs that open sides require, with slack if possible."""
+        needs_rise, needs_fall = self._open_sides
+        is_free = needs_rise & needs_fall
+        sign = np.where(needs_rise, 1.0, -1.0)
+        largest = largest_in_rows(sp.csr_array(self._rows.T)) * np.abs(at.y).max(initial=0.0)
+        for _ in range(ROUNDS):
+            v = np.concatenate(at)
+            s = self._stacked @ v + self.program.c
+            size = np.maximum(abs(self._stacked) @ np.abs(v) + np.abs(self.program.c), largest)
+            target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))
+            asked = needs_rise | needs_fall
+            if not (asked & (np.abs(target - s) > 0.1 * slack * size)).any():
+                break
+            # What is nearly zero must not become wrong by what is put right elsewhere.
+            near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
+            movable = np.flatnonzero(self._is_movable(at))
+            v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
+            at = self.admit(v[: at.x.size], v[at.x.size :])
+        return at
+
+    def _is_movable(self, at: DualPoint) -> BoolVector:
+        """Return the mask of the entries of x̂ and of the multipliers that a repair may change."""
+        m = self.program.h.size
+        return np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]])
+
+    def _exact_value(self, at: DualPoint, *, is_fixed: bool = False) -> float:
+        """Return the bound of a nearby point with s exactly zero if required; −∞ if no point is found.
+
+        If x̂ is fixed, components with curvature are included, and only multipliers change.
+        """
+        needs_rise, needs_fall = self._open_sides
+        v = np.concatenate(at)
+        s = self._stacked @ v + self.program.c
+        rounding = SLACKS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
+        is_zero = (needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding))
+        zero = np.flatnonzero(is_zero | ((np.abs(s) <= rounding) if is_fixed else False))
+        rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
+        target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
+        guess, movable = rational(v), self._is_movable(at) & (np.arange(v.size) >= n * is_fixed)
+        lots = independent_rows(
+            [{j: entry for j, entry in row.items() if movable[j]} for row in rows]
+        )
+        if max(map(len, lots), default=0) > EXACT_UP_TO:
+            return -np.inf
+        exact = solved_nearby(rows, target, guess, movable.tolist())
+        if exact is None or any(y < 0 for y in exact[n : n + m]):
+            return -np.inf
+        return self._value_of(exact[:n], exact[n:])
+
+    def _value_of(self, x: Vector, y: Vector) -> float:
+        """Return `value` of rational numbers."""
+        c = rational(self.program.c)
+        curved = products(rational_rows(self.program.P), x)
+        here = sum(
+            (at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)),
+            Fraction(0),
+        )
+        missed = [
+            value - limit
+            for value, limit in zip(
+                products(rational_rows(self._rows), x), rational(self._limit), strict=True
+            )
+        ]
+        here += sum(
+            (weight * miss for weight, miss in zip(y, missed, strict=True) if weight), Fraction(0)
+        )
+        penalty = Fraction(self.curvature.penalty) / 2
+        here -= penalty * sum((miss * miss for miss in missed[self.program.h.size :]), Fraction(0))
+        s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
+        loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
+        found = -float(sum_above(loss, -enclosures([here])[0][0]))
+        return found if not math.isnan(found) else -np.inf
+
+    @cached_property
+    def _open_sides(self) -> tuple[BoolVector, BoolVector]:
+        """Masks of s ≥ 0 and of s ≤ 0 as requirements: infinite sides without curvature.
+
+        A bound that only several rows together imply does not count, because it may be very large.
+        """
+        is_flat, folded = self.curvature.weights <= 0.0, FoldedRows.of(self.program).reduced
+        return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
+
+    @property
+    def _rows(self) -> sp.csr_array:
+        return self.program.matrices.rows
+
+    @cached_property
+    def _limit(self) -> FloatVector:
+        return np.where(np.isfinite(self._limit_of_rows), self._limit_of_rows, 0.0)
+
+    @cached_property
+    def _limit_of_rows(self) -> FloatVector:
+        return np.concatenate([self.program.h, self.program.b])
+
+    @cached_property
+    def _is_bound(self) -> BoolVector:
+        """Mask of the rows with at most one entry, which the box contains."""
+        return np.asarray(np.diff(self._rows.indptr) <= 1)
+
+    @property
+    def _stacked(self) -> sp.csr_array:
+        return self.program.matrices.gradient
+
+    @cached_property
+    def _exact_stacked(self) -> list[Row]:
+        return rational_rows(self._stacked)
+
+
+def _without_rounding(y: FloatVector) -> FloatVector:
+    """Return multipliers with 0 for entries at rounding level, because degenerate multipliers must be 0."""
+    return np.where(np.abs(y) <= NOISE * np.abs(y).max(initial=0.0), 0.0, y)
+
+
+def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
+    """Return doubles below and above every value that a compensated pair stands for."""
+    spread = sum_above(low, radius), sum_above(-low, radius)
+    return -sum_above(-high, spread[1]), sum_above(high, spread[0])
+
+
+def half_above(value: float) -> float:
+    """Return value/2 if it is a double, else the next larger double."""
+    half = 0.5 * float(value)
+    return half if 2.0 * half == value else math.nextafter(half, math.inf)
+
+
+def _sum_above(values: FloatVector) -> float:
+    """Return a double above the sum of the values; 0 if all values are 0."""
+    if not np.isfinite(values).all():
+        return float(np.inf)
+    try:
+        return math.nextafter(math.fsum(values), math.inf) if values.any() else 0.0
+    except OverflowError:
+        return math.inf
+
+
+def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
+    """Return the shortest least squares solution, accurate to rounding for a small matrix; 0 if it overflows."""
+    if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
+        try:
+            found = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
+        except np.linalg.LinAlgError:
+            return np.zeros(matrix.shape[1])
+    else:
+        from scipy.sparse.linalg import lsmr
+
+        found = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def implied_box(program: QuadraticProgram) -> Box:
+    """Return (lower, upper) with lower ≤ x ≤ upper for every feasible x, shape (n,) each, rounded outwards.
+
+    A row a·x ≤ d bounds x_j if all other terms are bounded: a_j x_j ≤ d − Σ min a_k x_k. Every pass over the rows may
+    bound more variables, so passes continue as long as a bound changes.
+
+    Examples
+    --------
+    >>> program = QuadraticProgram([[0, 0], [0, 0]], [1, 1], A=[[1, 2]], b=[4], lower=0)
+    >>> with np.errstate(all="ignore"):  # as the calls that solve do
+    ...     implied_box(program)
+    (array([0., 0.]), array([4., 2.]))
+    """
+    lower, upper = np.array(program.lower), np.array(program.upper)
+    A, G = sp.csr_array(program.A), sp.csr_array(program.G)
+    limited = np.flatnonzero(np.isfinite(program.h))
+    rows = sp.csr_array(sp.vstack([G[limited], A, -A], format="csr"))
+    limit = np.concatenate([program.h[limited], program.b, -program.b])
+    by_column = sp.csc_array(rows)
+    touched = np.arange(limit.size)
+    for _ in range(MOST_PASSES):
+        was_open = np.isinf(lower), np.isinf(upper)
+        _tighten(rows[touched], limit[touched], lower, upper)
+        closed = np.flatnonzero(
+            (was_open[0] & np.isfinite(lower)) | (was_open[1] & np.isfinite(upper))
+        )
+        if not closed.size or is_over():
+            break
+        touched = np.unique(by_column[:, closed].indices)
+    return lower, upper
+
+
+def _tighten(
+    rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector
+) -> None:
+    """Replace bounds by tighter bounds that single rows imply."""
+    entry, column, owner, m = rows.data, rows.indices, row_numbers(rows), limit.size
+    # The largest value of −a x, the least of a x with its sign turned.
+    most = np.where(
+        entry > 0.0, product_above(-entry, lower[column]), product_above(-entry, upper[column])
+    )
+    is_open = most == np.inf
+    held = np.where(is_open, 0.0, most)
+    total = np.bincount(owner, held, m).astype(np.float64)
+    size = np.bincount(owner, np.abs(held), m) * (1.0 + gamma(entry.size))
+    total = sum_above(
+        total, product_above(size, gamma(int(np.diff(rows.indptr).max(initial=0)) + 2))
+    )
+    open_terms = np.bincount(owner, is_open, m)
+    is_bounded = open_terms[owner] - is_open == 0
+    rest = sum_above(sum_above(limit, total)[owner], -held)
+    rest = np.where(np.diff(rows.indptr)[owner] == 1, limit[owner], rest)
+    most_of_x = quotient_above(rest, np.abs(entry))
+    usable = is_bounded & np.isfinite(most_of_x)
+    above, below = usable & (entry > 0.0), usable & (entry < 0.0)
+    np.minimum.at(upper, column[above], most_of_x[above])
+    np.maximum.at(lower, column[below], -most_of_x[below])
+
+
+EXACT_ROWS_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
+SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
+NEAR_ROW = 1e-9  # of a row's size: rows that a point is moved off
+DENSE_EQUATIONS_UP_TO = 4_000_000  # entries of equality rows that are treated as one dense matrix
+MOST_BITS, TINY = 400, 1e-290  # of the unit of a row; above the underflow of a sum
+OUTWARD = 1.0 + 2.0**-30  # above the rounding of a sum of nonnegative terms
+
+
+@dataclass(frozen=True, eq=False)
+class FeasiblePoint:
+    """Point that satisfies all constraints, as an enclosure: doubles and their error bounds.
+
+    Attributes
+    ----------
+    near : ndarray, shape (n,)
+    radius : ndarray, shape (n,)
+        Error bounds of `near`; 0 if the doubles are feasible.
+    value : float
+        A double above its objective.
+    """
+
+    near: FloatVector
+    radius: FloatVector
+    value: float
+
+    @classmethod
+    def of(cls, program: QuadraticProgram, low: FloatVector, high: FloatVector) -> FeasiblePoint:
+        """Return the point that lies between two vectors of doubles."""
+        radius = np.maximum(sum_above(high, -low), 0.0)
+        return cls(low, radius, objective_bounds(program, low, radius)[1])
+
+
+@dataclass(frozen=True, eq=False)
+class FeasiblePoints:
+    """Search for points of a program that are proved feasible."""
+
+    program: QuadraticProgram = field(repr=False)
+
+    def find_near(self, x: FloatVector) -> FeasiblePoint | None:
+        """Return a feasible point near x (x itself if feasible); None if floating point proves no point."""
+        if not (self.program.constraints.excess(x) > 0.0).any():
+            return FeasiblePoint.of(self.program, x, x)
+        points = (self._enclose(self._move_off(x, slack)) for slack in SLACKS)
+        return next((point for point in points if point is not None), None)
+
+    @cached_property
+    def inside(self) -> Vector | None:
+        """Feasible point in rational numbers, as far inside as a linear program finds; None for a large program."""
+        program = self.program
+        if program.b.size > EXACT_ROWS_UP_TO or program.n + program.constraints.rows > SMALL:
+            return None
+        return feasible_point(program)
+
+    def _move_off(self, x: FloatVector, slack: float) -> FloatVector:
+        """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""
+        rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
+        is_row = np.arange(rows.limit.size) < rows.rows
+        value, size = rows.matrix @ x - rows.limit, _sizes(self.program, x)
+        tight = np.flatnonzero(is_row & (rows.is_equality | (value >= -NEAR_ROW * size)))
+        at_bound = (x <= self.program.lower) | (x >= self.program.upper)
+        free = np.flatnonzero(~at_bound)
+        right = np.where(rows.is_equality, -value, np.minimum(-value - slack * size, 0.0))[tight]
+        moved = x.copy()
+        moved[free] += least_squares(rows.matrix[tight][:, free], right)
+        return np.clip(moved, self.program.lower, self.program.upper)
+
+    def _enclose(self, x: FloatVector) -> FeasiblePoint | None:
+        """Return the point near x that satisfies the equalities; None if inequalities at x have too little slack."""
+        program, rows = self.program, self.program.constraints
+        excess = rows.excess(x)
+        if not (excess > 0.0).any():
+            return FeasiblePoint.of(program, x, x)
+        m, is_equality = program.h.size, rows.is_equality
+        radius = distance_of_equations(program, x, excess[m : m + program.b.size])
+        if radius is None or (excess[~is_equality] > 0.0).any():
+            return None
+        others = abs(rows.matrix[np.flatnonzero(~is_equality)])
+        spread = (
+            others @ radius + np.where(others.astype(bool) @ (radius > 0.0), TINY, 0.0)
+        ) * OUTWARD
+        if not (sum_above(excess[~is_equality], spread) <= 0.0).all():
+            return None
+        return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
+
+
+def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
+    """Return estimates of the largest term of each row near x; they only guide the search for a point."""
+    rows = program.constraints
+    limit = np.where(np.isfinite(rows.limit), np.abs(rows.limit), 0.0)
+    return np.asarray(limit + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0))
+
+
+def distance_of_equations(
+    program: QuadraticProgram, x: FloatVector, excess: FloatVector
+) -> FloatVector | None:
+    """Return a componentwise bound of the distance from x to a solution of A x = b; None if none is proved.
+
+    Only variables between their bounds move.
+
+    Parameters
+    ----------
+    excess : array, shape (rows of A,)
+        Upper bounds of |A x − b|.
+
+    Notes
+    -----
+    With B the free columns of A, rows scaled by powers of two, x + Bᵀu is a solution if B Bᵀu = r, r = b − A x. If
+    ‖I − R B Bᵀ‖∞ ≤ α < 1 for an approximate inverse R, rounding included, there is one with ‖u‖∞ ≤ ‖|R||r|‖∞/(1 − α).
+    """
+    free = np.flatnonzero((program.lower < x) & (x < program.upper))
+    B, radius = sp.csr_array(program.A)[:, free], np.zeros(x.size)
+    p, n = B.shape
+    if max(p * n, p * p) > DENSE_EQUATIONS_UP_TO:
+        return None
+    B = B.toarray()
+    _, exponent = np.frexp(np.abs(B).max(axis=1, initial=0.0))
+    if (np.abs(exponent) > MOST_BITS).any() or not np.isfinite(excess).all():
+        return None
+    B, r = np.ldexp(B, -exponent[:, None]), np.ldexp(excess, -exponent)
+    product, sizes = B @ B.T, np.abs(B) @ np.abs(B).T
+    try:
+        R = np.linalg.inv(product)
+    except np.linalg.LinAlgError:
+        return None
+    left = np.abs(np.eye(p) - R @ product) + gamma(p + 3) * (np.abs(R) @ np.abs(product) + 1.0)
+    left += gamma(n + 3) * (np.abs(R) @ sizes) + TINY * (1.0 + np.abs(R).sum())
+    alpha = float(left.sum(axis=1).max(initial=0.0)) * OUTWARD
+    if not alpha <= 0.5:
+        return None
+    largest = float((np.abs(R) @ r).max(initial=0.0)) * OUTWARD / (1.0 - alpha) + TINY
+    radius[free] = (np.abs(B).sum(axis=0) * largest + TINY) * OUTWARD
+    return radius
+
+
+def objective_bounds(
+    program: QuadraticProgram,
+    x: FloatVector,
+    radius: FloatVector | None = None,
+    *,
+    linear: float = 1.0,
+) -> tuple[float, float]:
+    """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
+    high, low, blur = compensated_pair(program.matrices.sparse_P, x)
+    row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
+    twice, error = compensated_product(row, np.concatenate([high, low, x]))
+    error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
+    lowest, highest = (
+        -half_above(upper_end(-twice, error)[0]),
+        half_above(upper_end(twice, error)[0]),
+    )
+    if radius is not None and radius.any():
+        # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
+        slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
+        bent = 0.5 * (abs(program.matrices.sparse_P) @ radius)
+        spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
+        highest = float(sum_above(highest, spread))
+    return lowest, highest

@@ -1,1 +1,0 @@
-"""Bimatrix games as linear complementarity problems, and back."""

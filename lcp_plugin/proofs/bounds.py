@@ -1,0 +1,970 @@
+"""Upper bounds of the distance of z from the solution.
+
+The stages are v-certificates of rows (`RowInequality`) and bounds of the whole solution.
+
+Classification of the rows of a solution: at a bound, free, or degenerate (at a bound with w = 0); hidden errors.
+
+To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
+‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. LAPACK estimates the norm up to 500 rows; this proves nothing (see
+`error_bounds` for what does).
+
+Curvature of a quadratic form, bounded below: μ with P − diag(μ) proved semidefinite.
+
+P falls into the blocks that its pattern connects. The weight of a block of one entry is this entry. A larger block is
+definite by a factorization with a rounding margin, or semidefinite by its row sums or by exact elimination. Otherwise
+it may be semidefinite to rounding: then its weights are negative, by a bound of the rounding error.
+
+On the solutions of A x = b the objective is also f(x) + ½ ρ‖A x − b‖². If P + ρ AᵀA is positive definite, ρ > 0, its
+weights may replace the weights of P, between points that satisfy the equations exactly.
+
+The inequality of each row for the error of a point, with outward rounding.
+
+Let e = z − z*. If e_i > 0, then either z*_i is the upper bound and e_i = z_i − upper_i, or w*_i ≥ 0, so that
+(M e)_i ≤ w_i; and e_i ≤ z_i − lower_i in any case. With m_ii = d_i > 0 and B the rest of M,
+
+    e_i ≤ max(z_i − upper_i, min(z_i − lower_i, (w_i + (|B||e|)_i)/d_i)),
+
+and the mirror image holds if e_i < 0. Together |e| ≤ Φ(|e|) with an isotone Φ. Two things follow.
+
+1. |e| ≤ y gives |e| ≤ Φ(y), for any B.
+2. If ⟨M⟩v > 0 for some v > 0, every y ≥ 0 with Φ(y) ≤ y bounds |e|: Φ(y + σv) < y + σv for σ > 0, so the smallest σ
+   with |e| ≤ y + σv cannot be positive. And t v is such a y once t is large enough, which is read off row by row: the
+   v-certificate.
+
+If ẑ is so close to the solution that the error bound of ẑ is small, |z − ẑ| + bound(ẑ) is tight. A bound by ⟨M⟩⁻¹|r|
+ignores all signs, and if ρ(D⁻¹|B|) is close to 1 it exceeds |M⁻¹r| a thousand times. One step of the active-set
+method uses the signs: ẑ = z + δ with δ to the bound on the rows that seem active, and M_FF δ_F = −(w + M δ)_F on all
+other rows. ẑ may be any point: a poor solve or a wrong guess only makes the bound larger. ẑ is stored as a sum of two
+float64 numbers, so that its error can be less than the spacing of float64.
+
+Distance of a point from the solution, by a v > 0 with ⟨M⟩v > 0, or by a bound of the smallest eigenvalue.
+
+By v row by row (`RowInequality`). By λ, no larger than the eigenvalues of C (M + Mᵀ)/2 C, C = diag(c) > 0: with
+e = z − z*, any S = diag(s) > 0 and r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection
+of z − S w to the bounds. Its variational inequality at z*, and the inequality of z* at z − r, add up row by row to
+
+    (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   so that   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
+
+and as λ‖C⁻¹e‖₂² ≤ eᵀM e, ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ if S = C = I, and much
+less if r is smooth.
+
+Distance of z from the solution, bounded by inequalities of rows and by curvature.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.sparse import csgraph
+
+from ..core.certificates.criterion import row_data, scaled_residual
+from ..core.checks import BoolVector, FloatVector, checked_vector
+from ..core.deadline import is_over
+from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ..core.kernels.floats import TINY, UNIT
+from ..core.lcp import LCP
+from ..core.matrix import Exponents, Matrix, connected_components, fact, scale_matrix
+from ..core.problem_classes import refusal
+from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
+from ..systems.comparison_sums import comparison_product
+from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
+from ..systems.equilibration import unit_diagonal
+from ..systems.factors import PositiveFactor, factor_fits, positive_factor
+from ..systems.free_systems import KRYLOV_GOAL, FreeSystem
+from .exact import (
+    exact_symmetric_part,
+    has_nonnegative_pivots,
+    product_above,
+    quotient_above,
+    sum_above,
+)
+from .verdicts import HCertificate, comparison_certificate
+
+
+@dataclass(frozen=True, eq=False)
+class RowInequality:
+    """Φ of one point, the sum `high` + `low`; every number is an upper bound of the exact value.
+
+    Attributes
+    ----------
+    above, below : ndarray, shape (n,)
+        z − lower and upper − z.
+    over, under : ndarray, shape (n,)
+        z − upper and lower − z.
+    slack, negative_slack : ndarray, shape (n,)
+        w and −w.
+    """
+
+    problem: LCP
+    high: FloatVector
+    low: FloatVector
+    above: FloatVector
+    below: FloatVector
+    over: FloatVector
+    under: FloatVector
+    slack: FloatVector
+    negative_slack: FloatVector
+
+    @classmethod
+    def at(cls, problem: LCP, high: FloatVector, low: FloatVector | None = None) -> RowInequality:
+        """Return the inequality at the finite point high + low, each of shape (n,)."""
+        if low is None:
+            matrix = problem.matrix
+            value, radius = compensated_product(matrix.csr, high, problem.q)
+            slack, negative = sum_above(value, radius), sum_above(-value, radius)
+            low = np.zeros(problem.q.size)
+        else:
+            slack, negative = _slack_of_pair(problem, high, low)
+        return cls(
+            problem,
+            high,
+            low,
+            above=_pair_above(high, low, -problem.lower),
+            below=_pair_above(-high, -low, problem.upper),
+            over=_pair_above(high, low, -problem.upper),
+            under=_pair_above(-high, -low, problem.lower),
+            slack=slack,
+            negative_slack=negative,
+        )
+
+    def inflation(self, certificate: HCertificate) -> FloatVector:
+        """Return t ≥ 0, one number per component, with Φ(t v) ≤ t v.
+
+        The result has one entry per row, shape (n,), or (1,) if there is a single component.
+        """
+
+        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
+            within = np.minimum(
+                quotient_above(direct, certificate.v), quotient_above(w, certificate.margin)
+            )
+            largest: FloatVector = np.maximum(quotient_above(outside, certificate.v), within)
+            return largest
+
+        sides = (
+            side(self.over, self.above, self.slack),
+            side(self.under, self.below, self.negative_slack),
+        )
+        largest = row_data(self.problem).largest(np.maximum(np.maximum(*sides), 0.0))
+        return np.where(np.isnan(largest), np.inf, largest)
+
+    def image(self, y: FloatVector) -> FloatVector:
+        """Return Φ(y), shape (n,)."""
+        minus_product = _minus_comparison(self.problem, y)
+
+        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
+            """Return Φ(y) for one sign of e; (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
+            solved = sum_above(
+                y, quotient_above(sum_above(w, minus_product), self.problem.diagonal)
+            )
+            return np.asarray(np.maximum(outside, np.minimum(direct, solved)))
+
+        image = np.maximum(
+            side(self.over, self.above, self.slack),
+            side(self.under, self.below, self.negative_slack),
+        )
+        return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
+
+    def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
+        """Return the rows proved by |e| ≤ y to be active (z*_i at a bound), and to be inactive.
+
+        Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
+        """
+        inactive = (sum_above(self.under, y) < 0.0) & (sum_above(self.over, y) < 0.0)
+        is_exact = (y == 0.0) & (self.low == 0.0)
+        at_bound = is_exact & (
+            (self.high == self.problem.lower) | (self.high == self.problem.upper)
+        )
+        return self.held(y) | at_bound, inactive
+
+    def held(self, y: FloatVector) -> BoolVector:
+        """Return the rows at a bound: |e| ≤ y proves that w*_i ≠ 0, or both bounds are equal."""
+        problem = self.problem
+        coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
+
+        def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
+            direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
+            return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
+
+        is_forced = forced(self.above, self.negative_slack) | forced(self.below, self.slack)
+        held: BoolVector = is_forced | (problem.lower == problem.upper)
+        return held
+
+
+def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:
+    """Return an upper bound of |z − (high + low)|, shape (n,)."""
+    forward = sum_above(sum_above(z, -high), -low)
+    return np.maximum(forward, sum_above(sum_above(-z, high), low))
+
+
+def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:
+    """Return an upper bound of −⟨M⟩y."""
+    value, radius = comparison_product(problem.matrix.csr, y)
+    return sum_above(-value, radius)
+
+
+def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> FloatVector:
+    return sum_above(sum_above(high, bound), low)
+
+
+def _slack_of_pair(
+    problem: LCP, high: FloatVector, low: FloatVector
+) -> tuple[FloatVector, FloatVector]:
+    """Return upper bounds of w and −w at high + low; w is small relative to its terms."""
+    matrix = problem.matrix
+    first, rest, radius = compensated_pair(matrix.csr, high, problem.q)
+    second, second_radius = compensated_product(matrix.csr, low)
+    total_radius = sum_above(radius, second_radius)
+
+    def end(sign: float) -> FloatVector:
+        return sum_above(
+            sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius
+        )
+
+    return end(1.0), end(-1.0)
+
+
+class NearPoint(NamedTuple):
+    """A point ẑ = high + low near the solution, and a bound y of its own error; each of shape (n,)."""
+
+    high: FloatVector
+    low: FloatVector
+    y: FloatVector
+
+    def bound(self, z: FloatVector) -> FloatVector:
+        """Return |z − ẑ| + y ≥ |z − z*|; ∞ if z is not finite."""
+        bound = sum_above(distance_above(self.high, self.low, z), self.y)
+        return np.where(np.isnan(bound), np.inf, bound)
+
+
+class ActiveSetSteps:
+    """Steps of the active-set method on one problem; a factorization serves as long as the free set stays.
+
+    Attributes
+    ----------
+    system : FreeSystem
+        The system of the last step; initially the system of another problem with the same M, if passed.
+    """
+
+    def __init__(
+        self,
+        problem: LCP,
+        scale: FloatVector,
+        *,
+        goal: float = KRYLOV_GOAL,
+        system: FreeSystem | None = None,
+    ) -> None:
+        self.problem, self.scale, self.goal = problem, scale, goal
+        self.system = system or FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))
+
+    def next_point(self, at: RowInequality) -> RowInequality | None:
+        """Return the inequality at the next point, or None if the step is not finite."""
+        problem = self.problem
+        w, on_lower, free = self._sides(at)
+        bound = np.where(on_lower, problem.lower, problem.upper)
+        delta = np.where(free, 0.0, (bound - at.high) - at.low)
+        if not np.array_equal(free, self.system.free):
+            self.system = FreeSystem(problem.matrix, free)
+        solution = self.system.solve(-(w + problem.csr @ delta), goal=self.goal)
+        if solution is None:
+            return None
+        delta += solution
+        if not np.isfinite(delta).all():
+            return None
+        high = at.high + delta
+        part = high - at.high
+        low = (at.high - (high - part)) + (delta - part) + at.low
+        return RowInequality.at(problem, np.where(free, high, bound), np.where(free, low, 0.0))
+
+    def is_settled(self, at: RowInequality) -> bool:
+        """Return whether the point of the last step has the free rows of this step."""
+        return np.array_equal(self._sides(at)[2], self.system.free)
+
+    def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
+        """Return w, the rows at their lower bounds by the sign of w, and the free rows."""
+        w = 0.5 * (at.slack - at.negative_slack)
+        step = self.scale * w  # next to a large z its digits would be lost
+        on_lower = (at.above <= step) | (self.problem.lower == self.problem.upper)
+        return w, on_lower, ~(on_lower | (at.below <= -step))
+
+
+DENSE_FREE_ROWS_UP_TO = 500  # free rows: a few milliseconds
+ACTIVE_SET_STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
+GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
+EXACT = 1e-14  # relative error after a step
+ROUNDING = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
+
+
+class ActiveRows(NamedTuple):
+    """Classification of the rows of a solution; every row is in one of the first four sets.
+
+    Attributes
+    ----------
+    free, at_lower, at_upper, degenerate : ndarray of bool, shape (n,)
+        Free rows are strictly between their bounds. Rows at a bound have w ≠ 0, or equal bounds. Degenerate rows are
+        at a bound with w = 0, up to rounding of the data.
+    is_upper : ndarray of bool, shape (n,)
+        True if a row that is not free is at its upper bound.
+    z : ndarray, shape (n,)
+        The solution, solved again on the free rows.
+    system : FreeSystem or None
+        The solved system, its rows `free` and perhaps `degenerate`.
+    """
+
+    free: BoolVector
+    at_lower: BoolVector
+    at_upper: BoolVector
+    degenerate: BoolVector
+    is_upper: BoolVector
+    z: FloatVector
+    system: FreeSystem | None
+
+
+@np.errstate(all="ignore")
+def settled_rows(
+    problem: LCP, z: FloatVector, w: FloatVector, system: FreeSystem | None = None
+) -> ActiveRows:
+    """Return the classification of the rows, after steps of the active-set method in twice the working precision.
+
+    If the steps fail (the block of the free rows is singular) the rows are classified by the given z and w.
+
+    Parameters
+    ----------
+    z, w : array, shape (n,)
+        A solution within some tolerance, and its slack.
+    system : FreeSystem, optional
+        System of a problem with the same M, which is reused if the free rows are the same.
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> rows = settled_rows(problem, np.array([2.5 + 1e-9, 0.0]), np.array([2e-9, 3.5 + 1e-9]))
+    >>> rows.free, rows.at_lower, rows.z
+    (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
+    """
+    settled = _settled(problem, z, system)
+    if settled is None:
+        return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
+    at, system, left = settled
+    return _judged(
+        problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system, left
+    )
+
+
+def _settled(
+    problem: LCP, z: FloatVector, system: FreeSystem | None
+) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
+    """Return a point whose rows solve their equations, the system, and an error estimate.
+
+    The result is None if the steps do not converge. Rows that are exactly degenerate may change sides indefinitely,
+    by the rounding of other rows; the point then does not change with their side.
+    """
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
+    at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
+    for _ in range(ACTIVE_SET_STEPS):
+        following = steps.next_point(at)
+        if following is None:
+            return None
+        change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
+        allowed = EXACT * np.abs(at.high).max(initial=0.0)
+        if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
+            return at, steps.system, GOAL * change
+    return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
+
+
+def _judged(
+    problem: LCP,
+    z: FloatVector,
+    w: FloatVector,
+    above: FloatVector,
+    below: FloatVector,
+    system: FreeSystem | None,
+    left: FloatVector | None = None,
+) -> ActiveRows:
+    """Return the classification of the rows by z and w, if `left` bounds the distance of z from the solution."""
+    scale, data = problem.residual_scale, row_data(problem)
+    floor = data.rounding_floor(data.rows(z).terms)
+    beside_largest = np.minimum(
+        scale / problem.matrix.row_largest, 1.0
+    )  # by a tiny diagonal entry no row moves z_i
+    near, slight = floor * beside_largest, floor
+    if left is not None:
+        size = abs(problem.matrix.array)
+        near, slight = floor * beside_largest + left, floor + size @ left / scale
+    is_fixed = problem.lower == problem.upper
+    step = w / scale
+    is_small = (np.minimum(above, below) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
+    degenerate = is_small & ~is_fixed
+    is_upper = np.where(is_fixed, w < 0.0, below < above)
+    reaches = np.where(is_upper, below <= -step, above <= step)
+    held = is_fixed | (reaches & ~degenerate)
+    return ActiveRows(
+        ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
+    )
+
+
+def free_rows(problem: LCP, z: FloatVector, w: FloatVector) -> BoolVector:
+    """Return the mask of rows between their bounds according to z and its slack w, shape (n,)."""
+    target = z - w / problem.residual_scale
+    return (target > problem.lower) & (target < problem.upper)
+
+
+def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
+    """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None if it is too costly.
+
+    Parameters
+    ----------
+    problem : LCP
+    z, w : arrays, shape (n,)
+        A point and its slack.
+    residual : float
+        ‖r(z)‖∞, in the unit of z.
+
+    Examples
+    --------
+    >>> problem = LCP([[1, -1 + 2**-30], [-1 + 2**-30, 1]], [-1, -1])
+    >>> z = np.full(2, 2.0**30)
+    >>> round(estimated_error(problem, z, problem.slack(z), 1e-8), 6)
+    10.737418
+    """
+    free = np.flatnonzero(free_rows(problem, z, w))
+    if not free.size or not residual > 0.0 or not np.isfinite(residual):
+        return 0.0 if residual == 0.0 or not free.size else None
+    norm = _norm_of_inverse(problem, free)
+    return None if norm is None else residual * norm
+
+
+def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
+    """Return LAPACK's estimate of ‖(S M_FF)⁻¹‖∞, ∞ if that is singular, None beyond 500 rows."""
+    from scipy.linalg import lapack
+
+    if free.size > DENSE_FREE_ROWS_UP_TO:
+        return None
+    block = problem.M[free][:, free]
+    block = (block.toarray() if sp.issparse(block) else block) / problem.residual_scale[free, None]
+    if not np.isfinite(block).all():
+        return None
+    norm = float(np.abs(block).sum(axis=1).max())
+    reciprocal = norm * lapack.dgecon(lapack.dgetrf(block)[0], norm, norm="I")[0]
+    return 1.0 / reciprocal if reciprocal > 0.0 else np.inf
+
+
+DENSE_UP_TO = 3000
+SPARSE_UP_TO = 30_000
+OUTWARD = 1.0 + 2.0**-36  # more than the rounding of sums of 2 · SPARSE_UP_TO terms of one sign
+UNDERFLOW = 1e-290  # far more than all that underflows in a factorization of a matrix of unit size
+
+
+class EigenvalueBound(NamedTuple):
+    """λ ≤ the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(scale), powers of two."""
+
+    value: float
+    scale: FloatVector
+
+
+#: Proof behind an error bound: v with ⟨M⟩v > 0 of an M with a positive diagonal, or λ.
+Family = HCertificate | EigenvalueBound
+
+
+def bounds_of(matrix: Matrix) -> Family | None:
+    """Return the proof behind error bounds for this M; None if M is neither proven H₊ nor positive definite."""
+    is_positive = bool(np.all(matrix.diagonal > 0.0))
+    found = comparison_certificate(matrix) if is_positive else None
+    return smallest_eigenvalue_bound(matrix) if found is None else found
+
+
+def bound_of_error(at: RowInequality, family: Family) -> FloatVector:
+    """Return a bound of |z − z*|, shape (n,), by the least t v or by the 2-norm."""
+    if isinstance(family, HCertificate):
+        return product_above(at.inflation(family), family.v)
+    y = two_norm_bound(at.problem, at, family)
+    return np.minimum(y, at.image(y))
+
+
+@fact
+def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
+    """Return a lower bound of the smallest eigenvalue of M's symmetric part after equilibration, kept with M.
+
+    Returns
+    -------
+    EigenvalueBound or None
+        None if no positive bound can be proven.
+
+    Notes
+    -----
+    C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorized; a successful factorization proves a
+    bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
+    n ≤ 30 000, where its fill is bounded.
+
+    References
+    ----------
+    S. M. Rump, *Verification of positive definiteness*, BIT 46 (2006), doi:10.1007/s10543-006-0056-1.
+
+    Examples
+    --------
+    >>> bound = smallest_eigenvalue_bound(Matrix([[4.0, 2.0], [2.0, 4.0]]))
+    >>> 0.45 < bound.value <= 0.5
+    True
+    """
+    diagonal = matrix.diagonal
+    if not (diagonal > 0.0).all() or matrix.n == 0:
+        return None
+    exponents = unit_diagonal(diagonal)
+    scale = np.ldexp(1.0, exponents.row)
+    is_dense = matrix.is_dense or matrix.n <= 200
+    is_dense = is_dense and matrix.n <= DENSE_UP_TO
+    part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponents)
+    if not np.isfinite(blur):
+        return None
+    if not is_dense and not (matrix.n <= SPARSE_UP_TO and factor_fits(part)):
+        return None
+    value = _proven_bound(part, blur)
+    return None if value is None else EigenvalueBound(value, scale)
+
+
+def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
+    """Return y with |z − z*| ≤ y, shape (n,), if `eigenvalue` holds."""
+    inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
+    # Both bounds of each r_i; at a bound, with w_i of the right sign, they are equal for any rounding of w_i.
+    residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
+    negative = np.maximum(
+        np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under
+    )
+    blur = np.maximum(sum_above(residual, negative), 0.0)
+    if not (residual.any() or blur.any()):
+        return np.zeros(problem.n)
+    transpose = sp.csr_array(problem.csr.T)
+    value, radius = compensated_product(transpose, residual, residual * inverse_step)
+    blurred, blurred_radius = compensated_product(abs(transpose), blur, blur * inverse_step)
+    size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
+    size = sum_above(size, 4.0 * TINY)  # products may have underflowed
+    several, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
+    labels = np.zeros(problem.n, np.int64) if several is None else several.labels
+    norm = norms_above(even, labels)[labels]
+    bound = product_above(eigenvalue.scale, quotient_above(norm, np.float64(eigenvalue.value)))
+    return np.where(np.isnan(bound), np.inf, bound)
+
+
+def norm_above(x: FloatVector) -> np.float64:
+    """Return a double above ‖x‖₂ for x ≥ 0, also with underflow."""
+    return np.float64(norms_above(x, np.zeros(x.size, np.int64)).max(initial=0.0))
+
+
+def norms_above(x: FloatVector, labels: Any) -> FloatVector:
+    """Return a double above ‖x_P‖₂, x ≥ 0, for each set P of entries with one label; also with underflow."""
+    largest = np.zeros(int(labels.max(initial=-1)) + 1)
+    np.maximum.at(largest, labels, x)
+    is_usual = (largest > 0.0) & np.isfinite(largest)
+    unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
+    squares = np.bincount(labels, (x / unit[labels]) ** 2, largest.size) * OUTWARD
+    squares += x.size * UNDERFLOW
+    norms: FloatVector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
+    return norms
+
+
+def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:
+    """Return C (M + Mᵀ)/2 C and a bound of the rounding of its eigenvalues, ∞ after overflow."""
+    even = scale_matrix(M, exponents)
+    part = 0.5 * (even + even.T)
+    size = float(abs(part).sum(axis=1).max())
+    return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW
+
+
+def _proven_bound(part: Any, blur: float) -> float | None:
+    """Return a share of the smallest eigenvalue that is proven to be below it, the largest of some, or None."""
+    factor = positive_factor(part)
+    if factor is None:
+        return None
+    estimate = _inverse_iteration(factor.solve, part)
+    identity = (sp.eye_array if sp.issparse(part) else np.eye)(part.shape[0])
+    for share in (0.95, 0.5, 0.1):  # the first shift that a factorization proves
+        shift = share * estimate
+        shifted = part - shift * identity
+        factor = positive_factor(shifted)
+        if factor is not None:
+            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (
+                float(part.diagonal().max()) + shift
+            )
+            value = (shift - rounding - blur) / OUTWARD
+            if value > 0.0:
+                return float(value)
+    return None
+
+
+def _rounding(matrix: Any, factor: PositiveFactor) -> float:
+    """Return a bound of the distance of a factorized matrix from a semidefinite one: Cholesky's bound, or measured."""
+    if factor.superlu is not None:
+        return _factor_error(factor.superlu)
+    n = matrix.shape[0]
+    trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
+    return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
+
+
+def _factor_error(factor: Any) -> float:
+    """Return a bound of ‖A − L D Lᵀ‖₂, D = diag(U) > 0: A is that near to a semidefinite matrix.
+
+    |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured.
+    """
+    L, U = abs(factor.L), abs(factor.U)
+    n = L.shape[0]
+    terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
+    product = factor.L @ sp.diags_array(factor.U.diagonal())
+    asymmetry = abs(factor.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
+    ones = np.ones(n)
+    by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
+    return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
+
+
+def _inverse_iteration(solve: Any, part: Any) -> float:
+    """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound except for rounding."""
+    x = np.random.default_rng(0).standard_normal(part.shape[0])
+    for _ in range(30):  # an estimate, which is proved afterwards
+        x /= np.linalg.norm(x)
+        x = solve(x)
+    return float(x @ (part @ x) / (x @ x))
+
+
+SMALL = 1000  # up to here every stage is cheap
+REFINEMENT_STEPS = (
+    12  # each takes two digits off the bound, at the cost of a third of a linear solve
+)
+# possible improvement, relative to a lower bound of the error
+SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5
+
+NO_PROOF = (
+    "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
+    "part, and M was not proven to have either; Certificate.of(problem, z) has the residuals"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBound:
+    """A bound of |z − z*|, the distance from z to the solution.
+
+    Attributes
+    ----------
+    componentwise : ndarray, shape (n,)
+        |z_i − z*_i| ≤ componentwise_i, in the unit of z.
+    infinity : float
+        Their maximum, ‖z − z*‖∞ ≤ infinity.
+    relative : float
+        ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every component of the problem by itself; ∞ if z = 0 there and z* = 0 is not
+        proved.
+    method : str
+        "v-certificate", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
+    proven_active, proven_inactive : ndarray of bool, shape (n,)
+        z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0.
+    residual : float
+        ‖r(z)‖∞, the numerator of the relative residual: in the unit of z, as `infinity` is.
+    near : NearPoint or None
+        The point near z* at which most is known; None if nothing is.
+    seconds : float
+        Seconds that it took to compute.
+    """
+
+    componentwise: FloatVector = field(repr=False)
+    infinity: float
+    relative: float
+    method: str
+    proven_active: BoolVector = field(repr=False)
+    proven_inactive: BoolVector = field(repr=False)
+    residual: float = np.nan
+    near: NearPoint | None = field(default=None, repr=False)
+    seconds: float = field(default=0.0, repr=False)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of rows that are proven active, and inactive."""
+        return int(self.proven_active.sum()), int(self.proven_inactive.sum())
+
+    def carried_to(self, z: FloatVector) -> FloatVector:
+        """Return a bound of |z − z*|, componentwise, for any z of shape (n,): by its distance to `near`, in O(n).
+
+        Examples
+        --------
+        >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+        >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
+        >>> bool(0.999e-3 <= bound.carried_to(np.array([2.5 + 1e-3, 0.0])).max() <= 1.001e-3)
+        True
+        """
+        return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)
+
+    def __str__(self) -> str:
+        n, (active, inactive) = self.componentwise.size, self.counts
+        return (
+            f"‖z − z*‖∞ ≤ {self.infinity:.3e}, relative {self.relative:.3e} ({self.method})\n"
+            f"proven: {active} active, {inactive} inactive, {n - active - inactive} of {n} undecided"
+        )
+
+
+@np.errstate(all="ignore")
+def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound:
+    """Return a bound of |z − z*|, componentwise, for the one solution z*.
+
+    Parameters
+    ----------
+    problem : LCP
+        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique.
+    z : array, shape (n,)
+        Any point, also outside the bounds. With NaN or infinite entries the bound is ∞.
+    sharp : bool
+        False: only the v-certificate (or the 2-norm bound), one pass over M once the matrix is known. True: also the
+        stages that solve linear systems; the least of all counts.
+
+    Raises
+    ------
+    InvalidProblem
+        If `problem` is not an LCP or z not a real vector of length n.
+    InvalidOption
+        If `sharp` is neither True nor False.
+    UnsuitableMatrix
+        If M is neither proven H₊ nor proven positive definite.
+
+    Notes
+    -----
+    Rigorous in floating point: the only assumption is that M, q and the bounds are the stored doubles.
+
+    References
+    ----------
+    X. Chen, S. Xiang, *Computation of error bounds for P-matrix linear complementarity problems*, Math. Program. 106
+    (2006), doi:10.1007/s10107-005-0645-9 (the classical bounds that these sharpen).
+
+    Examples
+    --------
+    >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
+    >>> 1e-6 <= bound.infinity < 1.001e-6, bound.proven_active.tolist()
+    (True, [False, True])
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(refusal("error_bound", problem))
+    if not isinstance(sharp, bool | np.bool_):
+        raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
+    z, began = checked_vector(z, "z", problem.n, is_finite=False), time.perf_counter()
+    family = bounds_of(problem.matrix)
+    if family is None:
+        raise UnsuitableMatrix(NO_PROOF)
+    found = _bound(problem, z, family, sharp=sharp)
+    return replace(found, seconds=time.perf_counter() - began)
+
+
+def _bound(problem: LCP, z: FloatVector, family: Family, *, sharp: bool) -> ErrorBound:
+    method = "2-norm, λ_min" if isinstance(family, EigenvalueBound) else "v-certificate"
+    if not np.isfinite(z).all():
+        is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+        y = np.full(problem.n, np.inf)
+        return ErrorBound(y, np.inf, np.inf, method, problem.lower == problem.upper, is_free)
+    at = RowInequality.at(problem, z)
+    found = BestBound(z, at, bound_of_error(at, family), method)
+    if sharp:
+        _sharpen(found, family)
+    return found.result()
+
+
+class BestBound:
+    """The best bound so far, and the point near z at which most is known of z*."""
+
+    def __init__(self, z: FloatVector, at: RowInequality, y: FloatVector, method: str) -> None:
+        self.z, self.at, self.y, self.method = z, at, y, method
+        self.near, self.near_y = at, y
+
+    def go_to(self, near: RowInequality, y: FloatVector) -> None:
+        """Set the reference point and the bound y of its error; keep the least bound per row."""
+        self.near, self.near_y = near, y
+        by_way_of_it = sum_above(distance_above(near.high, near.low, self.z), y)
+        if by_way_of_it.max(initial=0.0) < self.y.max(initial=0.0):
+            self.method = "reference point"
+        self.y = np.minimum(self.y, by_way_of_it)
+
+    @property
+    def is_sharp(self) -> bool:
+        """True if the error is proved to be nearly as large as its bound."""
+        enough = SHARP_ENOUGH_SMALL if self.z.size <= SMALL else SHARP_ENOUGH_LARGE
+        distance = distance_above(self.near.high, self.near.low, self.z)
+        error = float((distance - self.near_y).max(initial=0.0))
+        return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
+
+    def result(self) -> ErrorBound:
+        """Return the bound."""
+        problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
+        active, inactive = self.near.classified(self.near_y)
+        if self.near is not self.at and not (active | inactive).all():
+            more_active, more_inactive = self.at.classified(y)
+            active, inactive = active | more_active, inactive | more_inactive
+        w = 0.5 * (self.at.slack - self.at.negative_slack)
+        residuals = scaled_residual(problem, self.at.high, w)
+        infinity, residual = (float(np.abs(one).max(initial=0.0)) for one in (y, residuals))
+        largest = row_data(problem).largest
+        errors, sizes = (largest(np.abs(one)).tolist() for one in (y, self.z))
+        relative = max(relative_to(*one) for one in {*zip(errors, sizes, strict=True)})
+        is_active = active | (problem.lower == problem.upper)
+        near = NearPoint(self.near.high, self.near.low, self.near_y)
+        return ErrorBound(y, infinity, relative, self.method, is_active, inactive, residual, near)
+
+
+def _sharpen(found: BestBound, family: Family) -> None:
+    """Go to points nearer to the solution as long as that lowers the bound."""
+    problem = found.at.problem
+    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
+    point = found.at
+    for _ in range(REFINEMENT_STEPS):
+        following = steps.next_point(point)
+        if following is None:
+            return
+        point, y = following, bound_of_error(following, family)
+        y = np.minimum(y, point.image(y))
+        before = float(found.near_y.max(initial=0.0))
+        if not float(y.max(initial=0.0)) < 0.5 * before:
+            # A step of the active-set method may lead astray before it leads home.
+            if problem.n > SMALL or before == 0.0 or found.is_sharp:
+                return
+            continue
+        found.go_to(point, y)
+        if found.is_sharp and problem.n > SMALL:
+            return
+
+
+def relative_to(infinity: float, size: float) -> float:
+    """Return infinity/size, rounded up: 0 for 0/0, else ∞ if the size is 0."""
+    if infinity == 0.0:
+        return 0.0
+    return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
+
+
+EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second; at 60 six times as long
+OUTWARD_MARGIN = 1.0 + 2.0**-40  # more than the rounding of a margin of a few operations
+UNKNOWN = "P could not be shown to be positive semidefinite"
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Weights μ for which xᵀP x ≥ Σ μ_i x_i² holds for every x.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (n,)
+        −∞ if nothing is known.
+    indefinite : str
+        Why P is certainly not positive semidefinite, or nothing.
+    penalty : float
+        ρ: the weights are a lower bound of xᵀP x + ρ‖A x‖² for every x.
+    """
+
+    weights: FloatVector
+    indefinite: str = ""
+    penalty: float = 0.0
+
+    @property
+    def is_semidefinite(self) -> bool:
+        """True if P, or P on the null space of A, is proved to be positive semidefinite."""
+        return bool((self.weights >= 0.0).all())
+
+    @property
+    def evidence(self) -> str:
+        """Description of the result about P."""
+        if self.is_semidefinite:
+            where = " on the null space of A" if self.penalty else ""
+            return f"P is positive {'definite' if (self.weights > 0.0).all() else 'semidefinite'}{where}"
+        if np.isfinite(self.weights).all():
+            return f"P is positive semidefinite only to rounding, λ_min ≥ {self.weights.min():.1e}"
+        return self.indefinite or UNKNOWN
+
+
+def curvature(P: Any) -> Curvature:
+    """Return the largest weights that can be proved at the cost of two factorizations.
+
+    Parameters
+    ----------
+    P : ndarray or CSR array, shape (n, n)
+        Exactly symmetric.
+
+    Examples
+    --------
+    >>> curvature(np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 3.0]])).weights.round(2)
+    array([0.95, 0.95, 3.  ])
+    >>> curvature(np.array([[1.0, 1.0], [1.0, 1.0]])).evidence
+    'P is positive semidefinite'
+    >>> curvature(np.array([[1.0, 2.0], [2.0, 1.0]])).evidence
+    'P has a negative eigenvalue'
+    """
+    rows = sp.csr_array(P)
+    weights = np.array(rows.diagonal())
+    if (weights < 0.0).any():
+        i = int(weights.argmin())
+        return Curvature(np.full(weights.size, -np.inf), f"P[{i}, {i}] = {weights[i]:g}")
+    count, label = csgraph.connected_components(rows, directed=False)
+    sizes = np.bincount(label, minlength=count)
+    order = np.argsort(label, kind="stable")
+    ends = np.cumsum(sizes)
+    for k in np.flatnonzero(sizes > 1).tolist():
+        block = np.sort(order[ends[k] - sizes[k] : ends[k]])
+        found = (
+            _weights(sp.csr_array(rows[block][:, block]))
+            if not is_over()
+            else np.full(block.size, -np.inf)
+        )
+        if found is None:
+            return Curvature(np.full(weights.size, -np.inf), "P has a negative eigenvalue")
+        weights[block] = found
+    return Curvature(weights)
+
+
+def constrained_curvature(P: Any, A: Any) -> Curvature:
+    """Return the curvature of P, or of P + ρ AᵀA if only this matrix is definite.
+
+    Parameters
+    ----------
+    P, A : arrays or CSR arrays, shapes (n, n) and (p, n)
+
+    Examples
+    --------
+    >>> found = constrained_curvature(np.diag([0.0, 2.0]), np.array([[1.0, -1.0]]))
+    >>> found.evidence, found.penalty
+    ('P is positive definite on the null space of A', 2.0)
+    """
+    own, rows = curvature(P), sp.csr_array(A)
+    if own.indefinite or (own.weights > 0.0).all() or not rows.nnz or is_over():
+        return own
+    if (
+        np.count_nonzero(np.diff(sp.csr_array(P).indptr)) + rows.shape[0] < own.weights.size
+    ):  # ranks add to less than n
+        return own
+    square = sp.csr_array(rows.T @ rows)
+    bent, held = (
+        float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square)
+    )
+    if held == 0.0 or bent / held == np.inf:  # the squares underflow
+        return own
+    penalty = float(np.exp2(np.round(np.log2(bent / held)))) if bent / held > 0.0 else 1.0
+    form = sp.csr_array(P + penalty * square)
+    form = sp.csr_array((form + form.T) * 0.5)
+    if not np.isfinite(form.data).all():
+        return own
+    found = curvature(form)
+    # An entry's rounding error is below γ (|P| + ρ|A|ᵀ|A|), and a matrix is below the diagonal matrix of its row sums.
+    ones, magnitude = np.ones(own.weights.size), abs(rows)
+    size = abs(sp.csr_array(P)) @ ones + penalty * (magnitude.T @ (magnitude @ ones))
+    weights = found.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW * (1.0 + penalty)
+    return Curvature(weights * (1.0 - 2.0**-50), penalty=penalty) if (weights > 0.0).all() else own
+
+
+def _weights(P: sp.csr_array) -> FloatVector | None:
+    """Return the weights of a block that does not fall apart; None if it is proved to be indefinite."""
+    bound = smallest_eigenvalue_bound(Matrix(P))
+    if bound is not None:
+        return np.asarray(bound.value / bound.scale / bound.scale)
+    dominance = lower_end(*comparison_product(P, np.ones(P.shape[0])))
+    if (dominance >= 0.0).all():
+        return dominance
+    if P.shape[0] <= EXACT_BLOCK and has_nonnegative_pivots(exact_symmetric_part(P)):
+        return np.zeros(P.shape[0])
+    to_rounding = is_semidefinite_to_rounding(P)
+    if to_rounding is not True:
+        return None if to_rounding is False else np.full(P.shape[0], -np.inf)
+    diagonal = np.array(P.diagonal())
+    unit = sp.csr_array(sp.diags_array(np.where(diagonal > 0.0, 1.0, 0.0)))
+    return np.asarray(-semidefinite_margin(unit) * OUTWARD_MARGIN * diagonal)

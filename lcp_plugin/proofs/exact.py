@@ -1,0 +1,677 @@
+"""Exact arithmetic on what is stored in double precision.
+
+Integers with an exponent, fractions, products of sparse rows, slack and complementarity.
+
+Exact arithmetic for proofs: rounding margins, rational and p-adic arithmetic.
+
+Exact linear algebra: signs of minors by elimination without fractions, solutions by p-adic lifting.
+
+Doubles are dyadic numbers: a power of two makes a row integers and changes no sign of a principal minor. Elimination
+without fractions (Bareiss) keeps them integers, each a minor of the matrix it began with.
+
+References
+----------
+E. H. Bareiss, *Sylvester's identity and multistep integer-preserving Gaussian elimination*, Math. Comp. 22 (1968),
+doi:10.1090/S0025-5718-1968-0226829-0.
+
+Sums, products and quotients rounded upwards, element by element.
+
+An exact result stays exact, so that a bound can be 0. Overflow is safe: a sum or quotient of −∞
+becomes the least float64, which is above the true value. NaN stays NaN.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.checks import FloatVector
+from ..core.deadline import is_over
+from ..core.errors import InvalidProblem
+from ..core.kernels.floats import EPSILON, LARGEST, TINY
+from ..core.lcp import LCP
+from ..core.matrix import Matrix, fact
+
+Rational = int | float | Fraction
+Row = dict[int, Fraction]
+Vector = list[Fraction]
+
+ZERO = Fraction(0)
+
+
+def integers(values: FloatVector) -> tuple[list[int], int]:
+    """Return integers and one exponent e with values_i = integer_i · 2^e, exactly; the values are finite.
+
+    Examples
+    --------
+    >>> integers(np.array([0.75, -2.0, 0.0]))
+    ([3, -8, 0], -2)
+    """
+    mantissa, exponent = np.frexp(values)
+    whole = (mantissa * 2.0**53).astype(np.int64)
+    lowest_bit = np.frexp((whole & -whole).astype(np.float64))[1] - 1
+    nonzero = whole != 0
+    if not nonzero.any():
+        return [0] * values.size, 0
+    # Trailing zeros go to the exponent, which keeps the integers short.
+    whole = np.where(nonzero, whole >> np.where(nonzero, lowest_bit, 0), 0)
+    exponent = exponent - 53 + lowest_bit
+    smallest = int(exponent[nonzero].min())
+    shifts = np.where(nonzero, exponent - smallest, 0)
+    return [m << s for m, s in zip(whole.tolist(), shifts.tolist(), strict=True)], smallest
+
+
+def exact_power_of_two(exponent: int) -> Fraction:
+    """Return 2^exponent, exactly."""
+    return Fraction(1 << exponent) if exponent >= 0 else Fraction(1, 1 << -exponent)
+
+
+@dataclass(frozen=True)
+class IntegerMatrix:
+    """M, or some of its rows, as integers times 2^exponent; the span of a row's entries by its number."""
+
+    spans: Sequence[tuple[int, int]] | Mapping[int, tuple[int, int]]
+    columns: list[int]
+    entries: list[int]
+    exponent: int
+
+    def row(self, i: int) -> list[tuple[int, int]]:
+        """Return the (column, integer) pairs of row i."""
+        span = slice(*self.spans[i])
+        return list(zip(self.columns[span], self.entries[span], strict=True))
+
+    @classmethod
+    def of(cls, csr: Any, rows: Sequence[int] | None = None) -> IntegerMatrix:
+        """Return a CSR array of finite doubles as integers, or only some of its rows."""
+        kept = csr if rows is None else csr[rows]
+        ends = list(pairwise(kept.indptr.tolist()))
+        entries, exponent = integers(np.asarray(kept.data))
+        spans = ends if rows is None else dict(zip(rows, ends, strict=True))
+        return cls(spans, kept.indices.tolist(), entries, exponent)
+
+    def combination(self, y: Mapping[int, int]) -> dict[int, int]:
+        """Return the entries of Mᵀy / 2^exponent that are not 0, of integers y_i by row."""
+        product: dict[int, int] = {}
+        for i, factor in y.items():
+            for k in range(*self.spans[i]):
+                column = self.columns[k]
+                product[column] = product.get(column, 0) + self.entries[k] * factor
+        return {column: value for column, value in product.items() if value}
+
+
+def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
+    """Return integers and one positive denominator with values_i = integer_i / denominator."""
+    fractions = [value if type(value) is Fraction else Fraction(value) for value in values]
+    denominator = math.lcm(*(value.denominator for value in fractions))
+    return [
+        value.numerator * (denominator // value.denominator) for value in fractions
+    ], denominator
+
+
+def like(values: FloatVector, z: Any) -> Any:
+    """Return floats unchanged, or as Fractions if z has Fractions."""
+    return (
+        np.array([Fraction(value) for value in values.tolist()], dtype=object)
+        if z.dtype == object
+        else values
+    )
+
+
+def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
+    """Return the vector in fractions, shape (n,).
+
+    Raises
+    ------
+    InvalidProblem
+        If it has another length, or a number in it is not finite.
+    """
+    values: list[Any] = list(z)  # type: ignore[arg-type]
+    if len(values) != n:
+        raise InvalidProblem(
+            f"z must have length {n}, got length {len(values)}; give one number a row"
+        )
+    try:
+        return [Fraction(value) for value in values]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidProblem(
+            f"z must consist of finite real numbers, got a value that is not finite: {error}"
+        ) from error
+
+
+def rounded_down(value: Fraction | None) -> float:
+    """Return a double not above a value ≥ 0; ∞ for None."""
+    return math.inf if value is None else _ends(value)[0]
+
+
+def enclosures(values: Sequence[Fraction]) -> tuple[FloatVector, FloatVector]:
+    """Return the nearest float64 numbers not above and not below the values, ∞ beyond the range.
+
+    Examples
+    --------
+    >>> low, high = enclosures([Fraction(1, 2), Fraction(1, 3)])
+    >>> (high - low).tolist()
+    [0.0, 5.551115123125783e-17]
+    """
+    ends = [_ends(value) for value in values]
+    low, high = (np.array([end[k] for end in ends], dtype=np.float64) for k in (0, 1))
+    return low, high
+
+
+def _ends(value: Fraction) -> tuple[float, float]:
+    try:
+        near = float(value)
+    except OverflowError:
+        return (sys.float_info.max, math.inf) if value > 0 else (-math.inf, -sys.float_info.max)
+    exact = Fraction(near)
+    return (
+        near if exact <= value else math.nextafter(near, -math.inf),
+        near if exact >= value else math.nextafter(near, math.inf),
+    )
+
+
+def rational(values: Iterable[float]) -> Vector:
+    """Return finite doubles as the rationals that they are."""
+    return [Fraction(float(value)) for value in values]
+
+
+def rational_rows(matrix: Any) -> list[Row]:
+    """Return the rows of an array or sparse array as dictionaries column → entry."""
+    rows = sp.csr_array(matrix)
+    columns, entries, pointer = rows.indices.tolist(), rows.data.tolist(), rows.indptr.tolist()
+    return [
+        {columns[k]: Fraction(entries[k]) for k in range(pointer[i], pointer[i + 1]) if entries[k]}
+        for i in range(rows.shape[0])
+    ]
+
+
+def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fraction]:
+    """Yield Σ_j row_j vector_j of each row; in integers, as fractions would look for common divisors at every term."""
+    numerators, denominator = common_denominator(vector)
+    for row in rows:
+        used = [(entry, numerators[j]) for j, entry in row.items() if numerators[j]]
+        common = math.lcm(*(entry.denominator for entry, _ in used))
+        total = sum(
+            entry.numerator * (common // entry.denominator) * factor for entry, factor in used
+        )
+        yield Fraction(total, common * denominator) if total else ZERO
+
+
+def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:
+    """Return values near the given ones, exact and with few digits; zeros stay zeros."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest == 0.0 or not np.isfinite(largest):
+        return [ZERO] * values.size
+    unit = Fraction(2) ** int(np.floor(np.log2(largest))) / denominator
+    return [round(Fraction(value) / unit) * unit for value in values.tolist()]
+
+
+@fact
+def integer_matrix(matrix: Matrix) -> IntegerMatrix:
+    """Return M in integers."""
+    return IntegerMatrix.of(matrix.csr)
+
+
+def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fraction]:
+    """Return w = M z + q without rounding, shape (n,).
+
+    Raises
+    ------
+    InvalidProblem
+        If z is not a vector of n finite numbers.
+
+    Examples
+    --------
+    >>> exact_slack(LCP([[3, 0], [0, 1]], [-1, 0]), [Fraction(1, 3), 0])
+    [Fraction(0, 1), Fraction(0, 1)]
+    """
+    numerators, denominator = common_denominator(exact_vector(z, problem.n))
+    matrix = integer_matrix(problem.matrix)
+    unit = exact_power_of_two(matrix.exponent) / denominator
+    sums = (sum(entry * numerators[j] for j, entry in matrix.row(i)) for i in range(problem.n))
+    return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
+
+
+def exact_residuals(
+    problem: LCP, z: FloatVector, scale: FloatVector | None = None
+) -> list[Fraction]:
+    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z; d is the scale."""
+    scale = problem.residual_scale if scale is None else scale
+    rows = zip(
+        map(Fraction, z.tolist()),
+        exact_slack(problem, z),
+        scale.tolist(),
+        problem.lower.tolist(),
+        problem.upper.tolist(),
+        strict=True,
+    )
+    # The comparison of a fraction with ±∞ is exact as well.
+    return [
+        abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper)))
+        for x, w, d, lower, upper in rows
+    ]
+
+
+def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
+    """Return whether z solves the problem without any rounding.
+
+    Raises
+    ------
+    InvalidProblem
+        If z is not a vector of n finite numbers.
+
+    Examples
+    --------
+    >>> is_exact_solution(LCP([[3]], [-1]), [Fraction(1, 3)]), is_exact_solution(LCP([[3]], [-1]), [1 / 3])
+    (True, False)
+    """
+    exact = exact_vector(z, problem.n)
+    rows = zip(
+        exact,
+        exact_slack(problem, exact),
+        problem.lower.tolist(),
+        problem.upper.tolist(),
+        strict=True,
+    )
+    return all(
+        lower <= z <= upper and (w >= 0 or z == upper) and (w <= 0 or z == lower)
+        for z, w, lower, upper in rows
+    )
+
+
+def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:
+    """Return the signs of w that the bounds of z permit, as bounds of w, each of shape (n,).
+
+    0 ≤ w_i if z_i has no upper bound, w_i ≤ 0 if z_i has no lower bound; a box permits both signs.
+    """
+    return (
+        np.where(problem.upper == np.inf, 0.0, -np.inf),
+        np.where(problem.lower == -np.inf, 0.0, np.inf),
+    )
+
+
+EXACT_SIZE = 10  # rows; minors of doubles are long numbers
+MOST_UNKNOWNS = 600
+MOST_ENTRIES = 4_000_000
+MOST_BITS = 24_000  # digits of a block's determinant, about: some seconds
+# Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
+PRIMES = (33554393, 33554383, 33554371)
+LIMB = 22
+
+Integers = NDArray[np.int64]
+IntegerRows = Sequence[Sequence[int]]
+Rows = list[list[int]]
+
+
+# --- Signs of minors ----------------------------------------------------------------------
+
+
+def exact_rows(M: Any) -> Rows:
+    """Return the entries of a CSR array as integers, each row times a power of two."""
+    return [shortened(row) for row in _whole(M)]
+
+
+def exact_symmetric_part(M: Any) -> Rows:
+    """Return M + Mᵀ as integers, each row times a power of two."""
+    rows = _whole(M)
+    return [
+        shortened([entry + rows[j][i] for j, entry in enumerate(row)]) for i, row in enumerate(rows)
+    ]
+
+
+def _whole(M: Any) -> Rows:
+    """Return the entries of a CSR array as integers, all of them times one power of two."""
+    entries, _ = integers(M.toarray().ravel())
+    width = max(M.shape[1], 1)
+    return [entries[first : first + width] for first in range(0, len(entries), width)]
+
+
+def shortened(row: Sequence[int]) -> list[int]:
+    """Return integers divided by the largest power of two that divides all of them."""
+    zeros = min(((entry & -entry).bit_length() - 1 for entry in row if entry), default=0)
+    return [entry >> zeros for entry in row]
+
+
+def has_positive_pivots(matrix: Rows) -> bool:
+    """Return whether elimination without exchanges meets positive pivots only.
+
+    For a symmetric matrix that means positive definite, for a Z-matrix a nonsingular M-matrix.
+    """
+    before = 1
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot <= 0:
+            return False
+        matrix, before = eliminated(matrix, before), pivot
+    return True
+
+
+def has_nonnegative_pivots(matrix: Rows) -> bool:
+    """Return whether a symmetric matrix is positive semidefinite; rows of zero pivots are zero."""
+    before = 1
+    while matrix:
+        pivot = matrix[0][0]
+        if pivot < 0 or (pivot == 0 and any(matrix[0])):
+            return False
+        matrix, before = (
+            (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
+        )
+    return True
+
+
+def has_positive_minors(matrix: Rows, before: int = 1) -> bool:
+    """Return whether all principal minors are positive; `before` is the pivot eliminated last."""
+    if not matrix:
+        return True
+    pivot = matrix[0][0]
+    if pivot <= 0:
+        return False
+    return has_positive_minors(_without_first(matrix), before) and has_positive_minors(
+        eliminated(matrix, before), pivot
+    )
+
+
+def eliminated(matrix: Rows, before: int) -> Rows:
+    """Return the Schur complement of the first pivot times that pivot, all of it divided by the pivot before."""
+    top = matrix[0]
+    return [
+        [
+            (top[0] * entry - row[0] * above) // before
+            for entry, above in zip(row[1:], top[1:], strict=True)
+        ]
+        for row in matrix[1:]
+    ]
+
+
+def _without_first(matrix: Rows) -> Rows:
+    return [row[1:] for row in matrix[1:]]
+
+
+# --- Solutions ----------------------------------------------------------------------------
+
+
+def modulo(A: IntegerRows, prime: int) -> Integers:
+    """Return A modulo the prime, shape (m, k)."""
+    return np.array([[a % prime for a in row] for row in A], dtype=np.int64).reshape(len(A), -1)
+
+
+def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
+    """Return row and column indices of a largest nonsingular square block, first rows first (modulo a prime).
+
+    The block is nonsingular for certain; that no larger one exists is only as good as the prime.
+
+    Examples
+    --------
+    >>> rank_profile([[0, 0, 2], [0, 0, 4], [1, 0, 0]])
+    ([0, 2], [2, 0])
+    """
+    prime = PRIMES[0]
+    work = modulo(A, prime)
+    rows, columns = [], []
+    for i in range(work.shape[0]):
+        nonzero = np.flatnonzero(work[i])
+        if not nonzero.size:
+            continue
+        j = int(nonzero[0])
+        rows.append(i)
+        columns.append(j)
+        factors = work[i + 1 :, j] * pow(int(work[i, j]), -1, prime) % prime
+        touched = np.flatnonzero(factors)
+        below = work[i + 1 :]
+        below[touched] = (below[touched] - factors[touched, None] * work[i]) % prime
+    return rows, columns
+
+
+def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
+    """Return the solution of A x = b in fractions, or None if A is singular (modulo three primes).
+
+    The result is also None if the time limit of the run passes.
+
+    Parameters
+    ----------
+    A : sequence of rows of integers, shape (k, k)
+    b : sequence of integers, shape (k,)
+
+    Notes
+    -----
+    One inverse modulo a prime p, then one digit of x in base p for two products with k × k matrices. The result is
+    checked by A x = b before it is returned.
+
+    References
+    ----------
+    J. D. Dixon, *Exact solution of linear equations using p-adic expansions*, Numer. Math. 40 (1982),
+    doi:10.1007/BF01459082.
+
+    Examples
+    --------
+    >>> solve_exactly([[2, 1], [1, 3]], [1, 0])
+    [Fraction(3, 5), Fraction(-1, 5)]
+    """
+    if not A:
+        return []
+    for prime in PRIMES:
+        inverse = _inverse(modulo(A, prime), prime)
+        if inverse is not None:
+            return _lifted(A, b, inverse, prime)
+    return None
+
+
+def _inverse(matrix: Integers, prime: int) -> Integers | None:
+    k = len(matrix)
+    work = np.hstack([matrix, np.eye(k, dtype=np.int64)])
+    for i in range(k):
+        nonzero = np.flatnonzero(work[i:, i])
+        if not nonzero.size or is_over():
+            return None
+        work[[i, i + nonzero[0]]] = work[[i + nonzero[0], i]]
+        work[i] = work[i] * pow(int(work[i, i]), -1, prime) % prime
+        factors = work[:, i].copy()
+        factors[i] = 0
+        touched = np.flatnonzero(factors)
+        work[touched] = (work[touched] - factors[touched, None] * work[i]) % prime
+    return work[:, k:]
+
+
+def _lifted(
+    A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int
+) -> list[Fraction] | None:
+    limbs = _limbs(A)
+    residual = np.array([int(value) for value in b], dtype=object)
+    x = np.zeros(len(A), dtype=object)
+    modulus, digits, next_try = 1, 0, 4
+    while not is_over():
+        digit = inverse @ (residual % prime).astype(np.int64) % prime
+        residual = (residual - _product(limbs, digit)) // prime
+        x += digit.astype(object) * modulus
+        modulus *= prime
+        digits += 1
+        if digits == next_try:
+            answer = _reconstructed(x, modulus)
+            if answer is not None and all(
+                sum(a * x for a, x in zip(row, answer[0], strict=True) if a) == answer[1] * value
+                for row, value in zip(A, b, strict=True)
+            ):
+                return [Fraction(value, answer[1]) for value in answer[0]]
+            next_try = digits + max(4, digits // 2)
+    return None
+
+
+def _limbs(A: IntegerRows) -> list[Integers]:
+    """Return A in base 2^22, lowest first, so that products with digits below 2^25 add up in 64 bits."""
+    longest = max((abs(a).bit_length() for row in A for a in row), default=0)
+    mask = (1 << LIMB) - 1
+    return [
+        np.array(
+            [[(abs(a) >> shift & mask) * (1 if a >= 0 else -1) for a in row] for row in A],
+            dtype=np.int64,
+        )
+        for shift in range(0, max(longest, 1), LIMB)
+    ]
+
+
+def _product(limbs: list[Integers], digit: Integers) -> Any:
+    total = (limbs[-1] @ digit).astype(object)
+    for limb in reversed(limbs[:-1]):
+        total = total * (1 << LIMB) + (limb @ digit)
+    return total
+
+
+def _reconstructed(x: Any, modulus: int) -> tuple[list[int], int] | None:
+    """Return small numerators and one denominator that equal x modulo the modulus, if there are any."""
+    bound = math.isqrt(modulus // 2)
+    numerators: list[int] = []
+    denominator = 1
+    for value in x:
+        rest = value * denominator % modulus
+        rest = rest - modulus if 2 * rest > modulus else rest
+        if abs(rest) > bound:
+            rest, factor = _small_fraction(rest % modulus, modulus, bound)
+            denominator *= factor
+            if denominator > bound:
+                return None
+            numerators = [numerator * factor for numerator in numerators]
+        numerators.append(rest)
+    return numerators, denominator
+
+
+def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
+    """Return r, s with r ≡ s · value and |r| ≤ bound, by Euclid's algorithm stopped half-way."""
+    r0, r1, s0, s1 = modulus, value, 0, 1
+    while r1 > bound:
+        quotient = r0 // r1
+        r0, r1, s0, s1 = r1, r0 - quotient * r1, s1, s0 - quotient * s1
+    return (r1, s1) if s1 > 0 else (-r1, -s1)
+
+
+def solved_nearby(
+    rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]
+) -> Vector | None:
+    """Return an exact solution y of rows · y = right near the guess; only movable entries change.
+
+    Parameters
+    ----------
+    rows, right
+        The equations; redundant ones are welcome.
+    guess : list of Fraction
+        Approximate solution.
+    is_movable : sequence of bool
+        Mask of the entries that may change.
+
+    Returns
+    -------
+    list of Fraction or None
+        None if the equations are inconsistent, or too many for exact arithmetic.
+
+    Notes
+    -----
+    Equations that share no such entry are solved apart, each lot by p-adic lifting on a largest nonsingular block of
+    the entries that may change, largest ones first.
+    """
+    rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
+    if not any(rest):
+        return list(guess)
+    movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
+    if any(value and not row for row, value in zip(movable, rest, strict=True)):
+        return None
+    solution = list(guess)
+    for lot in independent_rows(movable):
+        if any(rest[i] for i in lot):
+            change = _by_largest_block([movable[i] for i in lot], [rest[i] for i in lot], guess)
+            if change is None:
+                return None
+            for j, value in change.items():
+                solution[j] += value
+    return solution
+
+
+def independent_rows(rows: list[Row]) -> list[list[int]]:
+    """Return the numbers of the rows in lots that share no column with another; empty rows are in none.
+
+    Examples
+    --------
+    >>> independent_rows([{0: 1}, {1: 1, 2: 1}, {}, {0: 2}])
+    [[0, 3], [1]]
+    """
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    own = [i for i, row in enumerate(rows) for _ in row]
+    columns = [len(rows) + j for row in rows for j in row]
+    size = max([len(rows), *(j + 1 for j in columns)])
+    graph = sp.coo_array((np.ones(len(own)), (own, columns)), shape=(size, size))
+    labels = connected_components(graph, directed=False)[1]
+    lots: dict[int, list[int]] = {}
+    for i in dict.fromkeys(own):
+        lots.setdefault(labels[i], []).append(i)
+    return list(lots.values())
+
+
+def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
+    """Return the entries of a solution that are not 0: the unknowns of one nonsingular block."""
+    columns = sorted({j for row in rows for j in row}, key=lambda j: (-abs(guess[j]), j))
+    if min(len(rows), len(columns)) > MOST_UNKNOWNS or len(rows) * len(columns) > MOST_ENTRIES:
+        return None
+    place = {j: k for k, j in enumerate(columns)}
+    whole, common = [], math.lcm(*(value.denominator for value in right))
+    scales = [math.lcm(*(entry.denominator for entry in row.values())) for row in rows]
+    for row, scale in zip(rows, scales, strict=True):
+        whole.append([0] * len(columns))
+        for j, entry in row.items():
+            whole[-1][place[j]] = int(entry * scale)
+    if is_over():
+        return None
+    at, chosen = rank_profile(whole)
+    longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
+    if len(at) * longest > MOST_BITS:
+        return None
+    block = [[whole[i][k] for k in chosen] for i in at]
+    values = solve_exactly(block, [int(right[i] * scales[i] * common) for i in at])
+    if values is None:
+        return None
+    solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
+    placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
+    return (
+        solution
+        if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right
+        else None
+    )
+
+
+LEAST = -LARGEST
+
+
+def sum_above(a: Any, b: Any) -> FloatVector:
+    """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
+    total = np.add(a, b)
+    part = total - a
+    error = (a - (total - part)) + (b - part)  # NaN if something overflowed or was infinite
+    return _choice(error <= 0.0, total, _above(total))
+
+
+def product_above(a: Any, b: Any) -> FloatVector:
+    """Return a float64 ≥ a b, and 0 if a or b is 0."""
+    return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
+
+
+def quotient_above(a: Any, b: Any) -> FloatVector:
+    """Return a float64 ≥ a/b for b > 0, and 0 if a is 0."""
+    return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
+
+
+def _above(value: Any) -> FloatVector:
+    """Return a float64 above the value, by one or two steps; the least finite number for −∞."""
+    # In [1, 2) ulps; the product underflows only if TINY is the ulp.
+    return _choice(value < LEAST, LEAST, value + np.maximum(np.abs(value) * EPSILON, TINY))
+
+
+def _choice(which: Any, one: Any, other: Any) -> FloatVector:
+    """Return ``numpy.where(which, one, other)``, a number of numbers."""
+    chosen: FloatVector = np.where(which, one, other)[()]
+    return chosen

@@ -1,1 +1,0 @@
-"""Exact arithmetic for proofs: rounding margins, rational and p-adic arithmetic."""

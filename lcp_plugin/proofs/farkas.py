@@ -1,0 +1,614 @@
+"""Farkas certificates of inconsistent linear constraints: a linear program finds them, then they are repaired.
+
+The multipliers of HiGHS are not a proof. They are projected to the required signs, rounded to few digits, and solved
+for in rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
+
+Linear constraints, and certificates of their inconsistency.
+
+Rows with a sign, unknowns with bounds, the unit of each row; a Farkas vector and its proof.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..core.checks import FloatVector
+from ..core.deadline import is_over, seconds_left
+from ..core.kernels.floats import DATA_ROUNDING
+from ..core.matrix import row_numbers, scale_matrix
+from ..systems.equilibration import equilibrating_exponents, power_of_two
+from .exact import (
+    MOST_UNKNOWNS,
+    ZERO,
+    IntegerMatrix,
+    Rational,
+    common_denominator,
+    exact_power_of_two,
+    integers,
+    rational_rows,
+    rounded_down,
+    short,
+    solved_nearby,
+)
+
+BoolVector = NDArray[np.bool_]
+
+DECISIVE = 1e-3  # no tolerance in use is as large: the search ends if one row has this margin
+WIDE = 1e8  # times the size of the data: a proof within a smaller radius does not count
+MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
+
+
+@dataclass(frozen=True, eq=False)
+class LinearConstraints:
+    """The x within their bounds for which w = M x + q has the signs required by its rows.
+
+    Attributes
+    ----------
+    matrix : CSR array, shape (m, n)
+    q : array, shape (m,)
+        Finite for rows with a required sign.
+    needs_rise, needs_fall : arrays of bool, shape (m,)
+        Whether w_i ≥ 0 and w_i ≤ 0 is required; both make an equality, neither leaves the row out.
+    lower, upper : arrays, shape (n,)
+    weights : array, shape (m,)
+        Positive: unit of the violation of each row's sign.
+    bound_weights : pair of arrays, shape (n,)
+        Units of the violation of the lower and of the upper bounds of x; 0 if bounds must hold.
+    reference : float
+        Reference of the largest violation.
+    """
+
+    matrix: sp.csr_array
+    q: FloatVector
+    needs_rise: BoolVector
+    needs_fall: BoolVector
+    lower: FloatVector
+    upper: FloatVector
+    weights: FloatVector
+    bound_weights: tuple[FloatVector, FloatVector]
+    reference: float = 1.0
+
+    def signs(self, row: int) -> tuple[bool, bool]:
+        """Return whether w_i ≥ 0 and w_i ≤ 0 is required."""
+        return bool(self.needs_rise[row]), bool(self.needs_fall[row])
+
+    def bounds(self, column: int) -> tuple[float, float]:
+        """Return the bounds of an unknown."""
+        return float(self.lower[column]), float(self.upper[column])
+
+    @property
+    def missing(self) -> FloatVector:
+        """Least violations of w_i ≥ 0, w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
+
+        Positive if no such x gives the row its required sign.
+        """
+        lowest, highest = activity(self.matrix, self.lower, self.upper)
+        below = np.where(self.needs_rise, -(highest + self.q), -np.inf)
+        return np.stack([below, np.where(self.needs_fall, lowest + self.q, -np.inf)])
+
+    def contradictory_rows(self) -> Iterator[tuple[int, int]]:
+        """Yield the most violated rows, with +1 if w_i is too small, and −1 if it is too large."""
+        missing = self.missing
+        most = missing.max(axis=0)
+        suspects = np.flatnonzero(most > 0.0)
+        with np.errstate(all="ignore"):
+            order = np.argsort(-most[suspects] / self.weights[suspects], kind="stable")
+        for i in suspects[order][:MOST_SUSPECTS].tolist():
+            yield i, 1 if missing[0, i] > 0.0 else -1
+
+
+def activity(
+    matrix: sp.csr_array, lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector]:
+    """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
+    rows, m = row_numbers(matrix), matrix.shape[0]
+    with np.errstate(all="ignore"):
+        ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
+        lowest, highest = (
+            np.bincount(rows, weights=side(*ends), minlength=m) for side in (np.minimum, np.maximum)
+        )
+    return lowest.astype(np.float64), highest.astype(np.float64)
+
+
+def without_rounding(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the matrix without entries at rounding level relative to the largest of their row and column.
+
+    The result of a cancelling sum of decimals must not influence the scaling.
+    """
+    size = abs(matrix)
+    if 0 in matrix.shape or not matrix.nnz:
+        return matrix
+    across, down = (np.asarray(size.max(axis=axis).toarray()).ravel() for axis in (1, 0))
+    rows = row_numbers(matrix)
+    kept = size.data > DATA_ROUNDING * np.minimum(across[rows], down[matrix.indices])
+    if kept.all():
+        return matrix
+    return sp.csr_array((matrix.data[kept], (rows[kept], matrix.indices[kept])), shape=matrix.shape)
+
+
+class FarkasCertificate:
+    """Inconsistency of linear constraints, proved by a Farkas vector y in exact arithmetic.
+
+    y_i > 0 takes w_i ≥ 0 for granted, y_i < 0 takes w_i ≤ 0, and yᵀw = qᵀy + (Mᵀy)ᵀx for every x. If its supremum
+    over the bounds is −c < 0, no x within the bounds gives all rows their signs: each misses some of them, and of
+    bounds that may be missed too, by t in units u with t (Σ|y_i| u_i + Σ|(Mᵀy)_j| u_j) ≥ c. If Mᵀy should be 0 on an
+    open side but is at rounding level of its terms, the proof covers all x with |x_j| ≤ `radius` there.
+
+    Attributes
+    ----------
+    sides : LinearConstraints or Choices
+        Signs of rows, bounds of unknowns, the matrix and q.
+    y : mapping of int to Fraction
+        Entries by row, none of them 0.
+    rows : IntegerMatrix, optional
+        M, if it is known in integers.
+    left : dict of int to Fraction
+        Entries of Mᵀy that are not 0 on open sides.
+    plain : Fraction
+        c without the contribution of `left`.
+    """
+
+    def __init__(
+        self, sides: Any, y: Mapping[int, Fraction], rows: IntegerMatrix | None = None
+    ) -> None:
+        self.sides, self.y = sides, y
+        self.plain, self.left = ZERO, dict[int, Fraction]()
+        self._integers, self._unit = dict[int, int](), ZERO  # the product is these times the unit
+        if self.has_signs:
+            self._combine(rows)
+
+    @cached_property
+    def product(self) -> dict[int, Fraction]:
+        """The entries of Mᵀy that are not 0."""
+        return {j: self._unit * value for j, value in self._integers.items()}
+
+    def _combine(self, rows: IntegerMatrix | None) -> None:
+        """Compute Mᵀy, c and what is left of open sides."""
+        numbers, (whole, denominator) = list(self.y), common_denominator(list(self.y.values()))
+        matrix = rows or IntegerMatrix.of(self.sides.matrix, numbers)
+        unit = self._unit = exact_power_of_two(matrix.exponent) / denominator
+        product = self._integers = matrix.combination(dict(zip(numbers, whole, strict=True)))
+        bounds = {j: self.sides.bounds(j)[value > 0] for j, value in product.items()}
+        closed = [j for j, bound in bounds.items() if math.isfinite(bound)]
+        highest = unit * exact_dot([product[j] for j in closed], [bounds[j] for j in closed])
+        self.plain = -exact_dot(whole, self.sides.q[numbers].tolist()) / denominator - highest
+        self.left = {j: unit * value for j, value in product.items() if math.isinf(bounds[j])}
+
+    @cached_property
+    def radius(self) -> float:
+        """Bound of the |x_j| without bounds that the proof covers: ∞, or the value that leaves half the margin."""
+        left = sum(map(abs, self.left.values()))
+        return rounded_down(max(self.plain, ZERO) / (2 * left) if left else None)
+
+    @property
+    def size(self) -> Fraction:
+        """A lower bound of c, within the radius."""
+        return self.plain / 2 if self.left else self.plain
+
+    @property
+    def has_signs(self) -> bool:
+        """True if each y_i has the sign required by its row."""
+        return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
+
+    @property
+    def holds(self) -> bool:
+        """True if it is a proof for all x."""
+        return self.has_signs and not self.left and self.plain > 0
+
+    @cached_property
+    def sizes(self) -> tuple[Fraction, FloatVector, FloatVector]:
+        """The largest |y_i|, the |y_i| divided by it, and Σ|y_i m_ij| of each column in this unit."""
+        largest = max(map(abs, self.y.values()))
+        y = np.array([float(abs(value) / largest) for value in self.y.values()])
+        return largest, y, abs(self.sides.matrix[list(self.y)]).T @ y
+
+    def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
+        """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.
+
+        That size is Σ|y_i q_i| / Σ|y_i m_ij|, at which the terms of column j are as large as the terms of q, or a known
+        size if that is larger; columns of size 0 do not count.
+        """
+        if not self.left:
+            return True
+        (largest, y, terms), known = self.sizes, known or {}
+        offset = float(y @ np.abs(self.sides.q[list(self.y)]))
+        with np.errstate(all="ignore"):
+            moved = sum(
+                float(abs(value) / largest) * max(offset / terms[j], known.get(j, 0.0))
+                for j, value in self.left.items()
+                if known.get(j) != 0.0
+            )
+        return bool(float(self.plain / largest) >= 2.0 * WIDE * moved)
+
+    def is_rounding(self, first: int = 0) -> bool:
+        """Return whether sums that should be 0 are at rounding level of their terms; data are larger."""
+        left = {j: value for j, value in self.left.items() if j >= first}
+        if not left:
+            return True
+        largest, _, terms = self.sizes
+        return all(
+            abs(value) <= largest * Fraction(DATA_ROUNDING * float(terms[j]))
+            for j, value in left.items()
+        )
+
+    def miss(self, weights: FloatVector) -> float:
+        """Return the least violation, by any x, in these units, rounded down; 0 after overflow."""
+        used = [float(weights[i]) for i in self.y]
+        if not all(map(math.isfinite, used)):
+            return 0.0
+        whole, denominator = common_denominator([abs(value) for value in self.y.values()])
+        return rounded_down(self.size * denominator / exact_dot(whole, used))
+
+
+def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
+    """Return Σ factor · value without rounding; the values are finite."""
+    whole, exponent = integers(np.array(values, dtype=np.float64))
+    total: Fraction = exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
+    return total
+
+
+AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
+NEGLIGIBLE = 1e-12
+TIGHT = (1e-9, 1e-7)
+LP_TOLERANCE = 1e-9
+NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
+POLISHES = 2  # the second removes the rounding of the first
+MOST_DENSE = 1_000_000  # entries; .1 s
+MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
+# times the unit: sizes that a linear program distinguishes from ∞ and from 0
+MOST, LEAST = 1e5, 1e-6
+ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
+CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
+NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program
+KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
+SLACK = 0.1  # of the norm of v, for all of its entries together
+
+
+Multipliers = FloatVector | Sequence[Rational]
+
+
+@dataclass(frozen=True)
+class FarkasAnswer:
+    """Optimum and multipliers in the scale of the program."""
+
+    optimum: float
+    multipliers: FloatVector
+
+
+@dataclass(eq=False)
+class FarkasProgram:
+    """min qᵀy + Σ sup over the bounds of (Mᵀy)_j x_j, y of the signs that a Farkas vector needs, Σ|y_i| weight_i ≤ 1.
+
+    This is the dual of min t over lower ≤ x ≤ upper with every w_i of its sign up to weight_i t. Minus the optimum is
+    the least violation that the signs allow, and y proves it. y = 0 is always allowed. If the constraints are feasible,
+    the optimum is 0, and its multipliers are a feasible x. Rows and columns are scaled by powers of two first. Parts
+    of y are scaled also: v, its nonnegative parts and the multipliers of finite bounds.
+
+    Attributes
+    ----------
+    unit : float or None
+        Divisor of q and the bounds, in the scale of the program; their largest entry by default. With a smaller one,
+        entries that are huge relative to it are cut off: the result must be checked, as every result here is.
+    pivots : int or None
+        A linear program that takes more has no answer.
+    """
+
+    constraints: LinearConstraints
+    unit: float | None = None
+    pivots: int | None = None
+
+    def __post_init__(self) -> None:
+        matrix = self.constraints.matrix
+        exponents = equilibrating_exponents(without_rounding(matrix), AIMS, 500)
+        self.rows, self.columns = (np.ldexp(1.0, side) for side in exponents)
+        self.matrix: Any = scale_matrix(matrix, exponents)
+
+    @cached_property
+    def sizes(self) -> list[float]:
+        """The sizes of offsets and of bounds in the scale of the program, the largest first."""
+        asked = self.constraints
+        q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
+        sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
+        return list(map(float, np.unique(sizes[np.isfinite(sizes) & (sizes > 0.0)])[::-1]))
+
+    @cached_property
+    def _scaled_unit(self) -> float:
+        largest = max(self.sizes, default=0.0) if self.unit is None else self.unit
+        return float(0.5 * power_of_two(max(largest, 2.0**-900)))
+
+    def margin_of(self, optimum: float) -> float:
+        """Return the margin relative to the reference, as far as an optimum of the program can be trusted."""
+        with np.errstate(all="ignore"):
+            margin = float(-optimum * self._scaled_unit / np.float64(self.constraints.reference))
+        return margin if np.isfinite(margin) else 0.0
+
+    def solve(self) -> FarkasAnswer | None:
+        """Return the optimum, or None if it took more pivots or time than there is."""
+        form = self._form
+        result = linear_program(
+            form.cost, form.equations, 0.0, (0.0, None), (form.norm[None, :], [1.0]), self.pivots
+        )
+        if result is None:
+            return None
+        return FarkasAnswer(float(result.fun), result.x)
+
+    def proof(self, answer: FarkasAnswer, proven: Callable[[Multipliers], Any]) -> Any:
+        """Return the first proof of all x with half the predicted margin, else one with the largest margin, or None.
+
+        A proof within a radius is returned only if no other has been found.
+
+        Parameters
+        ----------
+        proven : callable
+            Gives the proof by a y in the scale of the constraints, or None if that is none.
+        """
+        wanted, found = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Any]()
+        for y in self._tried(answer):
+            found += filter(None, [proven(y)])
+            is_enough = found and found[-1].radius == math.inf and found[-1].margin >= wanted
+            if is_enough or is_over():
+                break
+        return max(found, key=lambda one: (one.radius == math.inf, one.margin), default=None)
+
+    def polished(self, answer: FarkasAnswer) -> FloatVector:
+        """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
+        y = self._form.vector(answer.multipliers)
+        return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
+
+    def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
+        """Yield vectors near the answer, then near others that leave slack: in all one-sided bounds, then in each."""
+        form = self._form
+        yield from self.candidates(form.vector(answer.multipliers))
+        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
+        shares = np.append(np.zeros(form.m), is_open)[form.place]
+        own = sp.eye_array(form.cost.size, format="csr")
+        for slacks in (sp.csr_array(shares[:, None]), own) if shares.any() else (own,):
+            moved = self._with_slack(answer, slacks)
+            if moved is not None:
+                yield from self.candidates(form.vector(moved))
+
+    def _with_slack(self, answer: FarkasAnswer, slacks: sp.csr_array) -> FloatVector | None:
+        """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
+
+        A vertex has as few positive multipliers as it can: if the coefficients carry rounding errors, those may
+        vanish only together, and proofs with rounding margins require slack in all inequalities.
+        """
+        form = self._form
+        size, count = slacks.shape
+        both = sp.hstack([sp.eye_array(size), slacks], format="csc")  # v = the rest + slacks · t
+        largest = SLACK * size / (count * form.norm.sum())
+        result = linear_program(
+            np.repeat([0.0, -1.0], [size, count]),
+            form.equations @ both,
+            0.0,
+            np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
+            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.optimum]),
+            self.pivots,
+        )
+        return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
+
+    @cached_property
+    def _form(self) -> _StandardForm:
+        """The program in nonnegative parts of y and multipliers of finite bounds."""
+        asked, unit, (m, n) = self.constraints, self._scaled_unit, self.matrix.shape
+        kinds = [
+            np.flatnonzero(kind)
+            for kind in (
+                asked.needs_rise,
+                asked.needs_fall,
+                np.isfinite(asked.upper),
+                np.isfinite(asked.lower),
+            )
+        ]
+        q, weights = self.rows * asked.q, self.rows * asked.weights
+        values = q, q, asked.upper / self.columns, asked.lower / self.columns
+        units = (
+            weights,
+            weights,
+            *(weight / self.columns for weight in reversed(asked.bound_weights)),
+        )
+        cost, norm = (
+            np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)])
+            for side in (values, units)
+        )
+        place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
+        scale = 2.0 / power_of_two(np.clip(norm, 1.0, MOST_SHRUNK))
+        signed = np.repeat([1.0, -1.0, 1.0, -1.0], [kind.size for kind in kinds]) * scale
+        equations = sp.csc_array(
+            sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place]
+        )
+        equations.data *= np.repeat(signed, np.diff(equations.indptr))
+        norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
+        cost = signed * cost
+        cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
+        return _StandardForm(m, place, signed, cost, equations, norm)
+
+    def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
+        """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
+
+        First with corrected signs and without negligible entries, then rounded to few digits, then from a linear solve.
+        """
+        y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
+        asked = self.constraints
+        y = np.clip(
+            y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0)
+        )
+        if not y.any():
+            return
+        y = y / np.abs(y).max()
+        unscaled = y * self.rows
+        yield unscaled / np.abs(unscaled).max()
+        kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE).tolist()
+        for base in dict.fromkeys((1.0, float(np.abs(y[kept]).min()))):
+            for denominator in (1, 100, 100_000):  # multipliers of stated models are short
+                near = {
+                    i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept
+                }
+                if any(near.values()):
+                    yield self._unscaled(near)
+        for tight in TIGHT:
+            repaired = self._repaired(y, tight)
+            if repaired is not None:
+                yield self._unscaled(repaired)
+        yield self._polished(y)
+
+    def _polished(self, y: FloatVector) -> FloatVector:
+        """Return a vector near y that satisfies to rounding the equalities which y satisfies without slack.
+
+        Dependent equalities become independent by rounding: singular values at rounding level count as 0.
+        """
+        support, tight = self._tight(y, TIGHT[-1])
+        if support.size * tight.size <= MOST_DENSE:
+            rows = self.matrix.T.tocsr()[tight][:, support].toarray()
+            for _ in range(POLISHES):
+                y = y.copy()
+                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
+        unscaled: FloatVector = y * self.rows
+        return unscaled
+
+    def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
+        y = [ZERO] * self.rows.size
+        for i, value in entries.items():
+            y[i] = value * Fraction(float(self.rows[i]))
+        return y
+
+    def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
+        """Return a vector near y that satisfies exactly the (in)equalities which y satisfies without slack."""
+        support, equalities = self._tight(y, tight)
+        if min(support.size, equalities.size) > MOST_UNKNOWNS:
+            return None
+        columns = rational_rows(self.matrix.T.tocsr()[equalities][:, support])
+        # Any nearby value will do: short ones keep the exact solve short.
+        exact = solved_nearby(
+            columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * support.size
+        )
+        return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
+
+    def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
+        """Return the indices of nonzero y, and the open columns at which Mᵀy has no slack."""
+        size = abs(self.matrix).T @ np.abs(y)
+        is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
+        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
+        return np.flatnonzero(np.abs(y) > tight), np.flatnonzero(is_tight)
+
+
+@dataclass(frozen=True)
+class _StandardForm:
+    """min costᵀv, equations · v = 0, norm · v ≤ 1, v ≥ 0.
+
+    Attributes
+    ----------
+    m : int
+        Number of requested rows.
+    place : array of int
+        The row that each entry of v is a part of the multiplier of, or m + the unknown with that bound.
+    signed : array
+        Factor of v in each part.
+    """
+
+    m: int
+    place: Any
+    signed: FloatVector
+    cost: FloatVector
+    equations: Any
+    norm: FloatVector
+
+    def vector(self, v: FloatVector) -> FloatVector:
+        """Return y, shape (m,)."""
+        y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(
+            np.float64
+        )
+        return y
+
+
+def best_proof(
+    stated: Callable[[float], LinearConstraints],
+    units: Sequence[float],
+    proven: Callable[[Multipliers], Any],
+    *,
+    exactly: bool = True,
+    pivots: int | None = None,
+) -> Any:
+    """Return the first proof that excludes the tolerance 1e-6, else the proof of the largest margin, or None.
+
+    Parameters
+    ----------
+    stated : callable
+        Gives the constraints with the weights of a unit.
+    units : sequence of float
+        Units of offsets and bounds: the linear program cannot distinguish 1e-6 of a unit from 0, and truncates 1e5.
+    """
+    found, tried = list[Any](), list[float]()
+    for unit in units:
+        if any(LEAST * one <= unit <= MOST * one for one in tried):
+            continue
+        tried.append(unit)
+        farkas = FarkasProgram(stated(unit), unit, pivots)
+        answer = farkas.solve()
+        if answer is None or answer.optimum > -CONTRADICTION:  # they seem consistent
+            continue
+        proof = None if exactly else proven(farkas.polished(answer))
+        if proof is None or not proof.excludes(ENOUGH):
+            proof = farkas.proof(answer, proven)
+        if proof is not None:
+            found.append(proof)
+            if proof.excludes(ENOUGH):
+                break
+        if is_over():
+            break
+    return max(found, key=lambda proof: proof.margin, default=None)
+
+
+def linear_program(
+    cost: FloatVector,
+    equations: Any,
+    right: FloatVector | float,
+    bounds: Any,
+    at_most: tuple[Any, Any],
+    pivots: int | None = None,
+) -> Any:
+    """Return HiGHS's result of min costᵀv, equations · v = right, rows · v ≤ limits; None if it has no optimum.
+
+    Parameters
+    ----------
+    bounds : one pair, or a sequence of pairs
+        Bounds of v.
+    at_most : pair
+        Rows and limits.
+    pivots : int, optional
+        Largest number of pivots; the time limit of a run also holds.
+    """
+    from scipy.optimize import linprog
+
+    if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
+        return None
+    options: dict[str, Any] = {
+        "presolve": True,
+        "primal_feasibility_tolerance": LP_TOLERANCE,
+        "dual_feasibility_tolerance": LP_TOLERANCE,
+    }
+    if pivots is not None:
+        options["maxiter"] = pivots
+    if math.isfinite(left := seconds_left()):
+        options["time_limit"] = left
+    result = linprog(
+        cost,
+        A_ub=at_most[0],
+        b_ub=at_most[1],
+        A_eq=equations,
+        b_eq=np.broadcast_to(right, equations.shape[0]),
+        bounds=bounds,
+        method="highs",
+        options=options,
+    )
+    return result if result.status == 0 else None

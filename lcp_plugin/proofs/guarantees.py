@@ -1,0 +1,739 @@
+"""convergence_guarantee(): what is proven about an algorithm on a matrix.
+
+The theorems by name and source: the theorem behind a proof, and the theorems of the paper.
+
+Convergence of an iteration by a theorem, and its rate: plain facts in, a statement out.
+
+Every rate here is the rate of a contraction in ‖x‖_v = max |x_i|/v_i, between any two points, so that it also proves
+existence and uniqueness of the solution. One argument covers all bounds of a row. The residual
+z − mid(lower, upper, z − S w) changes, row by row, by (1 − τ)e + τ S M e with some τ in [0, 1] (τ = 1 on a free row).
+The projection of a component onto its bounds, which contain z*, never increases its distance from z*. A bound that is
+convex in τ holds if it holds for τ = 0 and τ = 1. So boxes, free rows and the projection within a sweep cost nothing.
+
+θ = s_i m_ii, ℓ = |L|v/(d v), u = |U|v/(d v), g = β/α; L is the part that the sweep has already updated (a backward
+sweep exchanges L and U; a symmetric one is the product of both). The pivots p and the two cases:
+
+| family | p | τ = 0 | τ = 1 |
+|---|---|---|---|
+| projected type | θ/α + θ + 2 | g θ ℓ < 1 | θ(ℓ + u) < min(θ, θ/α + 2), 0 ≤ g ≤ 2 |
+| projected splitting, 𝓜 a part of M | 2θ + 2 | θ t < 1, t the sum of the entries of 𝓜 | ℓ + u < 1 |
+| projected relaxation | 1 | – | for 0 ≤ β ≤ ω: ω(ℓ + u) < min(ω, 2 − ω) |
+| modulus (of x, z = lower + max(x, 0)) | αΩ/d + 1 | – | α(ℓ + u) < min(α, 2 − α)/2 + α min(1, 2Ω/d − 1)/2 |
+
+The last line too is for 0 ≤ β ≤ α; for α ≤ 1 it means that min(Ω, D) − |B| is an M-matrix.
+
+A sweep that updates row after row multiplies the error e = z − z* by something nonnegative, row by row:
+
+    p_i |e⁺_i|  ≤  A_i |e_i| + b_i (|L||e|)_i + u_i (|U||e|)_i + f_i (|L||e⁺|)_i
+
+with L the already updated part. If this holds with |e| ≤ v and the right-hand side, f_i (|L|v)_i counted
+in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
+
+    c = max_i (A v + b |L|v + u |U|v)_i / (p v − f |L|v)_i  <  1:
+
+if |e⁺_j| ≤ c v_j for all rows j before i, then |e⁺_i| ≤ c v_i. All |L|v and |U|v here are rows of M divided by the
+scale of the residual, so that no unit of a row can overflow them.
+
+The spectral radius of the matrix that bounds an iteration's errors, the number that papers print.
+
+Each iteration of these families satisfies |z_{k+1} − z*| ≤ T |z_k − z*| in every component, with a nonnegative T:
+
+    projected type        T = |P⁻¹| (|𝓜 − M + I + D| + |M − I|),  P = 𝓜 + 2I + D   (the paper's Theorem 4.1)
+    projected relaxation  T = (I − |βL|)⁻¹ (|1 − ω| I + |ω − β| |L| + |ω U|),  of M scaled to unit diagonal
+    modulus               T = |(𝓜 + Ω)⁻¹| (|𝓜 − M| + |Ω − M|), for x
+
+ρ(T) < 1 makes the iteration converge from every start. ρ of the iteration matrix itself may be less. ρ(T) is a
+float, not a proof. The proof is `rate`, whose bound is tighter than the paper's T if rows are not scaled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.algorithm import Algorithm
+from ..core.checks import FloatVector, read_only
+from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..core.kernels.floats import EPSILON, TINY
+from ..core.lcp import LCP
+from ..core.matrix import (
+    MODULUS,
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    PROJECTED_TYPE,
+    IterationFacts,
+    Matrix,
+    fact,
+    inverse_residual_scale,
+    triangle_sums,
+    unit_triangle_sums,
+)
+from ..core.problem_classes import refusal
+from ..systems.comparison import jacobi_radius, nonnegative_radius
+from .verdicts import analyze, comparison_certificate, h_verdict
+
+NEGLIGIBLE = 1e-280  # below, products may have underflowed
+Weights = FloatVector | float
+
+Sums = tuple[FloatVector, FloatVector]
+
+
+class RowCase(NamedTuple):
+    """Row bound: free = p − A, and the weights b + f of |L|v and u of |U|v."""
+
+    free: Weights
+    lower: Weights
+    upper: Weights
+
+
+@dataclass(frozen=True)
+class RowBound:
+    """Effect of one sweep on an error; every case must hold, because a row may be in any of them.
+
+    Attributes
+    ----------
+    pivot, feedback : array, shape (n,), or float
+        p and f.
+    cases : tuple of RowCase
+    """
+
+    pivot: Weights
+    feedback: Weights
+    cases: tuple[RowCase, ...]
+
+
+# --- row bounds ------------------------------------------------------------------------------------------
+
+
+def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
+    """Return the bound of one sweep; L is the already updated part (for 𝓜: its entries)."""
+    if facts.family == PROJECTED_TYPE:
+        return _projected_type(facts, problem)
+    if facts.family == PROJECTED_SPLITTING:
+        theta, weight = scaled(facts, problem)
+        zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
+        return RowBound(
+            2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight))
+        )
+    alpha, beta = numbers(facts)
+    diagonal = problem.diagonal
+    per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix))
+    if facts.family == PROJECTED_RELAXATION:
+        free = min(alpha, 2.0 - alpha)
+        lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
+        return RowBound(
+            1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),)
+        )
+    omega = np.ones(diagonal.size) if facts.omega is None else facts.omega / diagonal
+    kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
+    lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
+    case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
+    return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
+
+
+def _projected_type(facts: IterationFacts, problem: LCP) -> RowBound:
+    alpha, beta = numbers(facts)
+    g = beta / alpha
+    theta, weight = scaled(facts, problem)
+    zero = RowCase(
+        np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0
+    )
+    one = RowCase(
+        np.minimum(2.0 * theta, 2.0 * theta / alpha + 4.0),
+        (abs(2.0 - g) + abs(g)) * weight,
+        2.0 * weight,
+    )
+    return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))
+
+
+def scaled(facts: IterationFacts, problem: LCP) -> tuple[FloatVector, FloatVector]:
+    """Return (θ, s divided by the row scaling of the triangle sums), one entry per row."""
+    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
+    return scaling * problem.diagonal, scaling / inverse_residual_scale(problem.matrix)
+
+
+def numbers(facts: IterationFacts) -> tuple[float, float]:
+    """Return (α, β); (1, 1) if they are determined during the run, which has the theorem of Gauss–Seidel."""
+    return (
+        1.0 if facts.relaxation is None else float(facts.relaxation),
+        1.0 if facts.acceleration is None else float(facts.acceleration),
+    )
+
+
+def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
+    """Return the triangle sums of v that the row bound of a forward sweep requires."""
+    if facts.family != PROJECTED_SPLITTING:
+        return triangle_sums(problem.matrix, v)
+    all_of_m = np.add(*triangle_sums(problem.matrix, v))
+    taken = np.add(*triangle_sums(problem.matrix, v, facts.splitting))
+    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (
+        longest_row(problem.matrix) * EPSILON
+    )
+
+
+def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
+    """Return the sums in the order of each pass of one iteration."""
+    exchanged = sums[1], sums[0]
+    passes = {"forward": [sums], "backward": [exchanged], "symmetric": [sums, exchanged]}
+    return passes["forward" if facts.family == PROJECTED_SPLITTING else facts.sweep]
+
+
+#: A rate, None if it rounds to 1, and the weights v of ‖·‖_v, None without a rate.
+Contraction = tuple[float | None, FloatVector | None]
+
+
+def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contraction | None:
+    """Return the proof with these weights, or None if they prove nothing.
+
+    Parameters
+    ----------
+    facts : IterationFacts
+    problem : LCP
+    v : array, shape (n,)
+        Positive.
+    """
+    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+        return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
+    sums = sums_for(facts, problem, v)
+    terms, bound = longest_row(problem.matrix), row_bound(facts, problem)
+    lost = underflow(v, terms)
+    found = [
+        float(gaps(bound, v, (updated + lost, rest + lost), terms).min(initial=1.0))
+        for updated, rest in _directed(facts, sums)
+    ]
+    if not min(found) > 0.0:
+        return None
+    rates = [rate for gap in found if (rate := rate_of(gap)) is not None]
+    if len(rates) < len(found):
+        return None, None
+    rate = math.prod(rates)
+    return (float(np.nextafter(rate, 2.0)) if len(rates) > 1 else rate), read_only(v.copy())
+
+
+# --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------
+
+
+def underflow(v: FloatVector, terms: int) -> float:
+    """Return a bound of the underflow in a difference of two triangle sums of v, `terms` entries per row."""
+    return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
+
+
+def gaps(
+    bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int
+) -> FloatVector:
+    """Return lower bounds of 1 − c_i, shape (n,), −∞ if no bound exists.
+
+    Parameters
+    ----------
+    bound : RowBound
+    v : array, shape (n,)
+        Positive.
+    sums : pair of arrays, shape (n,)
+        Upper bounds of |L|v of what is already updated and |U|v of the rest except for the rounding of `terms`
+        additions; see :func:`underflow`.
+
+    Notes
+    -----
+    free = p − A is a difference of numbers no larger than p, and the sweep divides by a pivot that is rounded itself:
+    its rounding error is measured relative to p.
+    """
+    updated, rest = sums
+    slop = (terms + 32) * EPSILON
+    smallest = np.full(v.size, np.inf)
+    size = bound.pivot * v
+    scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
+    for case in bound.cases:
+        load = case.lower * updated + case.upper * rest
+        surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
+        np.minimum(smallest, surplus / scale, out=smallest)
+    usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
+    smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
+    return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
+
+
+def rate_of(smallest: float) -> float | None:
+    """Return an upper bound c < 1 of the contraction from the smallest gap, or None if that rounds to 1.
+
+    Examples
+    --------
+    >>> rate_of(0.5)
+    0.5000000000000001
+    """
+    rate = 1.0 - smallest
+    rate = float(np.nextafter(rate, 2.0)) if smallest < 1.0 else 0.0
+    return rate if rate < 1.0 else None
+
+
+@fact
+def longest_row(matrix: Matrix) -> int:
+    """Return the largest number of entries in a row."""
+    return int(np.diff(matrix.csr.indptr).max(initial=0))
+
+
+DENSE_UP_TO = (
+    1000  # unknowns: two seconds; beyond, products with a T so far from normal give few digits
+)
+
+
+def spectral_radius(problem: LCP, facts: IterationFacts) -> float | None:
+    """Return ρ(T) of an iteration; None of a symmetric sweep, and of more than 1000 unknowns."""
+    if problem.n > DENSE_UP_TO or (
+        facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING
+    ):
+        return None
+    T = bound_of_errors(problem, facts)
+    return (
+        None
+        if T is None or not np.isfinite(T).all()
+        else float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
+    )
+
+
+def jacobi_spectral_radius(problem: LCP) -> float:
+    """Return ρ(|J|), J = D⁻¹(L + U) the Jacobi iteration matrix; ∞ if a diagonal entry is 0."""
+    if not problem.diagonal.all():
+        return np.inf
+    unit = abs(sp.diags_array(1.0 / problem.diagonal) @ problem.csr)
+    unit.setdiag(0.0)
+    return float(np.mean(nonnegative_radius(sp.csr_array(unit))))
+
+
+def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
+    """Return T, shape (n, n), dense; None if P is singular."""
+    (alpha, beta), eye = numbers(facts), np.eye(problem.n)
+    is_relaxation = facts.family == PROJECTED_RELAXATION
+    scaling = 1.0 / problem.diagonal if is_relaxation else facts.scaling
+    M = problem.csr.toarray() * (1.0 if scaling is None else np.reshape(scaling, (-1, 1)))
+    D = np.diag(M.diagonal())
+    below, above = np.tril(M, -1), np.triu(M, 1)
+    if facts.sweep == "backward":
+        below, above = above, below
+    splitting = (D + beta * below) / alpha
+    if facts.family == PROJECTED_SPLITTING:
+        of_caller = sp.csr_array(facts.splitting).toarray()
+        splitting = of_caller if scaling is None else scaling[:, np.newaxis] * of_caller
+    rest = splitting - M
+    if is_relaxation:
+        P = eye - abs(beta * below)
+        right = abs(1.0 - alpha) * eye + abs((alpha - beta) * below) + abs(alpha * above)
+    elif facts.family == MODULUS:
+        omega = np.diag(np.asarray(facts.omega))
+        P, right = splitting + omega, abs(rest) + abs(omega - M)
+    else:
+        P, right = splitting + 2.0 * eye + D, abs(rest + eye + D) + abs(M - eye)
+    try:
+        return np.abs(np.linalg.inv(P)) @ right
+    except np.linalg.LinAlgError:
+        return None
+
+
+PAPER = "Kumar, Deepmala, Das"
+PAPER_TITLE = "More on projected type iteration method and linear complementarity problem"
+CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
+BAI = "Bai 2010, doi:10.1002/nla.680"
+LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
+GUARANTEED, NOT_COVERED = "guaranteed", "not covered"
+AUTOMATIC = (
+    "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel does, and "
+    f"M is {{}} ({CRYER})"
+)
+ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
+FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Guarantee:
+    """Convergence guarantee of an algorithm on a matrix, for all q and all bounds.
+
+    Attributes
+    ----------
+    verdict : {"guaranteed", "not covered"}
+        Convergence from every start is proven; or nothing is proven here.
+    theorem : str
+        The theorem and its source, or the missing condition.
+    rate : float or None
+        c < 1 with ‖z_{k+1} − z*‖_v ≤ c ‖z_k − z*‖_v for every k; of x if `speaks_of` is "x". So
+        |z_k − z*| ≤ c/(1 − c) ‖z_k − z_{k−1}‖_v v, in exact arithmetic.
+    v : array, shape (n,), or None
+        The weights of that norm, positive.
+    remedy : str
+        Remedy if convergence is not guaranteed.
+    paper : str
+        Verdict of the paper's original Theorem 4.2, for its methods without row scaling.
+    speaks_of : {"z", "x"}
+        The rate of a modulus method is one of its x, z = lower + max(x, 0):
+        ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
+    facts, problem : IterationFacts and LCP, or None
+        The iteration of `spectral_radius`; None if the method is not a splitting.
+    """
+
+    verdict: str
+    theorem: str
+    rate: float | None = None
+    v: FloatVector | None = field(default=None, repr=False)
+    remedy: str = ""
+    paper: str = ""
+    speaks_of: str = "z"
+    facts: IterationFacts | None = field(default=None, repr=False)
+    problem: LCP | None = field(default=None, repr=False)
+
+    @cached_property
+    def spectral_radius(self) -> float | None:
+        """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without proof, computed on first access.
+
+        ρ of the iteration matrix itself may be less. None if the method is not a splitting, for a symmetric sweep,
+        and for more than 1000 unknowns.
+        """
+        if self.facts is None or self.problem is None:
+            return None
+        return spectral_radius(self.problem, self.facts)
+
+    @cached_property
+    def jacobi_radius(self) -> float | None:
+        """ρ(|J|), J = D⁻¹(L + U); below 1 only on H₊-matrices."""
+        return None if self.problem is None else jacobi_spectral_radius(self.problem)
+
+    @property
+    def is_guaranteed(self) -> bool:
+        """True if convergence is proven."""
+        return self.verdict == GUARANTEED
+
+    def __str__(self) -> str:
+        speed = ""
+        if self.rate is not None:
+            speed = (
+                f"; an iteration contracts by {_rounded_up(self.rate)} in a weighted maximum norm"
+            )
+            speed += "" if self.speaks_of == "z" else f" of {self.speaks_of}"
+        lines = [f"{self.verdict}: {self.theorem}{speed}"]
+        lines += [f"remedy: {self.remedy}"] if self.remedy else []
+        return "\n".join(lines + ([self.paper] if self.paper else []))
+
+
+def _rounded_up(rate: float) -> str:
+    """Return the rate rounded up to three digits after the nines.
+
+    Examples
+    --------
+    >>> _rounded_up(0.81234), _rounded_up(0.999871234)
+    ('0.813', '0.999872')
+    """
+    places = 3 + max(0, -math.ceil(math.log10(1.0 - rate))) if rate < 1.0 else 17
+    text = f"{math.ceil(rate * 10.0**places) / 10.0**places:.{min(places, 17)}f}"
+    return text if float(text) < 1.0 else f"1 − {1.0 - rate:.1e}"
+
+
+def theorem_of(facts: IterationFacts) -> str:
+    """Return the name and source of the theorem that a row bound is an instance of."""
+    if facts.family == PROJECTED_RELAXATION:
+        if facts.relaxation is None:
+            return AUTOMATIC.format("an H₊-matrix")
+        return f"M is an H₊-matrix and |1 − ω| + (|ω − β| + |β|)ℓ + ωu < 1, as for 0 ≤ β ≤ ω < 2/(1 + ρ) ({CRYER})"
+    if facts.family == MODULUS:
+        return f"M is an H₊-matrix and min(Ω, D) − |B| is an M-matrix or α(ℓ + u) < 1 ({BAI})"
+    if facts.family == PROJECTED_SPLITTING:
+        return f"θ t < 1 and ℓ + u < 1 (Theorem 4.1 of {PAPER}, row by row)"
+    return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (Theorem 4.2 of {PAPER}, row by row in one form for all D)"
+
+
+def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str | None:
+    """Return the theorem that covers the iteration on a symmetric positive definite M, or None.
+
+    Parameters
+    ----------
+    facts : IterationFacts
+    largest_sum : float
+        An upper bound of ℓ + u for some v > 0.
+    """
+    if facts.family != PROJECTED_RELAXATION:
+        return None
+    omega, beta = numbers(facts)
+    if facts.relaxation is None:
+        return AUTOMATIC.format("symmetric positive definite")
+    if omega == beta and 0.0 < omega * (1.0 + ULPS) < 2.0:
+        return f"M is symmetric positive definite and 0 < ω < 2 ({CRYER})"
+    if beta == 0.0 and omega * (1.0 + largest_sum) < 2.0:
+        return (
+            "M is symmetric positive definite and ω λ_max(D⁻¹M) < 2: a projected gradient step in the norm of D "
+            f"({LEVITIN})"
+        )
+    return None
+
+
+def theorem_4_2(
+    facts: IterationFacts, problem: LCP, bounds: Sequence[float], is_h_plus: bool
+) -> str:
+    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, as a sentence with the reason.
+
+    Parameters
+    ----------
+    facts : IterationFacts
+        Facts of a projected-type iteration without row scaling.
+    problem : LCP
+    bounds : (lower, upper)
+        Bounds of ρ(|L + U|).
+    is_h_plus : bool
+        Whether M is proven to be an H₊-matrix.
+    """
+    if not is_h_plus:
+        return "not covered by the original Theorem 4.2 (M is not proven to be an H₊-matrix)"
+    (alpha, beta), (lower, upper), diagonal = numbers(facts), bounds, problem.diagonal
+    is_close = upper - lower <= 0.004 * upper
+    number = f"= {(lower + upper) / 2.0:.3g}" if is_close else f"in {lower:.3g} … {upper:.3g}"
+    is_large, is_small = bool((diagonal >= 1.0).all()), bool((diagonal < 1.0).all())
+    case = 1 if is_large and upper < 1.0 else 2 if is_small else 0
+    reasons = [f"ρ|L+U| {number}"] if not case else []
+    if not (is_large or is_small):
+        reasons.append("neither D ≥ I nor D < I")
+    if not 0.0 <= beta <= alpha <= 1.0:
+        reasons.append("its splitting needs ⟨M⟩ = ⟨𝓜⟩ − |𝓝|, that is 0 ≤ β ≤ α ≤ 1")
+    if not reasons:
+        return f"covered by the original Theorem 4.2, case {case} (ρ|L+U| {number})"
+    return (
+        f"not covered by the original Theorem 4.2 ({'; '.join(reasons)}); covered after diagonal "
+        "scaling"
+    )
+
+
+def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVector] | None:
+    """Return (c, v) with T v ≤ c v, c < 1, v > 0 for the T of Method 3.1, or None if no such v was found.
+
+    Parameters
+    ----------
+    M, splitting : arrays, shape (n, n)
+        SM and S𝓜, dense, each entry right to two units in the last place.
+
+    Notes
+    -----
+    T = |(𝓜 + 2I + D)⁻¹| (|𝓝 + I + D| + |M − I|), 𝓝 = 𝓜 − M. The error of one step is multiplied by a matrix that T
+    bounds in every entry: (𝓜 + 2I + D)⁻¹ ((𝓝 + I + D) + (2τ − 1)(I − M)), τ_i in [0, 1]. So with boxes, free rows
+    and the projection after the step ‖z⁺ − z*‖_v ≤ c ‖z − z*‖_v. The inverse X is LAPACK's; with PX = I − E,
+    |P⁻¹| b ≤ |X| (I − |E|)⁻¹ b, all rounding counted.
+
+    References
+    ----------
+    Kumar, Deepmala, Das, *More on projected type iteration method and linear complementarity problem*, Theorem 4.1.
+
+    Examples
+    --------
+    >>> rate, v = theorem_4_1(np.array([[1.0, -0.5], [-0.5, 1.0]]), np.eye(2))
+    >>> round(rate, 6), v.size
+    (0.75, 2)
+    """
+    n = M.shape[0]
+    if not (np.isfinite(M).all() and np.isfinite(splitting).all()):
+        return None
+    identity, D = np.eye(n), np.diag(np.diag(M))
+    unit = (n + 16) * EPSILON
+    P = splitting + 2.0 * identity + D
+    try:
+        X = np.linalg.inv(P)
+    except np.linalg.LinAlgError:
+        return None
+    sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
+    right = (
+        np.abs(splitting - M + identity + D)
+        + np.abs(M - identity)
+        + 16.0 * EPSILON * sizes
+        + 8.0 * TINY
+    )
+    uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
+    error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
+    spread = float(error.sum(axis=1).max(initial=0.0))
+    if not spread < 0.5:
+        return None
+    v = np.ones(n)
+    for _ in range(60):
+        grown = np.abs(X) @ (right @ v)
+        v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
+    bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (
+        1.0 + 4.0 * unit
+    )
+    rate = float(np.max(bounded / v, initial=0.0))
+    return (float(np.nextafter(rate, 2.0)), v) if rate < 1.0 - EPSILON else None
+
+
+def _inverse_bound(
+    size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: FloatVector
+) -> FloatVector:
+    """Return |X|(b + |E|b + …), the tail of the series bounded by its norm."""
+    tail = spread * spread / (1.0 - spread) * b.max(initial=0.0)
+    bound: FloatVector = size_of_inverse @ (b + error @ b + tail)
+    return bound
+
+
+DENSE_SPLITTING = 500
+
+
+@np.errstate(all="ignore")
+def convergence_guarantee(
+    problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
+) -> Guarantee:
+    """Return the convergence guarantee of an algorithm on this matrix, for all q and all starts.
+
+    Parameters
+    ----------
+    problem : LCP
+    algorithm : str or Algorithm
+        A registered name, "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    **options
+        Options of the named algorithm.
+
+    Returns
+    -------
+    Guarantee
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` and
+        `jacobi_radius` on first access.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        If the name or an option does not exist, or `problem` is not an LCP.
+
+    Notes
+    -----
+    Cost: some passes over M, a loose solve with its comparison matrix if dominance does not decide, and a
+    factorization if M is symmetric. Iterates are assumed exact, step sizes rounded as in a run. It holds for any q,
+    boxes and free rows included.
+
+    Examples
+    --------
+    >>> from lcp_plugin import LCP
+    >>> guarantee = convergence_guarantee(LCP([[4, -1], [-1, 4]], [-3, 5]), "npsor")
+    >>> guarantee.verdict, round(guarantee.rate, 3)
+    ('guaranteed', 0.648)
+    >>> round(guarantee.spectral_radius, 3), round(guarantee.jacobi_radius, 3)
+    (0.662, 0.25)
+    """
+    if not isinstance(problem, LCP):
+        raise InvalidOption(refusal("convergence_guarantee", problem))
+    from ..auto import method_of
+    from ..methods.direct import last_resort
+
+    method = method_of(algorithm, options)
+    if method is not None:
+        return _of_one(problem, method)
+    return _of_auto(problem, last_resort(problem))
+
+
+def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    if problem.n == 0:
+        return Guarantee(GUARANTEED, "the problem has no rows")
+    try:
+        facts = algorithm.facts(problem)
+        theorem = algorithm.theorem(problem, analyze(problem)) if facts is None else None
+    except (UnsuitableMatrix, UnsuitableProblem) as error:
+        return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
+    if facts is not None:
+        return replace(_full(problem, facts), facts=facts, problem=problem)
+    if theorem is not None:
+        return Guarantee(GUARANTEED, theorem)
+    return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
+
+
+def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
+    """Return the guarantee of the last method of auto, which runs to its end if the methods before it fail."""
+    last = _of_one(problem, method)
+    if not last.is_guaranteed:
+        return Guarantee(NOT_COVERED, last.theorem)
+    return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
+
+
+def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
+    paper = _paper_says(problem, facts)
+    proof = _row_proof(problem, facts)
+    if proof is not None:
+        is_automatic = facts.relaxation is None and facts.family == PROJECTED_RELAXATION
+        rate, v = (None, None) if is_automatic else proof
+        speaks_of = "x" if facts.family == MODULUS else "z"
+        return Guarantee(GUARANTEED, theorem_of(facts), rate, v, paper=paper, speaks_of=speaks_of)
+    if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
+        found = _by_theorem_4_1(problem, facts)
+        if found is not None:
+            return found
+    theorem = _positive_definite(problem, facts)
+    if theorem is not None:
+        return Guarantee(GUARANTEED, theorem)
+    remedy = _remedy(problem, facts)
+    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
+
+
+def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
+    """Return a contraction with the weights v of the H₊ certificate, or with 1 + v/(2‖v‖∞), or None.
+
+    Every row bound implies ⟨M⟩v > 0 and a positive diagonal. Nearly equal weights help a row at its bound (τ = 0),
+    whose sweep needs no margin of ⟨M⟩v but a small |L|v.
+    """
+    if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
+        return None
+    certificate = comparison_certificate(problem.matrix)
+    v = np.ones(problem.n) if certificate is None else certificate.v
+    return contraction(facts, problem, v) or contraction(
+        facts, problem, 1.0 + 0.5 * v / v.max(initial=0.0)
+    )
+
+
+def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
+    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
+    splitting: Any = facts.splitting
+    found = theorem_4_1(
+        scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray()
+    )
+    if found is None:
+        return None
+    return Guarantee(
+        GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found
+    )
+
+
+def _is_h_plus(problem: LCP) -> bool:
+    return bool(np.all(problem.diagonal > 0.0)) and h_verdict(problem.matrix).is_h is True
+
+
+def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
+    """Return the theorem on positive definite matrices that covers it; M is factorized only if one could apply."""
+    sums = np.add(*unit_triangle_sums(problem.matrix)) / (
+        problem.diagonal * inverse_residual_scale(problem.matrix)
+    )
+    largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
+    theorem = positive_definite_theorem(facts, largest_sum)
+    if theorem is None:
+        return None
+    report = analyze(problem)
+    return theorem if report.is_symmetric and report.is_positive_definite else None
+
+
+def _paper_says(problem: LCP, facts: IterationFacts) -> str:
+    if facts.family != PROJECTED_TYPE or facts.is_scaled:
+        return ""
+    return theorem_4_2(facts, problem, jacobi_radius(problem.matrix), _is_h_plus(problem))
+
+
+def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
+    if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_SPLITTING:
+        return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_SPLITTING}"
+    if _is_h_plus(problem):
+        return "M is an H₊-matrix, but with these options no theorem here applies beyond rounding"
+    if facts.family == PROJECTED_RELAXATION:
+        return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
+    return "M is not proven to be an H₊-matrix"
+
+
+def _remedy(problem: LCP, facts: IterationFacts) -> str:
+    """Return the remedy: the change that gives a guarantee."""
+    if _is_h_plus(problem):
+        if facts.family in (PROJECTED_RELAXATION, MODULUS):
+            return (
+                "relaxation ≤ 1 (and 0 ≤ acceleration ≤ relaxation, omega=1.0 if these are options)"
+            )
+        return 'scaling="auto" and 0 ≤ acceleration ≤ relaxation'
+    report = analyze(problem)
+    if report.is_symmetric and report.is_positive_definite:
+        return 'algorithm="psor": M is symmetric positive definite'
+    return 'no theorem covers this M; algorithm="auto" tries several methods'

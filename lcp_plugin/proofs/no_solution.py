@@ -1,0 +1,545 @@
+"""Proofs that a problem has no solution, and by how much: a lower bound of the residual of every z.
+
+Each is a set of cases, with a Farkas vector for every one; the linear constraints alone are one case.
+
+Search for a proof that a problem has no solution, by linear constraints or trees of cases.
+
+The linear constraints require a z within the bounds with a w of permitted signs. A check of each row comes first, then
+a linear program. A tree contains every case of the complementarity conditions, each closed by its Farkas vector.
+
+The check of each row finds rows whose signs no point of a box has.
+
+Zero-energy modes: directions d with P d = 0 to rounding, for example of an unsupported structure.
+
+Proofs that a problem has no solution: inconsistent linear constraints, or excluded complementarity pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.certificates.criterion import (
+    reference_residual,
+    references_of_components,
+    rounding_of_data,
+    row_data,
+)
+from ..core.checks import FloatVector, derived_property
+from ..core.kernels.floats import DATA_ROUNDING, EPSILON
+from ..core.lcp import LCP
+from ..core.matrix import is_nearly_symmetric
+from ..core.settings import Status
+from ..systems.free_systems import FreeSystem
+from .exact import ZERO, Rational, integer_matrix, rounded_down
+from .farkas import DECISIVE, WIDE, FarkasCertificate, LinearConstraints
+
+TOUCHING = 1e-9  # of the largest movement: an unknown at a bound that moves so little stays there
+# Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
+MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
+NAMED, NAMED_FROM = 4, 1e-6  # unknowns, and of the largest movement
+
+
+def _left(P: Any, d: FloatVector) -> float:
+    """Return Σ_i |(P d)_i| / Σ_i (|P||d|)_i."""
+    terms = float((abs(P) @ np.abs(d)).sum())
+    return float(np.abs(P @ d).sum()) / terms if terms > 0.0 else 0.0
+
+
+def moved_unknowns(d: Any) -> str:
+    """Return a text with the unknowns that move along a direction, except for negligible movements.
+
+    Examples
+    --------
+    >>> moved_unknowns([0, 1, 1]), moved_unknowns([1, 0] * 6)
+    ('unknowns 1, 2', 'unknowns 0, 2, 4, 6, … (6 of 12)')
+    >>> moved_unknowns([0, -2])
+    'unknown 1'
+    """
+    sizes = np.abs(np.array([float(value) for value in d]))
+    moving = np.flatnonzero(sizes > NAMED_FROM * sizes.max(initial=0.0)).tolist()
+    named = ", ".join(map(str, moving[:NAMED]))
+    if len(moving) > NAMED:
+        return f"unknowns {named}, … ({len(moving)} of {len(d)})"
+    return f"unknown{'s' * (len(moving) != 1)} {named}"
+
+
+def is_minimizer_beyond_radius(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
+    """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
+
+    t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
+    under all of the load; P d stops x = s d at an s ≥ |cᵀd| / Σ_j |d_j left_j|. This is invariant to scaling: stiff
+    parts hide no weak spring of a soft one.
+
+    Parameters
+    ----------
+    P, c, direction
+    left : mapping of int to number
+        Entries of P d that are not 0.
+
+    Examples
+    --------
+    >>> springs = np.array([[4.0, -4.0, 0.0], [-4.0, 5.0, -1.0], [0.0, -1.0, 1.0]])
+    >>> load = np.array([6.0, 0.0, 0.0])
+    >>> is_minimizer_beyond_radius(springs, load, [1, 1, 1], {2: 1e-10})
+    True
+    >>> is_minimizer_beyond_radius(springs, load, [1, 1, 1], {2: 1e-7})
+    False
+    """
+    d = np.array([float(value) for value in direction])
+    sizes, diagonal = np.abs(d), P.diagonal()
+    rows = np.flatnonzero((sizes > TOUCHING * sizes.max(initial=0.0)) & (diagonal > 0.0))
+    with np.errstate(all="ignore"):  # an overflow counts as no
+        stiffness = np.square((abs(P) @ sizes)[rows] / np.sqrt(diagonal[rows])).min(initial=np.inf)
+        resisted = sum(abs(float(value)) * sizes[j] for j, value in left.items() if j < d.size)
+        return bool(resisted * 2.0 * WIDE * (np.abs(c) @ sizes) <= abs(c @ d) * stiffness)
+
+
+def is_at_rest(P: Any, direction: Any) -> bool:
+    """Return whether P d = 0 to rounding, although P is not 0 for the unknowns of d: a zero-energy mode."""
+    d = np.array([float(value) for value in direction])
+    moving = np.flatnonzero(d)
+    P = sp.csr_array(P)
+    if not P[moving].count_nonzero() or _left(P, d) > MEAN_ROUNDING:
+        return False
+    root = np.sqrt(np.abs(P.diagonal()))
+    pattern = sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape)
+    return bool((np.abs(P @ d) <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())
+
+
+SAFE_RANGE = (1e-290, 1e290)
+LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
+FEW = 500  # rows up to which all of M is kept in integers
+Margins = tuple[float, float]
+
+
+def row_choices(lower: float, upper: float) -> tuple[str, ...]:
+    """Return the branches of a row: z_i = lower with w_i ≥ 0, w_i = 0, z_i = upper with w_i ≤ 0.
+
+    Examples
+    --------
+    >>> row_choices(0.0, np.inf), row_choices(-np.inf, np.inf), row_choices(1.0, 1.0)
+    (('lower', 'zero'), ('zero',), ('fixed',))
+    """
+    if lower == upper:
+        return (FIXED,)
+    return (LOWER,) * (lower > -np.inf) + (SLACKLESS,) + (UPPER,) * (upper < np.inf)
+
+
+class NoSolutionProof:
+    """A proof that no z solves a problem, with a lower bound of the residual of every z within the bounds.
+
+    The status is INFEASIBLE or NO_SOLUTION only if the margin exceeds the tolerance of the run: then no z could be
+    SOLVED. A smaller margin is true for the stored double-precision data, but has no practical meaning. The same holds
+    for a margin below the rounding of the largest number in q.
+
+    Notes
+    -----
+    |r_i(z)| ≤ t_i, r the scaled residual, leaves a row three cases: z_i − lower_i ≤ t_i and w_i ≥ 0, or
+    |w_i| ≤ d_i t_i, or upper_i − z_i ≤ t_i and w_i ≤ 0; if the case is not chosen, w_i has a wrong sign by d_i t_i
+    at most. With t_i = t ‖r_P(z°)‖∞, P the component of row i, the least t at which the certificate of a piece fails,
+    minimized over all pieces, bounds the relative residual from below.
+    """
+
+    problem: LCP
+    status: ClassVar[Status] = Status.NO_SOLUTION  # the proved status
+    radius: ClassVar[float] = np.inf  # it covers all z
+
+    def closings(self) -> Iterator[Margins | None]:
+        """Yield the margins of each piece, (relative, absolute); None for an open piece."""
+        raise NotImplementedError
+
+    @np.errstate(all="ignore")
+    def verify(self) -> bool:
+        """Return whether the proof holds, computed again from only the problem's data."""
+        return all(closing is not None for closing in self.closings())
+
+    @cached_property
+    def exact(self) -> bool:
+        """True if the stored data have no solution, by any margin; the result of `verify`."""
+        return self.verify()
+
+    @derived_property
+    def _margins(self) -> Margins:
+        """The smallest margins of all pieces; 0 if a piece is open."""
+        found = list(self.closings())
+        closed = [margins for margins in found if margins is not None]
+        if len(closed) < len(found):
+            return 0.0, 0.0
+        relative, absolute = zip(*closed, strict=True)
+        return min(relative), min(absolute)
+
+    @property
+    def margin(self) -> float:
+        """Verified lower bound of the relative residual of every z within the bounds, or 0."""
+        return self._margins[0]
+
+    @property
+    def absolute_margin(self) -> float:
+        """A verified lower bound of ‖r(z)‖∞, in the unit of z, for every z within the bounds."""
+        return self._margins[1]
+
+    @derived_property
+    def is_rounding(self) -> bool:
+        """True if the margin is within the rounding of the largest number in q."""
+        return self.absolute_margin <= rounding_of_data(self.problem)
+
+    def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
+        """Return whether no z within the bounds could be called SOLVED with these settings of a run."""
+        if self.is_rounding or not self.margin > tolerance:
+            return False
+        # A point may use up both tolerances, in different components.
+        return not absolute_tolerance or (
+            tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
+        )
+
+
+class Choices(NamedTuple):
+    """The linear constraints of a piece, in which some rows are decided.
+
+    The other rows have w of the signs that their bounds permit.
+    """
+
+    problem: LCP
+    path: Mapping[int, str]
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """M."""
+        return self.problem.csr
+
+    @property
+    def q(self) -> FloatVector:
+        """The offset of w = M z + q."""
+        return self.problem.q
+
+    def signs(self, row: int) -> tuple[bool, bool]:
+        """Return whether w_i ≥ 0 and w_i ≤ 0."""
+        choice = self.path.get(row)
+        if choice is None:
+            return bool(self.problem.upper[row] == np.inf), bool(self.problem.lower[row] == -np.inf)
+        return choice in (LOWER, SLACKLESS), choice in (UPPER, SLACKLESS)
+
+    def bounds(self, column: int) -> tuple[float, float]:
+        """Return the bounds of z_j."""
+        lower, upper = float(self.problem.lower[column]), float(self.problem.upper[column])
+        choice = self.path.get(column)
+        return (
+            (lower, lower)
+            if choice == LOWER
+            else (upper, upper)
+            if choice == UPPER
+            else (lower, upper)
+        )
+
+    def contradiction(self, y: Mapping[int, Rational]) -> FarkasCertificate:
+        """Return the Farkas certificate of a vector, by row, if its signs are right."""
+        rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
+        return FarkasCertificate(
+            self, {i: Fraction(value) for i, value in y.items() if value}, rows
+        )
+
+    def closed_by(self, y: Mapping[int, Rational]) -> Margins | None:
+        """Return the margins of the piece by a Farkas vector; None if it does not prove that the piece is empty.
+
+        Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
+        margin is c / Σ share_i, the relative one c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
+        """
+        found = self.contradiction(y)
+        if not found.holds:
+            return None
+        scale, path = self.problem.residual_scale, self.path
+        shares = [
+            (i, abs(value) * Fraction(float(scale[i])))
+            for i, value in found.y.items()
+            if path.get(i) not in (LOWER, UPPER)
+        ] + [
+            (i, abs(value))
+            for i, value in found.product.items()
+            if path.get(i) == (LOWER if value > 0 else UPPER)
+        ]  # of z_i from its bound
+        most = references_of_components(self.problem)[1]
+        reference = np.broadcast_to(most, (self.problem.n,))
+        is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
+        if not is_safe.all():  # a reference may be rounded to 0, or to ∞
+            return 0.0, 0.0
+        relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
+        absolute = sum((share for _, share in shares), ZERO)
+        margins = (rounded_down(found.size / one if one else None) for one in (relative, absolute))
+        return next(margins), next(margins)
+
+
+@dataclass(frozen=True, eq=False)
+class Infeasibility(NoSolutionProof):
+    """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
+
+    Permitted is w_i ≥ 0 if upper_i = ∞, w_i ≤ 0 if lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
+    zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
+    y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
+    component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r as in
+    :mod:`lcp_plugin.core.certificates.criterion`).
+
+    Attributes
+    ----------
+    exact_y : tuple of Fraction
+        The vector, its largest entry 1.
+    y : ndarray, shape (n,)
+        Rounded `exact_y`.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §2.7 (Farkas).
+    """
+
+    status: ClassVar[Status] = Status.INFEASIBLE
+
+    problem: LCP = field(repr=False)
+    exact_y: tuple[Fraction, ...] = field(repr=False)
+
+    @classmethod
+    def of(cls, problem: LCP, y: Mapping[int, Rational]) -> Infeasibility:
+        """Return the proof by a nonzero vector, by row, of any scale."""
+        largest, exact = max(abs(Fraction(value)) for value in y.values()), [ZERO] * problem.n
+        for i, value in y.items():
+            exact[i] = Fraction(value) / largest
+        return cls(problem, tuple(exact))
+
+    def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
+        """Return whether no z could be SOLVED; empty rows fail the componentwise test unless q_i is rounding."""
+        return super().excludes(tolerance, absolute_tolerance) or (
+            not absolute_tolerance and self._rests_on_empty_rows and self.exact
+        )
+
+    @cached_property
+    def _rests_on_empty_rows(self) -> bool:
+        used, sizes = list(self._used), np.abs(self.problem.q)
+        is_empty = not np.diff(self.problem.csr.indptr)[used].any()
+        return is_empty and bool((sizes[used] > DATA_ROUNDING * sizes.max()).all())
+
+    @cached_property
+    def _used(self) -> dict[int, Fraction]:
+        return {i: value for i, value in enumerate(self.exact_y) if value}
+
+    @cached_property
+    def y(self) -> FloatVector:
+        """The vector rounded, shape (n,)."""
+        y = np.zeros(self.problem.n)
+        y[list(self._used)] = [float(value) for value in self._used.values()]
+        return y
+
+    def closings(self) -> Iterator[Margins | None]:
+        """Yield the margins of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
+        yield Choices(self.problem, {}).closed_by(self._used)
+
+    def __str__(self) -> str:
+        problem = self.problem
+        if is_nearly_symmetric(problem.matrix) and is_at_rest(problem.matrix.array, self.y):
+            return (
+                f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
+                "way; proof: exact"
+            )
+        rows = list(self._used)
+        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (
+            ", …" if len(rows) > 4 else ""
+        )
+        combined = f"{len(rows)} rows are inconsistent ({named})"
+        if len(rows) == 1:
+            combined = f"row {rows[0]} contradicts its bounds"
+        return f"no z within its bounds gives w the signs it needs: {combined}; proof: exact"
+
+    def __repr__(self) -> str:
+        return f"Infeasibility({self})"
+
+
+DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
+
+
+def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
+    """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
+
+    A problem with infeasible linear constraints has no solution. A monotone problem (M positive semidefinite) that can
+    satisfy them has one. The search prefers a proof with nearly the largest margin.
+
+    Parameters
+    ----------
+    effort_limit : int, optional
+        Pivots of the linear program, at least 0; by default 50 000 up to n = 400 and 2·10⁷/n above.
+
+    Examples
+    --------
+    >>> find_infeasibility(LCP([[0, 1], [-1, 0]], [-1, 2])) is None
+    True
+    >>> proof = find_infeasibility(LCP([[-1, 0], [0, 1]], [-1, 2]))
+    >>> print(proof)
+    no z within its bounds gives w the signs it needs: row 0 contradicts its bounds; proof: exact
+    >>> proof.verify(), round(proof.margin, 9)
+    (True, 1.0)
+    """
+    if problem.n == 0:
+        return None
+    effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
+    row = contradictory_row(problem)
+    if row is not None and row.margin >= DECISIVE:
+        return row
+    proof = _by_linear_program(problem, effort) if effort else None
+    return row if proof is None or (row is not None and proof.margin < row.margin) else proof
+
+
+def is_proved_infeasible(problem: LCP, z: FloatVector) -> bool:
+    """Return whether :func:`find_infeasibility` has a proof; it is not called if a point near z is feasible."""
+    return not _is_feasible_near(problem, z) and find_infeasibility(problem) is not None
+
+
+@np.errstate(all="ignore")
+def _is_feasible_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether w has its signs for certain where the active rows are raised by 4 times their rounding error."""
+    data, needs_rise, needs_fall = (
+        row_data(problem),
+        problem.upper == np.inf,
+        problem.lower == -np.inf,
+    )
+    sign, at = needs_rise * 1.0 - needs_fall, data.rows(z)
+    if (needs_rise & needs_fall).any():
+        return False  # an equation
+    step = FreeSystem(problem.matrix, at.is_active).solve(4.0 * sign * at.rounding - at.w)
+    if step is None:
+        return False
+    after = data.rows(np.clip(z + step, problem.lower, problem.upper))
+    return bool(((sign == 0.0) | (sign * after.w >= after.rounding)).all())
+
+
+def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
+    """Return a proof by the multipliers of a linear program, in a scaling in which it detects the inconsistency."""
+    from .farkas import FarkasProgram, best_proof
+
+    reference = reference_residual(problem)
+    constraints = replace(_linear_constraints(problem), reference=reference)
+    is_usual = 0.0 < reference < np.inf  # then the optimum is minus the largest margin
+    units = [reference] * is_usual + FarkasProgram(constraints).sizes
+
+    def proven(y: Any) -> Infeasibility | None:
+        return _proven(problem, {i: value for i, value in enumerate(y) if value})
+
+    found: Infeasibility | None = best_proof(lambda _: constraints, units, proven, pivots=effort)
+    return found
+
+
+def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
+    """Return the linear constraints of these rows, without complementarity; a violation implies a residual as large."""
+    kept = np.zeros(problem.n)
+    return LinearConstraints(
+        sp.csr_array(problem.M[rows]),
+        problem.q[rows],
+        problem.upper[rows] == np.inf,
+        problem.lower[rows] == -np.inf,
+        problem.lower,
+        problem.upper,
+        problem.residual_scale[rows],
+        (kept, kept),
+    )
+
+
+def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
+    """Return the proof by y itself, by row."""
+    proof = Infeasibility.of(problem, y) if y else None
+    return proof if proof is not None and proof.verify() else None
+
+
+def contradictory_row(problem: LCP) -> Infeasibility | None:
+    """Return the proof of the row that z within the bounds miss by most, or None if no single row is enough.
+
+    Cost: one pass over the rows without a positive diagonal entry; in all other rows z_i can increase w_i.
+
+    Examples
+    --------
+    >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
+    no z within its bounds gives w the signs it needs: row 0 contradicts its bounds; proof: exact
+    """
+    rows = np.flatnonzero(
+        (np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0)
+    )
+    if not rows.size:
+        return None
+    for k, sign in _linear_constraints(problem, rows).contradictory_rows():
+        proof = _proven(problem, {int(rows[k]): sign})
+        if proof is not None:
+            return proof
+    return None
+
+
+@dataclass(slots=True)
+class Case:
+    """Case of the tree: split by the choices of a row, or closed by a Farkas vector y."""
+
+    row: int = -1
+    branches: dict[str, Case] = field(default_factory=dict)
+    y: Sequence[Rational] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class NoSolution(NoSolutionProof):
+    """Proof that no z solves the problem: every leaf of a complete tree is exactly infeasible.
+
+    Attributes
+    ----------
+    tree : Case
+        Each split has a row and covers all choices of this row; each leaf has a Farkas vector of its constraints.
+    nodes : int
+        Number of nodes that the search visited.
+
+    References
+    ----------
+    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.3
+    (complementary cones: one per choice of every row).
+    """
+
+    problem: LCP = field(repr=False)
+    tree: Case = field(repr=False)
+    nodes: int = 0
+
+    @property
+    def leaves(self) -> int:
+        """Number of closed cases."""
+        return sum(case.row < 0 for case, _ in self._cases())
+
+    @property
+    def infeasibility(self) -> Infeasibility | None:
+        """The Farkas certificate of the entire problem, if its linear constraints are inconsistent without a split."""
+        if self.tree.y is None or not any(self.tree.y):
+            return None
+        return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
+
+    def closings(self) -> Iterator[Margins | None]:
+        """Yield the margins of each leaf, in exact arithmetic; None for an open leaf, or a split with gaps."""
+        for case, path in self._cases():
+            if case.row >= 0:
+                ends = float(self.problem.lower[case.row]), float(self.problem.upper[case.row])
+                if case.row in path or set(case.branches) != set(row_choices(*ends)):
+                    yield None
+            elif case.y is None or case.branches:
+                yield None
+            else:
+                yield Choices(self.problem, path).closed_by(dict(enumerate(case.y)))
+
+    def __str__(self) -> str:
+        leaves = self.leaves
+        cases = "the only case" if leaves == 1 else f"each of the {leaves} cases"
+        return f"no solution: {cases} of an exhaustive search contradicts, exactly"
+
+    def __repr__(self) -> str:
+        return f"NoSolution({self})"
+
+    def _cases(self) -> Iterator[tuple[Case, dict[int, str]]]:
+        stack: list[tuple[Case, dict[int, str]]] = [(self.tree, {})]
+        while stack:
+            case, path = stack.pop()
+            yield case, path
+            stack.extend(
+                (branch, path | {case.row: choice}) for choice, branch in case.branches.items()
+            )

@@ -1,1 +1,0 @@
-"""Proofs that a problem has no solution: inconsistent linear constraints, or excluded complementarity pieces."""

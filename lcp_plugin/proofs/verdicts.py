@@ -1,0 +1,766 @@
+"""Matrix classes: verdicts with evidence, and the certificates behind bounds and guarantees.
+
+For other subpackages: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margin > 0).
+
+The verdicts of a report, one function each: tests from cheap to costly, and the evidence as text.
+
+Is ⟨M⟩ a nonsingular M-matrix? Found by any means, accepted only after a rigorous check.
+
+Yes is proven by v > 0 with ⟨M⟩v > 0. No is proven by y ≥ 0, y ≠ 0 with ⟨M⟩y ≤ 0, since ⟨M⟩⁻¹ ≥ 0 would make this y
+nonpositive. One solve gives either: with (I − D⁻¹|B|)x = 1, x > 0 is a valid v, else y = max(−x, 0) is strict on its
+support. Both are checked on M itself with the bounds of :mod:`lcp_plugin.core.rounding`; the verdict is undecided if
+rounding makes both fail.
+
+References
+----------
+Berman, Plemmons, *Nonnegative Matrices in the Mathematical Sciences*, SIAM 1994, ch. 6,
+doi:10.1137/1.9781611971262.
+
+Are all principal minors positive? A recursion over Schur complements in integers.
+
+A is a P-matrix exactly if a₁₁ > 0 and both A without its first row and column and the Schur complement of a₁₁ are.
+
+References
+----------
+M. J. Tsatsomeros, L. Li, *A recursive test for P-matrices*, BIT 40 (2000), doi:10.1023/A:1022367507760.
+
+Facts about a matrix: verdicts on demand, each with its evidence.
+
+A summary lists the classes of M and a wrong sign: a matrix whose diagonal is negative throughout is
+often meant to be its negative.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector, read_only
+from ..core.errors import InvalidProblem
+from ..core.kernels.floats import TINY, UNIT
+from ..core.matrix import Matrix, fact, row_numbers, triangular_form
+from ..core.problem_classes import class_of, refusal
+from ..core.rounding import lower_end, upper_end
+from ..systems import graph
+from ..systems.comparison import ComparisonMatrix
+from ..systems.comparison_sums import comparison_product, exact_comparison_row
+from ..systems.definiteness import (
+    LARGEST_SUMMAND,
+    is_positive_definite,
+    is_semidefinite_to_rounding,
+    semidefinite_margin,
+    symmetric_part,
+)
+from ..systems.factors import factor_fits
+from ..systems.graph import asymmetry, asymmetry_of_rows, diagonal_blocks, row_excess_signs
+from .exact import (
+    EXACT_SIZE,
+    exact_rows,
+    exact_symmetric_part,
+    has_nonnegative_pivots,
+    has_positive_minors,
+    has_positive_pivots,
+    rounded_down,
+    shortened,
+)
+
+__all__ = [
+    "HCertificate",
+    "HVerdict",
+    "MatrixReport",
+    "analyze",
+    "comparison_certificate",
+    "h_verdict",
+]
+
+EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
+TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose one is often enough
+SMALLEST_WEIGHT = 1e-30
+
+
+@dataclass(frozen=True, eq=False)
+class HCertificate:
+    """A proof that ⟨M⟩ is a nonsingular M-matrix: ⟨M⟩v ≥ margin > 0, v > 0, both of shape (n,), read-only.
+
+    `margin` is a lower bound of the exact product of the stored doubles.
+    """
+
+    v: FloatVector
+    margin: FloatVector
+
+
+@dataclass(frozen=True, eq=False)
+class HVerdict:
+    """Verdict on ⟨M⟩: `is_h` True, False or None, and its proof."""
+
+    is_h: bool | None
+    evidence: str
+    certificate: HCertificate | None = None
+    not_h_vector: FloatVector | None = None
+
+
+def comparison_certificate(matrix: Matrix) -> HCertificate | None:
+    """Return v > 0 with ⟨M⟩v ≥ margin > 0, proven and cached for this M, or None if none was found.
+
+    Parameters
+    ----------
+    matrix : Matrix
+
+    Notes
+    -----
+    It does not depend on the signs of the diagonal. Cost: a product with M; if that does not decide, up to three
+    solves with ⟨M⟩ (LAPACK, sparse LU, or multigrid).
+
+    Examples
+    --------
+    >>> certificate = comparison_certificate(Matrix([[2, -2], [-1, 2]]))
+    >>> bool((certificate.margin > 0).all())
+    True
+    >>> comparison_certificate(Matrix([[1, 2], [2, 1]])) is None
+    True
+    """
+    return h_verdict(matrix).certificate
+
+
+@fact
+def h_verdict(matrix: Matrix) -> HVerdict:
+    """Return whether M is an H-matrix, with its proof."""
+    return decide(matrix.csr)
+
+
+def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
+    """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
+    if not ((v > 0.0) & np.isfinite(v)).all():
+        return None
+    value, radius = comparison_product(M, v)
+    margin = lower_end(value, radius)
+    doubtful = np.flatnonzero(~(margin > 0.0))
+    if doubtful.size > EXACT_ROWS:
+        return None
+    for row in doubtful:
+        exact = exact_comparison_row(M, v, int(row))
+        margin[row] = rounded_down(exact) if exact > 0 else 0.0
+        if not margin[row] > 0.0:
+            return None
+    return margin
+
+
+def is_nonpositive(M: Any, y: FloatVector) -> bool:
+    """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
+    if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
+        return False
+    value, radius = comparison_product(M, y)
+    doubtful = np.flatnonzero(~(upper_end(value, radius) <= 0.0))
+    return doubtful.size <= EXACT_ROWS and all(
+        exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
+    )
+
+
+def decide(M: Any) -> HVerdict:
+    """Return whether ⟨M⟩ is a nonsingular M-matrix: v = 1, then solutions of ⟨M⟩v = |diag(M)| w for w = 1, then |v|.
+
+    Weights |v| make the margin of every row relative to its own v.
+    """
+    n = M.shape[0]
+    zeros = np.flatnonzero(M.diagonal() == 0.0)
+    if zeros.size:
+        y = np.zeros(n)
+        y[zeros[0]] = 1.0
+        return HVerdict(False, f"M[{zeros[0]}, {zeros[0]}] = 0", not_h_vector=read_only(y))
+    ones = read_only(np.ones(n))
+    if (margin := positive_margin(M, ones)) is not None:
+        return HVerdict(
+            True, "v = 1: every row sum of ⟨M⟩ is positive", HCertificate(ones, read_only(margin))
+        )
+    if is_nonpositive(M, ones):
+        return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive", not_h_vector=ones)
+    system, weights = ComparisonMatrix(M), ones
+    for tolerance in TOLERANCES:
+        x = system.solve(system.diagonal * weights, tolerance=tolerance)
+        if x is None:
+            return HVerdict(None, "⟨M⟩ is numerically singular, or too large to be factorized")
+        v = _centred(system.to_caller(x))
+        if (margin := positive_margin(M, v)) is not None:
+            smallest = float((margin / np.abs(M.diagonal()) / v).min())
+            evidence = f"v from a solve with ⟨M⟩: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ 1 − {smallest:.3g}"
+            return HVerdict(True, evidence, HCertificate(read_only(v), read_only(margin)))
+        y = _centred(system.to_caller(np.maximum(-x, 0.0)))
+        if is_nonpositive(M, y):
+            return HVerdict(
+                False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked", not_h_vector=read_only(y)
+            )
+        weights = np.maximum(np.abs(x) / np.abs(x).max(), SMALLEST_WEIGHT)
+    return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
+
+
+def _centred(v: FloatVector) -> FloatVector:
+    """Return v ≥ 0 times a power of two that keeps products with it away from the ends of the range."""
+    positive = v[v > 0.0]
+    if positive.size == 0 or not np.isfinite(positive).all():
+        return v
+    middle = int(np.frexp(positive.max())[1] + np.frexp(positive.min())[1]) // 2
+    return np.ldexp(v, -middle)
+
+
+LARGEST_SIZE = 16  # a third of a second; the time doubles with each row
+MOST_BITS = 160  # of an entry, beyond 10 rows
+
+
+def is_p_matrix_by_recursion(M: Any) -> bool | None:
+    """Return whether all principal minors are positive, proven; None if the numbers are too long.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        n ≤ 16; the time doubles with each row.
+
+    Examples
+    --------
+    >>> import scipy.sparse as sp
+    >>> is_p_matrix_by_recursion(sp.csr_array(np.array([[1.0, -3.0], [3.0, 0.5]])))
+    True
+    >>> is_p_matrix_by_recursion(sp.csr_array(np.array([[1.0, 2.0], [2.0, 4.0]])))
+    False
+    """
+    if not (M.diagonal() > 0.0).all():
+        return False
+    columns = [shortened(column) for column in zip(*exact_rows(M), strict=True)]
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    bits = max((entry.bit_length() for row in rows for entry in row), default=0)
+    return None if len(rows) > 10 and bits > MOST_BITS else has_positive_minors(rows)
+
+
+def nonpositive_pair(M: Any) -> tuple[int, int] | None:
+    """Return i < j with m_ii m_jj − m_ij m_ji ≤ 0, proven, or None if no such pair was found.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        With a positive diagonal.
+    """
+    diagonal: FloatVector = M.diagonal()
+    even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
+    ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
+    suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
+    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][
+        :2_000
+    ]:  # the likeliest
+        i, j = int(ratios.row[k]), int(ratios.col[k])
+        exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
+        if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
+            return i, j
+    return None
+
+
+DENSE_LIMIT = 500
+SYMMETRIC_TO_ROUNDING = 64 * UNIT
+SMALLEST_DIAGONAL = 2.0**-960  # of a symmetric part, whose subnormal entries are rounded absolutely
+UNDECIDED = "undecided: singular up to rounding"
+
+
+class Verdict(NamedTuple):
+    """`value` True, False, or None if it is undecided; `evidence` is the reason."""
+
+    value: bool | None
+    evidence: str
+
+
+@fact
+def symmetric(matrix: Matrix) -> Verdict:
+    """M = Mᵀ, entry by entry."""
+    found = asymmetry(matrix)
+    if found == 0.0:
+        return Verdict(True, "M = Mᵀ exactly")
+    beside = asymmetry_of_rows(matrix)
+    if min(found, beside) <= SYMMETRIC_TO_ROUNDING:
+        return Verdict(
+            False,
+            f"symmetric up to rounding: its largest asymmetry relative to the rows is {beside:.2g}",
+        )
+    return Verdict(False, f"asymmetry {found:.2g} relative to entries, {beside:.2g} to rows")
+
+
+@fact
+def z_matrix(matrix: Matrix) -> Verdict:
+    """No positive off-diagonal entry."""
+    M = matrix.csr
+    rows = row_numbers(M)
+    positive = np.flatnonzero((M.data > 0.0) & (rows != M.indices))
+    if positive.size == 0:
+        return Verdict(True, "no positive off-diagonal entry")
+    k = positive[0]
+    return Verdict(False, f"M[{rows[k]}, {M.indices[k]}] = {M.data[k]:.6g} > 0")
+
+
+@fact
+def m_matrix(matrix: Matrix) -> Verdict:
+    """M is a nonsingular M-matrix: Z and H₊."""
+    is_z = z_matrix(matrix)
+    return h_plus(matrix) if is_z.value else Verdict(False, f"no Z-matrix: {is_z.evidence}")
+
+
+@fact
+def strictly_dominant(matrix: Matrix) -> Verdict:
+    """|m_ii| > Σ_j≠i |m_ij| on every row."""
+    signs = row_excess_signs(matrix)
+    if (signs > 0).all():
+        return Verdict(True, "|m_ii| > Σ|m_ij| on every row, exactly")
+    row = int(np.flatnonzero(signs <= 0)[0])
+    return Verdict(False, f"|m_ii| {'=' if signs[row] == 0 else '<'} Σ|m_ij| on row {row}")
+
+
+@fact
+def h_matrix(matrix: Matrix) -> Verdict:
+    """⟨M⟩ is a nonsingular M-matrix, for any signs of the diagonal."""
+    return Verdict(h_verdict(matrix).is_h, h_verdict(matrix).evidence)
+
+
+@fact
+def h_plus(matrix: Matrix) -> Verdict:
+    """M is an H-matrix with positive diagonal."""
+    return _nonpositive_diagonal(matrix) or h_matrix(matrix)
+
+
+@fact
+def irreducible(matrix: Matrix) -> Verdict:
+    """M has a strongly connected graph."""
+    if diagonal_blocks(matrix)[0] <= 1:
+        return Verdict(True, "the graph of M is strongly connected")
+    return Verdict(False, f"{diagonal_blocks(matrix)[0]} strongly connected blocks")
+
+
+@fact
+def triangular(matrix: Matrix) -> Verdict:
+    """Lower or upper triangular, or diagonal, in the given order."""
+    form = triangular_form(matrix)
+    return Verdict(form is not None, form or "entries on both sides of the diagonal")
+
+
+@fact
+def positive_definite(matrix: Matrix) -> Verdict:
+    """xᵀM x > 0 for every x ≠ 0."""
+    early = _nonpositive_diagonal(matrix) or _definite_by_comparison(matrix)
+    if early is not None:
+        return early
+    what = "M" if symmetric(matrix).value else "the symmetric part of M"
+    if not can_factorise(matrix):
+        return Verdict(None, _too_large(matrix))
+    value = is_positive_definite(symmetric_part_of(matrix)) if _is_well_rounded(matrix) else None
+    if value is None and matrix.n <= EXACT_SIZE:
+        value = has_positive_pivots(exact_symmetric_part(matrix.csr))
+        return Verdict(value, f"exact elimination of {what}")
+    if value is None:
+        return Verdict(None, f"{UNDECIDED}: {what}")
+    if value:
+        return Verdict(
+            True,
+            f"{'SPD: ' if symmetric(matrix).value else ''}{what} has a Cholesky factor, with rounding margin",
+        )
+    return Verdict(False, f"{what} has no Cholesky factor, rounding margin included")
+
+
+@fact
+def positive_semidefinite(matrix: Matrix) -> Verdict:
+    """xᵀM x ≥ 0 for every x: exactly up to n = 10; beyond, a singular M is undecided, with the δ in the evidence."""
+    if (matrix.diagonal < 0.0).any():
+        return _nonpositive_diagonal(matrix) or Verdict(False, "")
+    if symmetric(matrix).value and (row_excess_signs(matrix) >= 0).all():
+        return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly")
+    definite = positive_definite(matrix)
+    if definite.value:
+        return Verdict(True, "λ_min > 0: positive definite")
+    if not can_factorise(matrix):
+        return Verdict(None, _too_large(matrix))
+    part = symmetric_part_of(matrix)
+    value = is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
+    if value is not False and matrix.n <= EXACT_SIZE:
+        what = (
+            "exact elimination of M"
+            if symmetric(matrix).value
+            else "exact elimination of the symmetric part of M"
+        )
+        if has_nonnegative_pivots(exact_symmetric_part(matrix.csr)):
+            return Verdict(True, f"λ_min ≥ 0: {what}")
+        return Verdict(False, f"λ_min < 0: {what}")
+    if value:
+        delta = semidefinite_margin(part)
+        return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, below which the test cannot decide")
+    if value is None and not _is_well_rounded(matrix):
+        return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
+    if value is None:
+        return Verdict(None, f"not computed: rounding at n = {matrix.n} would hide too much")
+    return Verdict(False, "a negative eigenvalue beyond rounding")
+
+
+@fact
+def p_matrix(matrix: Matrix) -> Verdict:
+    """Every principal minor is positive."""
+    early = _nonpositive_diagonal(matrix) or _p_by_class(matrix)
+    if early is not None:
+        return early
+    if (pair := _nonpositive_pair(matrix)) is not None:
+        return pair
+    if matrix.n <= LARGEST_SIZE:
+        value = is_p_matrix_by_recursion(matrix.csr)
+        if value is not None:
+            return Verdict(value, "recursive Schur complements in integers")
+    definite = positive_definite(matrix)
+    if definite.value:
+        return Verdict(True, "every positive definite matrix is one")
+    return Verdict(None, f"not computed: the minors of {matrix.n} rows are too many or too long")
+
+
+def _p_by_class(matrix: Matrix) -> Verdict | None:
+    """Decide by a class: triangular, H₊, Z (P is M), symmetric (P is positive definite)."""
+    if triangular_form(matrix) is not None:
+        return Verdict(True, "triangular with positive diagonal")
+    h = h_plus(matrix)
+    if h.value:
+        return Verdict(True, "every H₊-matrix is one")
+    if z_matrix(matrix).value and h.value is False:
+        return Verdict(False, "a Z-matrix that is not an M-matrix")
+    if symmetric(matrix).value:
+        definite = positive_definite(matrix)
+        return Verdict(definite.value, f"symmetric: {definite.evidence}")
+    return None
+
+
+def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
+    nonpositive = np.flatnonzero(matrix.diagonal <= 0.0)
+    if nonpositive.size == 0:
+        return None
+    row = int(nonpositive[0])
+    return Verdict(False, f"M[{row}, {row}] = {matrix.diagonal[row]:.6g}")
+
+
+def _nonpositive_pair(matrix: Matrix) -> Verdict | None:
+    pair = nonpositive_pair(matrix.csr)
+    if pair is None:
+        return None
+    return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
+
+
+def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
+    """Decide by theorems: symmetric H₊-matrices are SPD, symmetric Z-matrices that are not H₊ are not."""
+    if symmetric(matrix).value:
+        h = h_plus(matrix)
+        if h.value:
+            return Verdict(True, "SPD: symmetric and H₊")
+        if h.value is False and z_matrix(matrix).value:
+            return Verdict(False, "a symmetric Z-matrix that is not an M-matrix")
+        return _nonpositive_pair(matrix)
+    if not _has_dominant_symmetric_part(matrix):
+        return None
+    return Verdict(True, "the symmetric part is dominant, rounding included")
+
+
+def _has_dominant_symmetric_part(matrix: Matrix) -> bool:
+    """Return whether the row sums of ⟨(M + Mᵀ)/2⟩ are proven positive."""
+    if not _is_well_rounded(matrix):
+        return False
+    # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
+    part = sp.csr_array(sparse_symmetric_part(matrix))
+    outward = np.where(row_numbers(part) == part.indices, 1.0 - 4.0 * UNIT, 1.0 + 4.0 * UNIT)
+    wider = sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape)
+    margin = positive_margin(wider, np.ones(matrix.n))
+    return margin is not None and bool((margin > 2.0 * TINY * matrix.n).all())
+
+
+def _is_well_rounded(matrix: Matrix) -> bool:
+    """Return whether the rounding of the symmetric part is small relative to the diagonal, and nothing overflows."""
+    if symmetric(matrix).value:
+        return True
+    diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
+    return bool(
+        (diagonal >= SMALLEST_DIAGONAL).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND
+    )
+
+
+def _too_large(matrix: Matrix) -> str:
+    return f"not computed: n = {matrix.n} is too large for a factorization"
+
+
+@fact
+def sparse_symmetric_part(matrix: Matrix) -> Any:
+    """(M + Mᵀ)/2 as CSR, each entry rounded once."""
+    if symmetric(matrix).value:
+        return matrix.csr
+    part = symmetric_part(matrix.csr)
+    part.data.flags.writeable = False
+    return part
+
+
+def symmetric_part_of(matrix: Matrix) -> Any:
+    """(M + Mᵀ)/2, dense where that is faster."""
+    part = sparse_symmetric_part(matrix)
+    return part.toarray() if matrix.n <= DENSE_LIMIT or matrix.is_dense else part
+
+
+@fact
+def can_factorise(matrix: Matrix) -> bool:
+    """Return whether a factorization of the symmetric part is predicted to fit."""
+    return factor_fits(sparse_symmetric_part(matrix))
+
+
+LINE = 100
+WORDS = {True: "yes", False: "no", None: "undecided"}
+
+
+def _view(tell: Callable[[Matrix], Any]) -> Any:
+    """Return an attribute of a report that is a cached property of its matrix."""
+
+    @property  # type: ignore[misc]
+    @np.errstate(all="ignore")  # an overflow fails the check
+    def view(report: MatrixReport) -> Any:
+        return tell(report.matrix)
+
+    return view
+
+
+class Claim:
+    """A property of a report: True, False or None (undecided); computed once, on first access."""
+
+    def __init__(self, title: str, decide: Callable[[Matrix], Verdict]) -> None:
+        self.title = title
+        self.decide = decide
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+        self.__doc__ = self.decide.__doc__
+
+    def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
+        return self if report is None else report.verdict(self.name).value
+
+
+class MatrixReport:
+    """Classes a matrix belongs to, each True, False or None (undecided), never a guess.
+
+    A verdict is computed on first access, by tests from cheap to costly, and kept. ``verdict(name).evidence`` describes
+    its reason; ``evidence`` computes all of them.
+
+    Parameters
+    ----------
+    matrix : LCP, array or sparse array, shape (n, n)
+        The one examined; :func:`analyze` makes the report, once a matrix.
+
+    Attributes
+    ----------
+    v, margin : arrays, shape (n,), or None
+        Proof that M is an H-matrix: ⟨M⟩v ≥ margin > 0, rigorous.
+    not_h_vector : array, shape (n,), or None
+        Proof that it is none: y ≥ 0, y ≠ 0, ⟨M⟩y ≤ 0.
+    asymmetry : float
+        Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|).
+    triangular_form : str or None
+        "diagonal", "lower", "upper".
+    components, blocks : int
+        Numbers of connected components and of strongly connected blocks of the graph of M.
+    zero_diagonal, negative_diagonal : arrays
+        Row numbers.
+    scale_spread : mapping
+        log10 of largest over smallest nonzero magnitude of entries, rows, columns, diagonal.
+    row_excess_signs : array, shape (n,)
+        Exact signs of |m_ii| − Σ_j≠i |m_ij|.
+
+    Examples
+    --------
+    >>> report = analyze([[2, -1], [-1, 2]])
+    >>> report.is_m_matrix, report.is_positive_definite, report.is_p_matrix
+    (True, True, True)
+    >>> report.evidence["is_strictly_dominant"]
+    '|m_ii| > Σ|m_ij| on every row, exactly'
+    """
+
+    is_symmetric = Claim("symmetric", symmetric)
+    is_z_matrix = Claim("Z-matrix", z_matrix)
+    is_m_matrix = Claim("M-matrix (nonsingular)", m_matrix)
+    is_strictly_dominant = Claim("strictly diagonally dominant", strictly_dominant)
+    is_h_matrix = Claim("H-matrix", h_matrix)
+    is_h_plus = Claim("H₊-matrix", h_plus)
+    is_positive_definite = Claim("positive definite", positive_definite)
+    is_positive_semidefinite = Claim("positive semidefinite", positive_semidefinite)
+    is_p_matrix = Claim("P-matrix", p_matrix)
+    is_triangular = Claim("triangular", triangular)
+    is_irreducible = Claim("irreducible", irreducible)
+
+    csr = _view(lambda matrix: matrix.csr)
+    diagonal = _view(lambda matrix: matrix.diagonal)
+    v = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
+    margin = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
+    not_h_vector = _view(lambda matrix: h_verdict(matrix).not_h_vector)
+    asymmetry = _view(asymmetry)
+    triangular_form = _view(triangular_form)
+    row_excess_signs = _view(graph.row_excess_signs)
+    components = _view(graph.components)
+    blocks = _view(lambda matrix: graph.diagonal_blocks(matrix)[0])
+    zero_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
+    negative_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
+    scale_spread = _view(graph.scale_spread)
+
+    def __init__(self, matrix: Any) -> None:
+        self.matrix = matrix_of(matrix)
+        self.n = self.matrix.n
+
+    @property
+    def evidence(self) -> dict[str, str]:
+        """The reasons of all verdicts, by name."""
+        return {name: v.evidence for name, v in self._all()}
+
+    @np.errstate(all="ignore")  # an overflow fails the check
+    def verdict(self, name: str) -> Verdict:
+        """Return (value, evidence) of a claim, for instance ``"is_h_plus"``.
+
+        Raises
+        ------
+        KeyError
+            If no claim has this name.
+        """
+        if name not in CLAIMS:
+            raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
+        return CLAIMS[name].decide(self.matrix)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return all verdicts and facts as a dict that JSON can hold."""
+        return {
+            "n": self.n,
+            "nonzeros": self.matrix.nonzeros,
+            "verdicts": {
+                name: {"value": v.value, "evidence": v.evidence} for name, v in self._all()
+            },
+            "triangular_form": self.triangular_form,
+            "components": self.components,
+            "blocks": self.blocks,
+            "zero_diagonal": [int(row) for row in self.zero_diagonal],
+            "negative_diagonal": [int(row) for row in self.negative_diagonal],
+            "scale_spread": dict(self.scale_spread),
+        }
+
+    def _all(self) -> Iterator[tuple[str, Verdict]]:
+        return ((name, self.verdict(name)) for name in CLAIMS)
+
+    def __str__(self) -> str:
+        lines = [f"matrix of size {self.n}, {self.matrix.nonzeros} nonzeros"]
+        for name, v in self._all():
+            lines += wrapped(f"{CLAIMS[name].title:<29} {WORDS[v.value]:<10} ", v.evidence)
+        lines.append(
+            f"{'connected components':<29} {self.components}, strongly connected blocks {self.blocks}"
+        )
+        rows = f"{self.zero_diagonal.size} zero, {self.negative_diagonal.size} negative"
+        lines.append(f"{'diagonal':<29} {rows}")
+        spread = ", ".join(f"{name} {decades:.1f}" for name, decades in self.scale_spread.items())
+        lines.append(f"{'decades of magnitude':<29} {spread}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"MatrixReport(n={self.n}, nonzeros={self.matrix.nonzeros})"
+
+
+CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstance(claim, Claim)}
+
+
+@np.errstate(all="ignore")
+def analyze(M: Any) -> MatrixReport:
+    """Return the classes of a matrix, or of a problem's matrix; each verdict is proved.
+
+    Parameters
+    ----------
+    M : array, sparse array or LCP, shape (n, n)
+        Real, finite. For an LCP the report is shared by all problems with this matrix.
+
+    Raises
+    ------
+    InvalidProblem
+        If M is not a real, finite, square matrix.
+
+    Notes
+    -----
+    Each verdict is computed on first access; ``print(report)`` computes all of them.
+
+    Examples
+    --------
+    >>> report = analyze([[2.0, -3.0], [1.0, 2.0]])
+    >>> report.is_h_plus, report.is_positive_definite
+    (True, True)
+    >>> analyze([[1, 2], [2, 1]]).evidence["is_p_matrix"]
+    'symmetric: the principal minor of rows 0, 1 is not positive'
+    """
+    return _report(matrix_of(M))
+
+
+def matrix_of(M: Any) -> Matrix:
+    """Return the `Matrix` of a problem or an array; a `Matrix` is returned unchanged."""
+    if class_of(M) not in (None, "LCP"):
+        raise InvalidProblem(refusal("analyze", M))
+    matrix = getattr(M, "matrix", M)
+    return matrix if isinstance(matrix, Matrix) else Matrix(M)
+
+
+def wrapped(title: str, text: str) -> list[str]:
+    """Return the text next to its title, in lines of at most 100 columns."""
+    return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [
+        title.rstrip()
+    ]
+
+
+@fact
+def _report(matrix: Matrix) -> MatrixReport:
+    """Return the one report on the matrix."""
+    return MatrixReport(matrix)
+
+
+@fact
+def is_negative(matrix: Matrix) -> bool:
+    """Return whether every diagonal entry is negative, for example if −M is positive definite."""
+    return matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
+
+
+def sign_remark(matrix: Matrix) -> str:
+    """Return the remark about a negative diagonal, '' unless all diagonal entries are negative.
+
+    Examples
+    --------
+    >>> sign_remark(Matrix([[-2.0, 1.0], [1.0, -2.0]]))
+    'every diagonal entry of M is negative (M[0, 0] = -2.0), and −M is a positive definite M-matrix: is its sign right?'
+    >>> sign_remark(Matrix([[-2.0, 1.0], [1.0, 0.0]]))
+    ''
+    """
+    if not is_negative(matrix):
+        return ""
+    known = ""
+    if h_verdict(matrix).is_h:
+        is_m = int((matrix.csr.data < 0.0).sum()) == matrix.n
+        kind = "M-matrix" if is_m else "H₊-matrix"
+        known = f", and −M is {'a positive definite' if symmetric(matrix).value else 'an'} {kind}"
+    return f"every diagonal entry of M is negative (M[0, 0] = {matrix.diagonal[0]}){known}: is its sign right?"
+
+
+def classes_in_words(matrix: Matrix) -> str:
+    """Return the classes of M that are visible from its entries.
+
+    Examples
+    --------
+    >>> classes_in_words(Matrix([[2.0, -1.0], [-1.0, 2.0]]))
+    'dense, symmetric, a Z-matrix, with positive diagonal'
+    """
+    return ", ".join(_classes(matrix))
+
+
+def _classes(matrix: Matrix) -> Iterator[str]:
+    yield "dense" if matrix.is_dense else "sparse"
+    if symmetric(matrix).value:
+        yield "symmetric"
+    if (form := triangular_form(matrix)) is not None:
+        yield form if form == "diagonal" else f"{form} triangular"
+    if z_matrix(matrix).value:
+        yield "a Z-matrix"
+    yield (
+        "with positive diagonal"
+        if (matrix.diagonal > 0.0).all()
+        else "with a diagonal not everywhere positive"
+    )

@@ -1,0 +1,677 @@
+"""The matrix of the coarser grid, PᵀMP, and its truncation; compiled, arrays only.
+
+Truncation to a set of free unknowns zeroes the rows of P of all fixed unknowns, and of fine unknowns with nearly all
+couplings to fixed unknowns (`vectors.HELD`). P would interpolate such a fine unknown from its coarse neighbors, and if
+couplings jump, conjugate gradients would take ten times as many steps. A row of the coarse matrix changes only if it
+meets an unknown whose row of P is zeroed or restored, or a changed row of the finer matrix. Only such rows are computed
+again.
+
+Positions are unsigned, which spares the test for a negative index at each access: a third of the time.
+
+Sweeps and residuals of a V-cycle and a nested iteration on one grid; compiled, arrays only.
+
+`inverse` holds 1/diagonal, and 0 for an unknown that is fixed: it keeps the value 0 and passes no residual on.
+
+Vector operations of Krylov steps, and transfers between two grids.
+
+Sums are split into the same chunks for any number of threads.
+
+`inverse` contains 1/diagonal, and 0 for a fixed unknown. A fine unknown is called held if seven eighths of its
+couplings lead to fixed unknowns. A held unknown is not interpolated, because P would let it follow its free coarse
+neighbors. If couplings jump, conjugate gradients took ten times as many steps with its row of P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.kernels.compilation import inline, kernel, uintp
+from ...core.kernels.rows import clamp
+from ...core.kernels.threads import share
+from ...core.tuning import SHARED_FROM
+from .grids import Operator, RowBlocks, pivots
+
+if TYPE_CHECKING:
+    from .grids import Transfer
+
+SMALLEST_PIVOT = 1e-300  # its inverse is finite
+
+
+def count_products(matrix: Operator, prolongation: Operator) -> float:
+    """Return the number of products of three entries in PᵀMP."""
+    sizes = np.diff(prolongation.indptr).astype(np.float64)  # integers could overflow
+    return float(sizes @ (_pattern(matrix, sizes.size) @ sizes))
+
+
+def product(
+    matrix: Operator, prolongation: Operator, restriction: Operator, columns: int
+) -> Operator:
+    """Return R M P with sorted rows, for a P that injects the coarse unknowns and M with a stored diagonal.
+
+    An entry that cancels is stored, because it may not cancel in the truncated product.
+    """
+    width = prolongation.indptr.size - 1
+    pattern = (
+        _pattern(restriction, matrix.indptr.size - 1)
+        @ _pattern(matrix, width)
+        @ _pattern(prolongation, columns)
+    )
+    pattern.sort_indices()
+    entries = Operator(pattern.indptr, pattern.indices, np.zeros(pattern.nnz))
+    split, inverse = pivots(entries, SMALLEST_PIVOT)
+    values = np.empty(pattern.nnz)
+    update_product(
+        *matrix.arrays,
+        np.ones(width, np.bool_),
+        np.ones(width, np.bool_),
+        *prolongation.arrays,
+        *restriction.arrays,
+        *entries.arrays[:2],
+        values,
+        split,
+        inverse.copy(),
+        *(np.zeros(columns, np.bool_) for _ in range(3)),
+    )
+    return Operator(pattern.indptr, pattern.indices, values)
+
+
+def _pattern(operator: Operator, columns: int) -> sp.csr_array:
+    """Return the pattern of a matrix, bool: its products do not cancel."""
+    ones = np.ones(operator.indices.size, np.bool_)
+    shape = operator.indptr.size - 1, columns
+    return sp.csr_array((ones, operator.indices, operator.indptr), shape=shape)
+
+
+def mark_rows(*operands: Any) -> None:
+    """Mark the rows whose contribution to the coarse matrix changed; same operands as `_mark_rows`."""
+    share(partial(_mark_rows, *operands), operands[0].size - 1, SHARED_FROM)
+
+
+@kernel
+def _mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first, end):  # type: ignore[no-untyped-def]
+    """Mark rows; all three flags are bytes."""
+    one = uintp(1)
+    for i in range(uintp(first), uintp(end)):
+        touched[i] = is_row_changed[i]
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            touched[i] |= is_free_changed[uintp(indices[k])]
+
+
+def update_product(*operands: Any) -> tuple[float, int]:
+    """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
+
+    The operands are the arrays that `_update_rows` names first.
+    """
+    indices, is_interpolated, r_indptr, c_is_free = (
+        operands[1],
+        operands[3],
+        operands[8],
+        operands[-3],
+    )
+
+    def piece(first: int, end: int) -> tuple[float, int]:
+        width = is_interpolated.size
+        fine_place, fine = np.zeros(width, indices.dtype), np.empty(width, indices.dtype)
+        space = fine_place, fine, np.empty(width), np.empty(c_is_free.size)
+        counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
+        return counts
+
+    products, changed = zip(*share(piece, r_indptr.size - 1, 16384), strict=True)
+    return sum(products), sum(changed)
+
+
+@kernel
+def _update_rows(  # type: ignore[no-untyped-def]
+    indptr,
+    indices,
+    data,
+    is_interpolated,
+    touched,
+    p_indptr,
+    p_indices,
+    p_data,
+    r_indptr,
+    r_indices,
+    r_data,
+    c_indptr,
+    c_indices,
+    c_data,
+    c_diagonal,
+    c_inverse,
+    c_is_free,
+    c_free_changed,
+    c_row_changed,
+    fine_place,
+    fine,
+    fine_sums,
+    sums,
+    first,
+    end,
+):
+    """Compute the changed coarse rows. A row of R M is computed before its product with P: it adds up couplings.
+
+    A coarse unknown is fixed if all of its fine unknowns are fixed or held, or if its pivot is not positive.
+    """
+    one = uintp(1)
+    products = 0.0
+    changed_rows = 0
+    for row in range(uintp(first), uintp(end)):
+        is_changed = False
+        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
+            if touched[uintp(r_indices[a])]:
+                is_changed = True
+                break
+        c_free_changed[row] = False
+        c_row_changed[row] = is_changed
+        if not is_changed:
+            continue
+        changed_rows += 1
+        count, added = uintp(0), uintp(0)
+        for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
+            i = uintp(r_indices[a])
+            if not is_interpolated[i]:
+                continue
+            weight = r_data[a]
+            added += uintp(indptr[i + one] - indptr[i])
+            for b in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                k = uintp(indices[b])
+                if not is_interpolated[k]:
+                    continue
+                at = uintp(fine_place[k])
+                if at == 0:
+                    fine[count] = k
+                    fine_sums[count] = weight * data[b]
+                    count += one
+                    fine_place[k] = count
+                else:
+                    fine_sums[at - one] += weight * data[b]
+        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
+            sums[uintp(c_indices[c])] = 0.0
+        for f in range(count):
+            k = uintp(fine[f])
+            fine_place[k] = 0
+            value = fine_sums[f]
+            added += uintp(p_indptr[k + one] - p_indptr[k])
+            for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
+                sums[uintp(p_indices[c])] += value * p_data[c]
+        for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
+            c_data[c] = sums[uintp(c_indices[c])]
+        products += added
+        pivot = c_data[uintp(c_diagonal[row])]
+        free = pivot > SMALLEST_PIVOT
+        c_inverse[row] = 1.0 / pivot if free else 0.0
+        c_free_changed[row] = free != c_is_free[row]
+        c_is_free[row] = free
+    return products, changed_rows
+
+
+Matrix = tuple[
+    NDArray[Any], NDArray[Any], NDArray[Any], FloatVector
+]  # CSR arrays and the positions of the diagonal
+NO_BOUNDS = (read_only(np.zeros(0)),) * 2
+
+
+def first_sweep(
+    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatVector, x: FloatVector
+) -> None:
+    """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
+
+    Cost: a pass over the lower triangle, and over full rows by which an odd block is coupled to the next even block.
+    """
+    for edge in blocks.edges[2::2].tolist():
+        x[edge - blocks.reach : edge] = 0.0
+    vectors = read_only(inverse), read_only(b), *NO_BOUNDS
+    _swept(rows, rows[1], blocks, vectors, -1.0, 1.0, True, False, x)
+
+
+def residual_after_first_sweep(
+    rows: Matrix,
+    blocks: RowBlocks,
+    inverse: FloatVector,
+    b: FloatVector,
+    x: FloatVector,
+    residual: FloatVector,
+) -> None:
+    """Write b − M x after `first_sweep` into `residual`: row i was exact until later rows changed."""
+    split, reach = rows[1], blocks.reach
+    shared(_product_of(rows, split, 1, inverse, -1.0, b, 0.0, x, residual), inverse.size)
+    whole = _product_of(rows, rows[0], 0, inverse, -1.0, b, 1.0, x, residual)
+    for edge in blocks.edges[2:-1:2].tolist():  # next to these edges, other rows changed before
+        whole(edge - reach, edge + reach)
+
+
+def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:
+    """Product ← M x on the free rows, 0 elsewhere."""
+    shared(_product_of(rows, rows[0], 0, inverse, 1.0, inverse, 0.0, x, product), inverse.size)
+
+
+def _product_of(
+    rows: Matrix,
+    begins: Any,
+    further: int,
+    inverse: FloatVector,
+    sign: float,
+    b: FloatVector,
+    weight: float,
+    x: FloatVector,
+    product: FloatVector,
+) -> Callable[[int, int], Any]:
+    indptr, _, *rest = rows
+    operands = (
+        indptr,
+        begins,
+        further,
+        *rest,
+        read_only(inverse),
+        sign,
+        read_only(b),
+        weight,
+        x,
+        product,
+    )
+    return partial(_products, *operands)
+
+
+def sweep(
+    rows: Matrix,
+    blocks: RowBlocks,
+    inverse: FloatVector,
+    backward: bool,
+    b: FloatVector,
+    x: FloatVector,
+) -> None:
+    """Overwrite x by one Gauss–Seidel sweep for M x = b."""
+    vectors = read_only(inverse), read_only(b), *NO_BOUNDS
+    _swept(rows, rows[0][1:], blocks, vectors, -1.0, 1.0, False, backward, x)
+
+
+def projected_sweep(
+    rows: Matrix,
+    blocks: RowBlocks,
+    vectors: tuple[FloatVector, ...],
+    relaxation: float,
+    backward: bool,
+    z: FloatVector,
+) -> None:
+    """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
+
+    `vectors` are the inverse pivots, q, lower and upper, read-only.
+    """
+    _swept(rows, rows[0][1:], blocks, vectors, 1.0, relaxation, False, backward, z)
+
+
+def free_rows(
+    rows: Matrix,
+    vectors: tuple[FloatVector, ...],
+    z: FloatVector,
+    is_free: BoolVector,
+    is_changed: BoolVector,
+    residual: FloatVector,
+) -> tuple[float, int]:
+    """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
+
+    Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
+    residual of the problem, and how many rows changed.
+    """
+    indptr, _, *rest = rows
+    piece = partial(_free_rows, indptr, *rest, *vectors, z, is_free, is_changed, residual)
+    found = shared(piece, residual.size)
+    largest = np.max([one for one, _ in found])  # a NaN kept
+    return float(largest), int(sum(changed for _, changed in found))
+
+
+def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
+    """Call ``work(first, end)`` on parts of all rows, which may be taken in any order."""
+    return share(work, rows, SHARED_FROM)
+
+
+def _swept(
+    rows: Matrix,
+    ends: Any,
+    blocks: RowBlocks,
+    vectors: tuple[FloatVector, ...],
+    sign: float,
+    relaxation: float,
+    is_first: bool,
+    backward: bool,
+    x: FloatVector,
+) -> None:
+    """Sweep the blocks of one color and then the blocks of the other color; the entries of row i end before ends[i]."""
+    indptr, *rest = rows
+    operands, edges = (*rest, *vectors, sign, relaxation, is_first, backward, x), blocks.edges
+    for colour in (1, 0) if backward else (0, 1):
+        if count := blocks.count(colour):
+            reach = blocks.reach if is_first and colour == 1 else 0
+            share(
+                partial(_swept_piece, indptr, ends, operands, x, edges, reach, colour),
+                count,
+                blocks.smallest_share,
+            )
+
+
+def _swept_piece(
+    indptr: Any,
+    ends: Any,
+    operands: tuple[Any, ...],
+    x: FloatVector,
+    edges: Any,
+    reach: int,
+    colour: int,
+    first: int,
+    last: int,
+) -> None:
+    """Sweep some blocks of a colour; so many rows at the end of each need all their entries in the first sweep."""
+    block_ends = edges[1:]
+    if reach == 0:
+        _sweep(indptr, ends, *operands, colour, edges, block_ends, first, last)
+        return
+    seams = read_only(block_ends - reach)
+    _sweep(indptr, ends, *operands, colour, edges, seams, first, last)
+    _sweep(indptr, indptr[1:], *operands, colour, seams, block_ends, first, last)
+
+
+@inline
+def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-untyped-def]
+    """Return total + Σ data_k x_j over the entries first ≤ k < last of a row."""
+    for k in range(first, last):
+        total += data[k] * x[uintp(indices[k])]
+    return total
+
+
+@kernel
+def _sweep(  # type: ignore[no-untyped-def]
+    indptr,
+    ends,
+    split,
+    indices,
+    data,
+    inverse,
+    b,
+    lower,
+    upper,
+    sign,
+    relaxation,
+    is_first,
+    backward,
+    x,
+    colour,
+    begins,
+    block_ends,
+    first_block,
+    last_block,
+):
+    """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
+
+    The sweep covers the blocks of one color with these numbers. An empty `lower` or `upper` means no bound. The entries
+    of row i end before ends[i]. The first sweep starts from x = 0.
+    """
+    has_lower, has_upper = lower.size > 0, upper.size > 0
+    for counted in range(last_block - first_block):
+        block = 2 * (last_block - 1 - counted if backward else first_block + counted) + colour
+        begin, end = begins[block], block_ends[block]
+        for step in range(end - begin):
+            i = uintp(end - 1 - step if backward else begin + step)
+            value, pivot = 0.0 if is_first else x[i], relaxation * inverse[i]
+            if pivot != 0.0:
+                value -= pivot * _excess(
+                    sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x
+                )
+            if has_lower:
+                value = lower[i] if lower[i] > value else value
+            if has_upper:
+                value = upper[i] if upper[i] < value else value
+            x[i] = value
+
+
+@inline
+def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: ignore[no-untyped-def]
+    """Return total + (M x)_i; the last swept neighbor is added last, so that the sum waits only for this value."""
+    first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)
+    behind = diagonal + one
+    total = _plus_products(
+        total, first if backward else diagonal, behind if backward else end, indices, data, x
+    )
+    k, step = end - one if backward else first, uintp(-1) if backward else one
+    for _ in range(end - behind if backward else diagonal - first):
+        total += data[k] * x[uintp(indices[k])]
+        k += step
+    return total
+
+
+@kernel
+def _products(  # type: ignore[no-untyped-def]
+    indptr, begins, further, indices, data, inverse, sign, b, weight, x, product, first, end
+):
+    """Product ← sign · M x + weight · b on the free rows, 0 elsewhere; row i begins at begins[i] + further."""
+    one, further = uintp(1), uintp(further)
+    for i in range(uintp(first), uintp(end)):
+        total = _plus_products(
+            0.0, uintp(begins[i]) + further, uintp(indptr[i + one]), indices, data, x
+        )
+        product[i] = sign * total + weight * b[i] if inverse[i] != 0.0 else 0.0
+
+
+@kernel
+def _free_rows(  # type: ignore[no-untyped-def]
+    indptr,
+    indices,
+    data,
+    inverse,
+    q,
+    lower,
+    upper,
+    z,
+    is_free,
+    is_changed,
+    residual,
+    first,
+    end,
+):
+    """Apply `free_rows` to the rows from first to end, in order; a NaN is the largest residual."""
+    one, largest, changed = uintp(1), 0.0, 0
+    for i in range(uintp(first), uintp(end)):
+        w = _plus_products(q[i], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, z)
+        step, above, below = w * inverse[i], z[i] - lower[i], z[i] - upper[i]
+        r = abs(clamp(step, below, above))
+        largest = largest if r <= largest else r
+        is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
+        is_changed[i] = is_off != is_free[i]
+        changed += is_changed[i]
+        is_free[i] = is_off
+        residual[i] = -w if is_off else 0.0
+    return largest, changed
+
+
+T = TypeVar("T")
+AT_ONCE = 8192  # terms that are summed in one piece, too few for BLAS to share; they stay in the fastest cache
+
+
+def dot(one: FloatVector, other: FloatVector) -> float:
+    """Return Σ one_i other_i."""
+    sums = np.zeros(-(-one.size // AT_ONCE))
+
+    def sum_pieces(first: int, end: int) -> None:
+        for piece in range(first, end):
+            part = slice(piece * AT_ONCE, (piece + 1) * AT_ONCE)
+            sums[piece] = np.dot(one[part], other[part])
+
+    share(sum_pieces, sums.size, 1)
+    return float(sums.sum())
+
+
+def add_both(
+    factor: float,
+    vector: FloatVector,
+    to: FloatVector,
+    other_factor: float,
+    other: FloatVector,
+    to_other: FloatVector,
+) -> None:
+    """Add factor · vector to the first target, and other_factor · other to the second target."""
+
+    def add(part: slice) -> None:
+        to[part] += factor * vector[part]
+        to_other[part] += other_factor * other[part]
+
+    _by_parts(add, vector.size)
+
+
+def add_within(
+    origin: FloatVector,
+    factor: float,
+    vector: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    z: FloatVector,
+) -> None:
+    """Overwrite z by mid(lower, upper, origin + factor · vector)."""
+
+    def add(part: slice) -> None:
+        np.clip(origin[part] + factor * vector[part], lower[part], upper[part], out=z[part])
+
+    _by_parts(add, vector.size)
+
+
+def largest_product(one: FloatVector, other: FloatVector) -> float:
+    """Return the largest |one_i other_i|: NaN if a product is NaN, 0 for empty vectors."""
+    return float(
+        np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0)
+    )
+
+
+def _by_parts(work: Callable[[slice], T], size: int) -> list[T]:
+    """Return the results of `work` for consecutive parts of a vector of that size."""
+
+    def piece(first: int, end: int) -> list[T]:
+        return [
+            work(slice(begin, min(begin + AT_ONCE, end))) for begin in range(first, end, AT_ONCE)
+        ]
+
+    return [one for piece_of in share(piece, size, SHARED_FROM) for one in piece_of]
+
+
+def span(vector: FloatVector) -> float:
+    """Return the largest entry in absolute value; 0 of no entry."""
+    return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
+
+
+HELD = (
+    0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
+)
+NO_FLAGS = np.zeros(0, np.bool_)
+
+
+def restrict(transfer: Transfer, fine: FloatVector, coarse: FloatVector) -> None:
+    """Coarse ← R fine."""
+    operands = *transfer.restriction.arrays, read_only(fine), False, NO_FLAGS, *NO_BOUNDS, coarse
+    shared(partial(_interpolate, *operands), coarse.size)
+
+
+def prolong(
+    transfer: Transfer,
+    coarse: FloatVector,
+    flags: BoolVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    z: FloatVector,
+) -> int:
+    """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows; return the number of clipped values."""
+    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, lower, upper, z
+    return sum(shared(partial(_interpolate, *operands), lower.size))
+
+
+def add_prolonged(
+    transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector
+) -> None:
+    """Add P coarse to x in the rows with set `flags`, which cover at least the local rows."""
+    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *NO_BOUNDS, x
+    shared(partial(_interpolate, *operands), transfer.is_coarse.size)
+
+
+@kernel
+def _interpolate(  # type: ignore[no-untyped-def]
+    indptr, indices, data, source, adds, flags, lower, upper, to, first, end
+):
+    """Set to ← A source; if `adds`, add A source in the rows with set flags and clip at the bounds, if any.
+
+    Return the number of clipped values.
+    """
+    one = uintp(1)
+    cut, has_bounds = 0, lower.size > 0
+    for i in range(uintp(first), uintp(end)):
+        if adds and not flags[i]:
+            continue
+        change = _plus_products(
+            0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source
+        )
+        if not adds:
+            to[i] = change
+            continue
+        value = to[i] + change
+        if has_bounds and value < lower[i]:
+            value = lower[i]
+            cut += 1
+        if has_bounds and value > upper[i]:
+            value = upper[i]
+            cut += 1
+        to[i] = value
+    return cut
+
+
+def find_held(*operands: Any) -> int:
+    """Find the held rows among the touched rows; same operands as `_find_held`, whose counts are summed."""
+    return sum(share(partial(_find_held, *operands), operands[-1].size, SHARED_FROM))
+
+
+@kernel
+def _find_held(  # type: ignore[no-untyped-def]
+    indptr,
+    indices,
+    whole,
+    values,
+    is_free,
+    touched,
+    is_interpolated,
+    is_changed,
+    is_coarse,
+    first,
+    end,
+):
+    """Set which touched rows are interpolated; return the number of rows that are held or change with neighbors.
+
+    `is_changed` marks the fixed or freed rows on entry and the rows of P that change on return. `whole` contains the
+    values of the matrix with all unknowns free.
+    """
+    one, found = uintp(1), 0
+    for i in range(uintp(first), uintp(end)):
+        became, is_changed[i] = is_changed[i], False
+        if not touched[i]:
+            continue
+        is_held = False
+        if is_free[i] and not is_coarse[i]:
+            before, left, pivot_before, pivot = 0.0, 0.0, 0.0, 0.0
+            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+                j = uintp(indices[k])
+                if j == i or whole[k] > 0.0:
+                    pivot_before += whole[k]
+                else:
+                    before -= whole[k]
+                if j == i or values[k] > 0.0:
+                    pivot += values[k]
+                elif is_free[j]:
+                    left -= values[k]
+            is_held = (
+                pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
+            )
+        interpolates = is_free[i] and not is_held
+        is_changed[i] = interpolates != is_interpolated[i] and not became
+        found += is_held or is_changed[i]
+        is_interpolated[i] = interpolates
+    return found

@@ -27,6 +27,8 @@ Sizes:
   of them; for slacks and blur_j, at least 1e-8 of Σ |y'_i| (Σ |c_ij x_j| + |d_i|). y' are the multipliers of least norm
   that balance P x + c at the unknowns that have room, if these are smaller than y. So y of 10³³, which a cost of 10³⁴
   allows if x_j = 0, make no gap small, and the rounding error of their sums is part of |r_j|.
+- blur_j shake_j is not counted if r_j is at the rounding level of |c_j| + Σ |c_ij y'_i|. If xᵀP x is the square of
+  rounding errors of x, c_j + Σ c_ij y_i takes the place of r_j. So a point where all terms are 0 may be optimal.
 - The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
   (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the fitted scale of a row, a proof of infeasibility is searched first.
 
@@ -196,7 +198,7 @@ class PrimalDualPoint:
         self.blur = BLUR * terms
         self.bound = np.where(self.left > 0.0, lower, upper)
         self.distance = np.abs(x - self.bound)
-        is_pushed = np.abs(self.left) > self.blur + self.doubt
+        is_pushed = np.abs(self.left) > self.doubt + (0.0 if is_exact else self.blur)
         self.room = np.where(is_pushed, self.distance, np.maximum(x - lower, upper - x))
         self.curved = np.abs(self._sums(x * self.product)) + self.hidden
         self.objective = self._sums(self.cost * self.of_x) + self.curved
@@ -293,6 +295,8 @@ class PrimalDualPoint:
             most = np.abs(self.left) + self.doubt
             most = np.where(most > 0.0, most * reach, 0.0) - moves
             shakes = np.where(most < shakes, most, shakes)
+            if of_y is not None:
+                shakes = np.where(self._is_rounding(of_y), 0.0, shakes)
         held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
         return ratio(self._sums(moves, self.price), size) + ratio(
             self._sums(shakes, held), np.maximum(size, least)
@@ -344,6 +348,15 @@ class PrimalDualPoint:
             own = own + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
         return np.maximum(np.minimum(self.objective, dual), LEAST_SIZE * own), least
 
+    def _is_rounding(self, of_y: FloatVector) -> Any:
+        """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
+        y_alone = np.concatenate([np.zeros(self.x.size), self.y])
+        pull, doubt = sums_without_rounding(self.matrices.gradient, y_alone, self.program.c)
+        at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
+        at_rest = at_rest[self.matrices.components.of_unknown]
+        most = np.where(at_rest, np.abs(pull) + doubt, np.abs(self.left) + self.doubt)
+        return most <= BLUR * (self.cost + self.matrices.measured[4] @ of_y)
+
     @property
     def _least_norm(self) -> FloatVector:
         """The sizes of the multipliers of least norm that balance P x + c at the unknowns that have room.
@@ -356,7 +369,7 @@ class PrimalDualPoint:
         sizes = self._largest_by_component(self.of_x / units)[self.matrices.components.of_unknown]
         free, on = np.flatnonzero(way > EXCUSED * units * sizes), np.flatnonzero(self.y)
         if not (free.size and on.size):
-            return self.of_y
+            return np.zeros(self.y.size)
         from scipy.sparse.linalg import lsmr
 
         T = sp.csr_array(self.matrices.rows[on].T)[free]

@@ -234,6 +234,37 @@ def test_a_fit_without_an_error_is_solved(n: int, norm: Any) -> None:
     np.testing.assert_allclose(x.value, np.linalg.solve(A, b), rtol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sum_of_huber_losses_with_a_perfect_fit_is_solved(seed: int) -> None:
+    """All terms of the objective are 0 at the point, where multipliers of 1 leave a gradient of 2e-16."""
+    draw = np.random.default_rng(seed)
+    A, x, w = draw.normal(size=(6, 3)), draw.uniform(-1.0, 1.0, 3), cp.Variable(3)
+    problem = cp.Problem(cp.Minimize(cp.sum(cp.huber(A @ w - A @ x))), [w <= 3.0])
+    assert problem.solve(solver=QPSolver) <= 1e-15
+    assert problem.status == cp.OPTIMAL
+    np.testing.assert_allclose(w.value, x, atol=1e-12)
+
+
+def test_a_minimum_at_0_where_products_of_a_curvature_cancel_is_solved() -> None:
+    """The product P w is a rounding error where (w₀ + w₁)² is 0, and no cost is hidden in it."""
+    w = cp.Variable(2)
+    flat = cp.quad_form(w, np.ones((2, 2)))
+    problem = cp.Problem(cp.Minimize(cp.huber(-3.0 * w[0] + 3.0 * w[1] - 1.0) + flat))
+    assert problem.solve(solver=QPSolver) <= 1e-15
+    assert problem.status == cp.OPTIMAL
+
+
+@pytest.mark.parametrize("end", [1e2, 1e6, 1e9])
+def test_a_tiny_cost_decides_the_point_along_a_flat_curvature(end: float) -> None:
+    """The cost −1e-9 is below the rounding of P x, but exact sums have its sign: only the upper bounds are optimal."""
+    program = QuadraticProgram([[1, -1], [-1, 1]], [-1e-9, 0], lower=-end, upper=end)
+    result = solve(program)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.x, end, rtol=1e-12)
+    opposite = KKTErrors.of(program, np.full(2, -end), np.zeros(0))
+    assert not opposite.meet(1e-6)
+
+
 def test_a_minimum_at_0_has_multipliers() -> None:
     """An engine's x is 0 up to noise, and its multipliers are not: x = 0 is tried with them."""
     x, one = cp.Variable(), cp.Variable()

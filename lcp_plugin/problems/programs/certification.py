@@ -547,9 +547,17 @@ class ProvenBounds:
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
-        """Return the disproof of every point by a recession direction, as text; searched without a lower bound only."""
-        proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
-        is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
+        """Return the disproof of every point, as text: the proof of the claim "infeasible", or a recession direction.
+
+        The search requires that x violates a constraint by more than the tolerance, or that no lower bound is known.
+        """
+        is_missed = self.violation.largest > self.tolerance and not self.points
+        if is_over() or not (is_missed or self.lower == -math.inf):
+            return ""
+        proof = proofs.no_minimum
+        if isinstance(proof, QPInfeasibility):
+            return f"the program is {proof}" if proof.least_violation > self.tolerance else ""
+        is_endless = proof is not None and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""
 
     def _reason(self, evidence: str, is_proved: bool) -> str:

@@ -281,6 +281,7 @@ def _shorten_message(error: Exception) -> str:
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
+DOUBTFUL = 1e-10  # violation of rows, above which a proof of infeasibility is searched first
 FEW = (
     300  # unknowns and rows of a program whose LCP is tried where no external solver has a solution
 )
@@ -675,8 +676,9 @@ class ProgramRun(Run):
         found = self.latest
         if found is None or not self.settings.prove_infeasibility:
             return end
-        is_far = found.passes and (found.errors.tolerated > 1.0 or self._is_far(found.solution.x))
-        if is_far or (not found.passes and found.says in NO_MINIMUM):
+        primal, _, tolerated = found.errors
+        is_in_doubt = tolerated > 1.0 or primal > DOUBTFUL or self._is_far(found.solution.x)
+        if (found.passes and is_in_doubt) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else TerminationReason.NO_SOLUTION
 

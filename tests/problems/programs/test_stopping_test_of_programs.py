@@ -265,6 +265,28 @@ def test_a_tiny_cost_decides_the_point_along_a_flat_curvature(end: float) -> Non
     assert not opposite.meet(1e-6)
 
 
+ROWS_OFF_BY_ONE = {
+    "equations": {"A": [[1, -1], [1, -1]], "b": [0, 1]},
+    "inequalities": {"G": [[1, -1], [-1, 1]], "h": [0, -1]},
+    "both": {"G": [[1, -1]], "h": [0], "A": [[1, -1]], "b": [1]},
+}
+
+
+@pytest.mark.parametrize("least", [1e6, 1e9, 1e11, 1e13])
+@pytest.mark.parametrize("rows", ROWS_OFF_BY_ONE.values(), ids=ROWS_OFF_BY_ONE)
+def test_rows_that_are_off_by_one_are_infeasible_at_large_unknowns(
+    rows: dict[str, Any], least: float
+) -> None:
+    """A violation of 1/2 is small relative to x, but the engine reports infeasible and an exact proof exists."""
+    program = QuadraticProgram(None, [1.0, 1.0], lower=least, **rows)
+    result = solve(program)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof is not None
+    assert result.proof.verify()
+    assert certify(program, claim="infeasible").verdict == "proved"
+    assert certify(program, [least + 0.5, least]).verdict == "disproved"
+
+
 def test_a_minimum_at_0_has_multipliers() -> None:
     """An engine's x is 0 up to noise, and its multipliers are not: x = 0 is tried with them."""
     x, one = cp.Variable(), cp.Variable()

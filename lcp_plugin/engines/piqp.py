@@ -37,7 +37,7 @@ class PIQP(Engine):
     obeys: ClassVar[str] = (
         "max_seconds, by the time of its first step; verbose prints its own log; Ctrl-C waits for its end"
     )
-    defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 150}
+    defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
 
     def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return PIQP's point."""

@@ -327,6 +327,10 @@ class BranchAndBound:
         is_said_infeasible = self.outside is not None and self.outside.status == "infeasible"
         if is_provable or (self.problem.is_convex and is_said_infeasible):  # integers or not
             return self._search(ends, math.inf if prove else MOST_UNASKED)
+        if (
+            self.problem.has_convex_relaxation
+        ):  # SCIP's bound of an objective of 0 has a rounding error
+            self._root()
         return None
 
     def _root(self) -> None:

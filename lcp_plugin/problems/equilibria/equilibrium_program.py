@@ -208,6 +208,13 @@ class EquilibriumProgram:
         return self.smooth is None and self.has_convex_objective
 
     @property
+    def has_convex_relaxation(self) -> bool:
+        """True if the objective is convex, and the smooth part, if any, has no term in it."""
+        result = None if self.smooth is None else getattr(self.smooth.map, "result", None)
+        has_no_term = result is not None and not (result.matrix[[0]].nnz or result.offset[0])
+        return self.has_convex_objective and (self.smooth is None or has_no_term)
+
+    @property
     def is_provable(self) -> bool:
         """True if bounds of pieces can be proved."""
         return self.is_convex and not self.integers.size

@@ -174,7 +174,8 @@ class Relaxations:
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
         """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 
-        A convex piece is solved. Otherwise x is projected onto the linearized rows, up to four times.
+        A convex piece is solved. Otherwise x is projected onto the linearized rows, and the objective is minimized over
+        these as long as it falls: up to four programs.
         """
         node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
         lower[whole] = upper[whole] = np.clip(
@@ -184,27 +185,32 @@ class Relaxations:
             return node
         x = np.clip(near, lower, upper)
         for _ in range(MOST_PROJECTIONS):
-            self.solved += 1
-            if self.problem.is_convex:
-                program = self.problem.program.with_vectors(lower=lower, upper=upper)
-            else:
-                program = self._projection(x, lower, upper)
+            program = self._linearized(x, lower, upper, is_feasible=node.point is not None)
             solution = _solution_of(program)
+            self.solved += 1
             if not solution.is_optimal():
                 return node
             x = self._round_small(np.clip(solution.x, lower, upper), program)
             if self.problem.excess(x) <= FEASIBLE:
+                if not self.problem.objective(x) < node.value:
+                    return node
                 node.point, node.value = x, self.problem.objective(x)
-                return node
+                if self.problem.is_convex or not self.problem.has_convex_relaxation:
+                    return node
         return node
 
-    def _projection(
-        self, x: FloatVector, lower: FloatVector, upper: FloatVector
+    def _linearized(
+        self, x: FloatVector, lower: FloatVector, upper: FloatVector, *, is_feasible: bool
     ) -> QuadraticProgram:
-        """Return the program that projects x onto the rows, linearized at x."""
+        """Return the program over the rows linearized at x: of the point nearest to x, or of the least objective."""
+        if self.problem.is_convex:
+            return self.problem.program.with_vectors(lower=lower, upper=upper)
         own, smooth = self.problem.program, self.problem.smooth
         rows = [sp.csr_array(own.G), sp.csr_array(own.A)]
         low, high = [np.full(own.h.size, -np.inf), own.b], [own.h, own.b]
+        P, c = sp.eye_array(x.size, format="csr"), -x
+        if is_feasible:
+            P, c = own.P, own.c
         if smooth is not None:
             slopes = sp.csr_array(smooth.map.jacobian(x))[1:]
             shift = slopes @ x - smooth.map.value(x)[1:]
@@ -212,8 +218,8 @@ class Relaxations:
             low.append(smooth.lower + shift)
             high.append(smooth.upper + shift)
         return QuadraticProgram.from_ranges(
-            sp.eye_array(x.size, format="csr"),
-            -x,
+            P,
+            c,
             sp.vstack(rows, format="csr"),
             np.concatenate(low),
             np.concatenate(high),

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from macmpec import COLLECTION
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
+from lcp_plugin import (
+    EquilibriumProgram,
+    QuadraticProgram,
+    Status,
+    complements,
+    optimal,
+)
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
@@ -117,3 +123,14 @@ def test_rows_that_limit_sides_of_pairs_give_a_bound(without_scip: None) -> None
         -np.inf,
         pytest.approx(-18.0),
     )
+
+
+@pytest.mark.parametrize("end", [1.0, 5.0])
+def test_a_follower_of_value_0_is_polished(end: float) -> None:
+    """The follower minimizes (x + eˣ) y: y is 0 to 1e-4 in SCIP's point, and 0 in the minimizer of its piece."""
+    x, y = cp.Variable(bounds=[-2, 2]), cp.Variable(bounds=[-3, end])
+    way = optimal(cp.Problem(cp.Minimize(cp.multiply(x + cp.exp(x), y))), [y])
+    problem = cp.Problem(cp.Minimize(cp.square(y)), [way])
+    assert problem.solve(method="LCP") == pytest.approx(0.0, abs=1e-12)
+    assert problem.status == cp.OPTIMAL
+    assert float(x.value) == pytest.approx(-0.5671432904097838, abs=1e-9)

@@ -19,6 +19,7 @@ from ...core.checks import (
 )
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.matrix import largest_in_rows
+from ...proofs.exact import MOST_ENTRIES, exact_rows, rank_profile
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
 
@@ -218,6 +219,31 @@ class EquilibriumProgram:
     def is_provable(self) -> bool:
         """True if bounds of pieces can be proved."""
         return self.is_convex and not self.integers.size
+
+    def redundant_unknowns(self) -> Indices:
+        """Return free unknowns that may be 0, because they are in affine rows only, with dependent columns.
+
+        Multipliers of redundant equations are such unknowns. They have no bound, and no branch decides them.
+        """
+        program, smooth = self.program, self.smooth
+        rows, others = [sp.csr_array(program.G), sp.csr_array(program.A)], [sp.csr_array(program.P)]
+        if smooth is not None:  # an expression program, or else SCIP cannot read it
+            if not hasattr(smooth.map, "levels"):
+                return np.zeros(0, np.int64)
+            result = smooth.map.result.matrix
+            rows.append(result[1:, : program.n])
+            others += [result[[0]]]
+            others += [one.matrix for level in smooth.map.levels for one in level.arguments]
+        is_free = np.isinf(program.lower) & np.isinf(program.upper) & (program.c == 0.0)
+        used = np.concatenate([one.indices for one in others])
+        is_free[used[used < program.n]] = False
+        is_free[self.first[self.all_cases & (LOWER | UPPER) > 0]] = False
+        is_free[np.concatenate([self.second, self.integers])] = False
+        free = np.flatnonzero(is_free)
+        columns = sp.csr_array(sp.vstack(rows, format="csc")[:, free].T)
+        if not 0 < columns.shape[0] * columns.shape[1] <= MOST_ENTRIES:
+            return free[:0]
+        return np.delete(free, rank_profile(exact_rows(columns))[0])
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""

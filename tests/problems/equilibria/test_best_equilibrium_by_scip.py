@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -123,6 +125,56 @@ def test_rows_that_limit_sides_of_pairs_give_a_bound(without_scip: None) -> None
         -np.inf,
         pytest.approx(-18.0),
     )
+
+
+def interdiction(rows: int) -> cp.Problem:
+    """Return the problem of a leader who makes one arc of a network longer, with that many balances of nodes."""
+    f, y = cp.Variable(4, nonneg=True), cp.Variable(4, boolean=True)
+    balances = np.array([[1, 0, 1, -1], [-1, 1, 0, 1], [0, -1, -1, 0]])[:rows] @ f
+    cost = cp.sum(cp.multiply(np.array([1.0, 1.0, 3.0, 1.0]) + 5.0 * y, f))
+    way = optimal(cp.Problem(cp.Minimize(cost), [balances == np.array([1, 0, -1])[:rows]]), [f])
+    return cp.Problem(cp.Maximize(cost), [way, cp.sum(y) <= 1])
+
+
+@pytest.mark.parametrize("rows", [2, 3])
+def test_multipliers_of_redundant_balances_are_left_out(rows: int) -> None:
+    """Balances of all nodes are dependent, and their multipliers have no bound; the longest shortest way is 3."""
+    problem = interdiction(rows)
+    assert problem.solve(method="LCP") == pytest.approx(3.0, abs=1e-6)
+    assert problem.status == cp.OPTIMAL
+
+
+def test_prints_of_an_engine_do_not_reach_the_terminal(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """C code may print to stderr during a search; a callback prints there as ever."""
+    own = scip._Model._state
+
+    def loud(model: scip._Model) -> None:
+        own(model)
+        optimize = model.model.optimize
+
+        class Loud:
+            def __getattr__(self, name: str) -> object:
+                return getattr(model.__dict__["quiet"], name)
+
+            def optimize(self) -> None:
+                os.write(2, b"[solve.c] ERROR")
+                optimize()
+
+        model.quiet, model.model = model.model, Loud()
+
+    monkeypatch.setattr(scip._Model, "_state", loud)
+
+    def said(*_: object) -> bool:
+        os.write(2, b"from a callback")
+        return False
+
+    problem, _ = monopolist()
+    problem.solve(method="LCP", callback=said)
+    seen = capfd.readouterr()
+    assert "ERROR" not in seen.out + seen.err
+    assert "from a callback" in seen.err
 
 
 @pytest.mark.parametrize("end", [1.0, 5.0])

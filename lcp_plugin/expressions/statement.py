@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -161,6 +162,7 @@ class Statement:
         self.is_paired = np.zeros(lower.size, dtype=bool)
         self.rows: list[StatedRows] = []
         self.pairs: list[StatedRows] = []
+        self._repeated: list[int] = []  # unknowns of further pairs of which they are the variable
 
     def constrain(self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None) -> None:
         """Let low ≤ rows ≤ high."""
@@ -183,6 +185,10 @@ class Statement:
         if not is_definition(matrix) or not matrix.data.all():
             return None
         return matrix.indices.astype(np.int64), matrix.data, offset
+
+    def repeat(self, columns: Indices) -> None:
+        """Note that unknowns which have a pair are the variable of another one."""
+        self._repeated += columns[self.is_paired[columns]].tolist()
 
     def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
@@ -283,7 +289,9 @@ class Statement:
         names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
         names += ["…"] * (free.size > MOST_NAMES)
         way_out = ""
-        if equations > free.size:
+        if equations > free.size and (reason := self._fixing_equation() or self.repeated()):
+            way_out = f"; {reason}"
+        elif equations > free.size:
             way_out = (
                 "; if one fixes the scale of prices, as sum(p) == 1, drop a market that the others imply, or give "
                 "the equation a free multiplier, a variable in the rows of the pairs"
@@ -296,6 +304,30 @@ class Statement:
             f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs "
             f"as many equations as such unknowns{way_out}"
         )
+
+    def repeated(self, at_least: int = 2) -> str | None:
+        """Return advice on the unknown that is the variable of most pairs, if of so many."""
+        column, others = (Counter(self._repeated).most_common(1) or [(0, 0)])[0]
+        if others + 1 < at_least:
+            return None
+        return (
+            f"{self.name_of(column)} is the variable of {others + 1} pairs, and each pair after the first needs a free "
+            "unknown or a variable of its own; give the pairs different variables"
+        )
+
+    def _fixing_equation(self) -> str:
+        """Return advice on an equation that fixes an unknown with a pair, or ""."""
+        for one in (one.rows for one in self.rows if one.slacks is None and not one.rows.level):
+            matrix, offset = assembled([one], self.first, self.lower.size)
+            for row in np.flatnonzero(np.diff(matrix.indptr) == 1).tolist():
+                column, weight = matrix.indices[matrix.indptr[row]], matrix.data[matrix.indptr[row]]
+                if self.is_paired[column] and weight:
+                    name, value = self.name_of(int(column)), f"{-offset[row] / weight:.9g}"
+                    return (
+                        f"an equation fixes {name}, which has a pair: fix it with box({name}, {value}, {value}) in "
+                        "that pair, and drop the equation"
+                    )
+        return ""
 
     def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:
         """Return the bounds of all unknowns; raise UnsupportedModel if a pair has wider ones than its unknown."""

@@ -62,7 +62,7 @@ def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumPro
             )
         low = 0.0 if isinstance(one, (*EQUATIONS, NonNeg)) else -np.inf
         high = np.inf if isinstance(one, NonNeg) else 0.0
-        statement.constrain(model.reader.rows(row), low, high)
+        statement.constrain(model.reader.rows(row), low, high, row)
     model.add_pairs([*pairs, *kinks])
     return statement.best(model.reader.rows(goal), sense_of(problem)), model
 

@@ -20,7 +20,7 @@ from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
-from ..expressions.statement import SquareModel, Statement
+from ..expressions.statement import SquareModel, StatedRows, Statement
 from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import (
     CVXPY_STATUS,
@@ -32,7 +32,7 @@ from ._compat import (
     statistics,
 )
 from .cones import ConePair, over_cones
-from .reading import Reader
+from .reading import Reader, rewritten
 from .stated_terms import dense_value, sense_of, values_below
 
 if TYPE_CHECKING:
@@ -189,6 +189,8 @@ class Model:
             return []
         rows, columns, weights, shift, low, high = self.read(side)
         is_new = columns is None or bool(self.statement.is_paired[columns].any())
+        if columns is not None and is_new:
+            self.statement.repeat(columns)
         if columns is None and other.kind == "value" and side.kind in ("nonnegative", "value"):
             raise UnsupportedModel(
                 f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
@@ -300,6 +302,8 @@ class Model:
         # All unknowns that name expressions count as one more variable.
         variable_of[variable_of < 0] = len(self.variables)
         found = self.statement.square(variable_of)
+        if (remark := self.statement.repeated(at_least=3)) is not None:
+            warnings.warn(remark, ModelWarning, stacklevel=level_of_caller())
         if self.cones:
             found = over_cones(found, self.cones, self.statement.name_of)
         if self._equations:
@@ -367,16 +371,53 @@ class Model:
 
     def present(self) -> FloatVector | None:
         """Return the present values of all unknowns; None if a variable has no value."""
-        if any(variable.value is None for variable in self.variables):
+        values = {one.id: one.value for one in self.variables}
+        with np.errstate(all="ignore"):  # outside of a domain
+            self._define(values)
+        if any(value is None for value in values.values()):
             return None
         z = np.zeros(self.statement.lower.size)
-        for variable in self.variables:
-            z[self.spans[variable.id]] = by_columns(variable.value)
-        with np.errstate(all="ignore"):  # outside of a domain
+        for key, value in values.items():
+            z[self.spans[key]] = by_columns(value)
+        with np.errstate(all="ignore"):
             for one in self.statement.rows:
                 if one.slacks is not None:
                     z[one.slacks] = one.sign * by_columns(one.origin.value)
         return z
+
+    def _define(self, values: dict[int, Any]) -> None:
+        """Give variables without a value the values of the equations that define them, as d == A @ x does."""
+        waiting = [
+            one for one in self.statement.rows if one.slacks is None and one.origin is not None
+        ]
+        while waiting:
+            left = waiting
+            waiting = [one for one in left if not self._defines(one, values)]
+            if len(waiting) == len(left):
+                return
+
+    def _defines(self, one: StatedRows, values: dict[int, Any]) -> bool:
+        """Set the variable that an equation defines by variables with values; return whether it does."""
+        missing = [each for each in one.origin.variables() if values[each.id] is None]
+        if len(missing) != 1 or (one.low != one.high).any():
+            return not missing
+        (variable,) = missing
+        block = as_matrix(one.rows.blocks.get(variable.id, 0.0), one.rows.size)
+        if variable.size != one.rows.size or not is_definition(block) or not block.data.all():
+            return False
+
+        def at(value: FloatVector) -> FloatVector:
+            values[variable.id] = value.reshape(variable.shape, order="F")
+            put = partial(_with_value, values=values)
+            return np.asarray(by_columns(rewritten(one.origin, put).value) - one.low)
+
+        found = np.zeros(variable.size)
+        found[block.indices] = -at(found) / block.data
+        is_defined = bool(
+            (np.abs(at(found)) <= 1e-9 * (1.0 + np.abs(found).max(initial=0.0))).all()
+        )
+        values[variable.id] = values[variable.id] if is_defined else None
+        return is_defined
 
     def write_back(
         self, problem: Any, result: Any, found: tuple[FloatVector, FloatVector, float] | None
@@ -438,6 +479,11 @@ class Model:
             f"{name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
             f"variables, and {expected:.9g} was computed"
         )
+
+
+def _with_value(node: Any, values: dict[int, Any]) -> Any:
+    """Return the value of a variable as a constant, and every other node unchanged."""
+    return cp.Constant(values[node.id]) if isinstance(node, cp.Variable) else node
 
 
 def spans_of(leaves: dict[int, Any]) -> tuple[dict[int, slice], int]:

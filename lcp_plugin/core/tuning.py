@@ -20,9 +20,6 @@ DENSE_OPERATIONS, SPARSE_OPERATIONS = (
     2e10,
     1e9,
 )  # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
-SEARCHED_UP_TO = (
-    300  # rows of a linear program that takes a tenth of a second: a search before SOLVED
-)
 FACTOR_OPERATIONS_UP_TO = (
     2e10  # Σ count² over the columns of a Cholesky factor L: 5 to 10 seconds, a 3-D grid of 37³
 )

@@ -357,6 +357,7 @@ class Infeasibility(NoSolutionProof):
         return f"Infeasibility({self})"
 
 
+NEAR = 1e-4  # of the largest unknown
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 
 
@@ -391,27 +392,17 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     return row if proof is None or (row is not None and proof.margin < row.margin) else proof
 
 
-def is_proved_infeasible(problem: LCP, z: FloatVector) -> bool:
-    """Return whether :func:`find_infeasibility` has a proof; it is not called if a point near z is feasible."""
-    return not _is_feasible_near(problem, z) and find_infeasibility(problem) is not None
-
-
 @np.errstate(all="ignore")
-def _is_feasible_near(problem: LCP, z: FloatVector) -> bool:
-    """Return whether w has its signs for certain where the active rows are raised by 4 times their rounding error."""
-    data, needs_rise, needs_fall = (
-        row_data(problem),
-        problem.upper == np.inf,
-        problem.lower == -np.inf,
-    )
-    sign, at = needs_rise * 1.0 - needs_fall, data.rows(z)
-    if (needs_rise & needs_fall).any():
-        return False  # an equation
-    step = FreeSystem(problem.matrix, at.is_active).solve(4.0 * sign * at.rounding - at.w)
-    if step is None:
+def has_solution_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether the linear system of the active rows has a solution near z, with violations at rounding level."""
+    data = row_data(problem)
+    at = data.rows(z)
+    step = FreeSystem(problem.matrix, at.is_active).solve(-at.w)
+    if step is None or not np.abs(step).max() <= NEAR * np.abs(z).max():
         return False
-    after = data.rows(np.clip(z + step, problem.lower, problem.upper))
-    return bool(((sign == 0.0) | (sign * after.w >= after.rounding)).all())
+    x = np.clip(z + step, problem.lower, problem.upper)
+    after = data.rows(x)
+    return bool((after.violation <= np.maximum(4.0 * after.rounding, data.underflow(x))).all())
 
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:

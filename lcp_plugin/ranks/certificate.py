@@ -66,6 +66,8 @@ class CertificateOnRanks:
         The largest ‖r_P(z)‖∞ / ref_P of the components P.
     term_residual : float
         The least tolerance at which every row passes the componentwise test.
+    is_solved : bool
+        Whether the point is SOLVED at the tolerances of the run.
     """
 
     z: FloatVector = field(repr=False)
@@ -74,11 +76,7 @@ class CertificateOnRanks:
     relative_residual: float
     term_residual: float
     is_at_rounding_level: bool
-
-    def is_solved(self, tolerance: float, absolute: float = 0.0) -> bool:
-        """Return whether the point is SOLVED at a tolerance."""
-        is_small = self.relative_residual <= tolerance or self.scaled_residual <= absolute
-        return is_small and self.term_residual <= tolerance
+    is_solved: bool
 
 
 class ProductOnRanks:
@@ -118,7 +116,7 @@ class RowDataOnRanks(RowData):
         """Return all small rows of a component with one in `is_led`: a chain over ranks is not followed."""
         return is_small & (self.largest(is_led.astype(np.float64)) > 0.0)
 
-    def is_infeasible(self, k: Any, z: FloatVector, rows: Any) -> bool:
+    def is_wrong(self, *_: Any) -> bool:
         """Return False, because no rank has all rows."""
         return False
 
@@ -142,9 +140,11 @@ class RowDataOnRanks(RowData):
 
 
 @np.errstate(all="ignore")
-def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
+def measured(
+    data: RowDataOnRanks, z: FloatVector, tolerance: float, absolute: float
+) -> CertificateOnRanks:
     """Return the certificate of a point by the criterion of a single process."""
-    found, halo = data.measure(z, 0.0), data.problem.halo
+    found, halo = data.measure(z, tolerance, absolute=absolute), data.problem.halo
     at = found.rows
     floor = 4.0 * data.rounding_floor(at.terms)
     return CertificateOnRanks(
@@ -154,6 +154,7 @@ def measured(data: RowDataOnRanks, z: FloatVector) -> CertificateOnRanks:
         found.residual,
         found.terms,
         halo.everywhere(np.abs(data.residual(found.z, at.w)) <= floor),
+        bool(found.passes),
     )
 
 

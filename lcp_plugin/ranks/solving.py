@@ -234,13 +234,13 @@ class RunOnRanks(Run):
         is_due = progress.iteration >= self.next_check or progress.end is not None
         if not (is_due or progress.is_watched):
             return None
-        found = measured(self.data, step.z)
+        found = measured(self.data, step.z, settings.tolerance, settings.absolute_tolerance)
         is_sweep = stage.algorithm.name != "multigrid"
         self.next_check = math.ceil(progress.iteration * GROWTH) + is_sweep
         return Measured(
             found,
             found.relative_residual,
-            found.is_solved(settings.tolerance, settings.absolute_tolerance),
+            found.is_solved,
             found.is_at_rounding_level,
         )
 

@@ -113,8 +113,8 @@ def rank_points(case: Case) -> Points:
     from lcp_plugin.ranks.problem import RowsOnRanks
 
     data = RowDataOnRanks(RowsOnRanks.from_problem(LCP(case.M, case.q, lower=case.lower)))
-    certificate = measured(data, case.wrong)
-    yield certificate.z, certificate.is_solved(1e-8)
+    certificate = measured(data, case.wrong, 1e-8, 0.0)
+    yield certificate.z, certificate.is_solved
 
 
 CLASSES: dict[str, Callable[[Case], Points]] = {
@@ -134,6 +134,7 @@ WITHOUT_PROOF = ("ranks", "nonlinear, weighted rows")
 AT_ROUNDING_LEVEL = (
     "a contradiction at the rounding level",
     "a contradiction below the rounding level",
+    "signs that are right, without complementarity",
 )
 
 

@@ -23,6 +23,7 @@ from scipy.sparse import csgraph
 from lcp_plugin import (
     LCP,
     Certificate,
+    ConeProblem,
     FrictionalContact,
     NonlinearProblem,
     Status,
@@ -36,7 +37,6 @@ from lcp_plugin.core.certificates.criterion import snap_to_bounds
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.tuning import SEARCHED_UP_TO
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
@@ -288,11 +288,37 @@ def test_a_component_without_solution_is_refuted_after_a_call_on_another_compone
 @pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])
 def test_every_component_without_solution_is_refuted_whatever_their_number(as_stored: Any) -> None:
     """The limit of rows for a proof before SOLVED holds for each component, not for all of them."""
-    count = SEARCHED_UP_TO // 3 + 1
+    count = 101
     M, q = as_stored(np.kron(np.eye(count), CONTRADICTORY)), [-1, 0, -LARGE] * count
     start = [LARGE, LARGE, 0] * count
     assert not solve(LCP(M, q), z0=start).is_solved
     assert not any(one.is_solved for one in solve_batch(LCP(M, q), [q, q], z0=[start, start]))
+
+
+@pytest.mark.parametrize("further", [0, 30])
+def test_rows_at_rounding_level_with_finite_bounds_are_not_solved(further: int) -> None:
+    """A point that passes only by the rounding level of a row is not SOLVED, unless a solution is near it."""
+    n = 3 + further
+    M, q = 4.0 * np.eye(n), np.ones(n)
+    M[:3, :3], q[:3] = CONTRADICTORY, [-1.0, 0.0, -(2.0**44)]
+    M[range(2, n - 1), range(3, n)] = 2.0**-70  # one component
+    result = solve(LCP(M, q, upper=2.0**50))
+    right = np.r_[2.0**50, 2.0**50, np.zeros(n - 2)]
+    assert not result.is_solved or np.allclose(result.z, right, rtol=1e-4)
+
+
+def test_an_absolute_tolerance_does_not_end_the_tests_of_gap_and_proof() -> None:
+    """A point that the duality gap or a proof rejects is not SOLVED with a tiny absolute tolerance."""
+    problem = LCP.from_qp(None, [1 + 2.0**-30, -1], A=[[1.0, -1.0]], b=[1.0], lower=0.0)
+    start = [1 + 2.0**20, 2.0**20, -1.0]
+    result = solve(problem, "lemke", z0=start, absolute_tolerance=1e-300)
+    assert not result.is_solved or problem.origin.recover(result).is_optimal()
+    for one in (
+        LCP(CONTRADICTORY, [-1, 0, -LARGE]),
+        ConeProblem(CONTRADICTORY, [-1, 0, -LARGE], [("box", np.zeros(3), np.inf)]),
+    ):
+        start = [LARGE, LARGE, 0.0]
+        assert not solve(one, z0=start, absolute_tolerance=1e-300).is_solved
 
 
 def test_infeasible_is_infeasible_whatever_stands_beside() -> None:

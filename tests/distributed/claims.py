@@ -130,9 +130,21 @@ def a_small_component_counts_by_itself() -> None:
     )
     rows = RowsOnRanks.from_problem(LCP(M, np.r_[-1e9 * np.ones(40), -1e-3, -1e-3]))
     z = np.r_[1e6 * np.ones(40), 0.0, 0.0][rows.halo.first : rows.halo.last]
-    certificate = measured(RowDataOnRanks(rows), z)
-    assert not certificate.is_solved(1e-8)
+    certificate = measured(RowDataOnRanks(rows), z, 1e-8, 0.0)
+    assert not certificate.is_solved
     assert rows.solve(z0=z).is_solved
+
+
+@claim
+def an_absolute_tolerance_counts_by_components() -> None:
+    """One component is within the tolerance, another within the absolute tolerance: SOLVED, as in one process."""
+    rows = RowsOnRanks.from_problem(
+        LCP(sp.eye_array(40, format="csr"), np.r_[-1e6, -1e-12 * np.ones(39)])
+    )
+    z = np.r_[1e6 - 1e-3, np.zeros(39)][rows.halo.first : rows.halo.last]
+    data = RowDataOnRanks(rows)
+    assert measured(data, z, 1e-8, 1e-9).is_solved
+    assert not measured(data, z, 1e-8, 0.0).is_solved
 
 
 @claim
@@ -146,14 +158,14 @@ def a_small_row_next_to_a_large_one_counts() -> None:
         own = slice(rows.halo.first, rows.halo.last)
         for z2, is_right in ((2.0, True), (10.0, False)):
             z = np.array([large - z2, z2, 1.0])[own]
-            assert measured(data, z).is_solved(1e-8) == is_right
+            assert measured(data, z, 1e-8, 0.0).is_solved == is_right
 
 
 @claim
 def a_point_that_is_no_number_is_not_solved() -> None:
     rows = RowsOnRanks.from_problem(mixed())
     z = np.where(np.arange(rows.own) == 0, np.nan, rows.nearest_to_zero)
-    assert not measured(RowDataOnRanks(rows), z).is_solved(0.5)
+    assert not measured(RowDataOnRanks(rows), z, 0.5, 0.0).is_solved
 
 
 @claim

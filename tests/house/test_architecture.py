@@ -51,8 +51,8 @@ LEADS_ON = {  # imports inside a function from a layer above: importing file, ta
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
     "core.certificates.criterion": (
-        {"proofs"},
-        "a row that passes only by its rounding level: is the problem proved infeasible?",
+        {"proofs", "search"},
+        "a row that passes only by its rounding level: is a solution near?",
     ),
     "core.solving.result": (
         {"proofs"},

@@ -138,6 +138,12 @@ TABLE: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or N
         [0, 0, 0, 2 / 3],
         [2.0**-41 / 9, 0, 1 / 9, 2 / 3],
     ),
+    "signs that are right, without complementarity": (
+        [[1, -1, 0, 0], [-1, 1, 0, 1], [1, 1, 0, 0], [0, 0, 0, 0]],
+        [-1, 0, -(2.0**42), 1],
+        [2.0**41, 2.0**41, 0, 0],
+        None,
+    ),
     "excused at 1e-8": ([[2e-6, 1], [-1, 1e-11]], [-1, -2e-11], [2e-12, 1], [0, 2]),
 }
 

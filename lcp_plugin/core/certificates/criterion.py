@@ -23,8 +23,9 @@ rounding errors included, and if every row i satisfies the componentwise test
 - A tolerated row with v_i > 2⁻⁴² T_i must also be harmless. Its error e = D⁻¹(v + |M − D| e), D = m_ii if positive,
   otherwise d_i, is carried through the tolerated rows, and through each row k with Σ_i |m_ki| e_i > 10⁻⁶ T_k. It must
   stay within 10⁻⁸ ‖z_P‖∞, in any units of the rows.
-- A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then a proof that no z has
-  permitted signs of w is searched for first, in components of up to 300 rows; with a proof, z does not pass.
+- A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then z passes only if it is
+  near the solution of the linear system of its active rows, which is not singular, or near one that a search finds.
+- Rows with |r_i| ≤ absolute tolerance are not compared with their terms.
 - The conditions of a program with rows G or A (``LCP.from_qp``) also need a small duality gap: rows that are right to 8
   digits do not determine the objective if z is large.
 
@@ -47,7 +48,6 @@ from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL
 from ..lcp import LCP
 from ..matrix import BLOCK, IntVector, Matrix, connected_components, fact, largest_products
 from ..rounding import compensated_product
-from ..tuning import SEARCHED_UP_TO
 from .measured import Measured
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
@@ -124,7 +124,10 @@ class RowData:
         self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
         self.scale, self.labels = scale, labels
         self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
-        # By number of the problem and rows of the components, or by point and tolerance.
+        self._latest: tuple[float, bytes, bool] | None = (
+            None  # whether the origin rejects that point
+        )
+        # By number of the problem, rows and point of the component.
         self._refuted: dict[tuple[Any, ...], bool] = {}
         # Number of entries of each row, at most.
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
@@ -145,14 +148,16 @@ class RowData:
         """Return the largest of the values ≥ 0 of each problem; a NaN stays."""
         return values.max(-1, initial=0.0)
 
-    def measure(self, z: FloatVector, tolerance: float, power: float = POWER) -> Measured:
+    def measure(
+        self, z: FloatVector, tolerance: float, power: float = POWER, absolute: float = 0.0
+    ) -> Measured:
         """Move z to near bounds, and measure the moved point: the stopping criterion.
 
         Parameters
         ----------
         z : array, shape (…, n)
             Within the bounds.
-        tolerance : float
+        tolerance, absolute : float
         power : float
             Exponent of the tolerance next to T_i.
 
@@ -168,17 +173,27 @@ class RowData:
         at = self.rows(moved, None if self.anywhere(moved != z) else w)
         limit = np.minimum(reference, self.active_reference(at))
         high = self.bound_residuals(moved, at, limit)
-        relative = self.worst(np.where(high == 0.0, 0.0, high / limit))
-        terms = self.worst(self.term_residuals(moved, at, power))
-        passes = self.are_solved(moved, at, relative, terms, tolerance)
-        return Measured(moved, relative, passes, terms=terms, rows=at)
+        relative = np.where(high == 0.0, 0.0, high / limit)
+        terms = self.term_residuals(moved, at, power)
+        found = Measured(moved, self.worst(relative), False, terms=self.worst(terms), rows=at)
+        is_open = ~(high <= absolute)
+        if absolute:
+            relative, terms = (np.where(is_open, one, 0.0) for one in (relative, terms))
+        worst = (self.worst(relative), self.worst(terms)) if absolute else (found[1], found.terms)
+        return found._replace(passes=self.are_solved(moved, at, *worst, tolerance, is_open))
 
     def are_solved(
-        self, z: FloatVector, at: RowsAtPoint, relative: Any, terms: Any, tolerance: float
+        self,
+        z: FloatVector,
+        at: RowsAtPoint,
+        relative: Any,
+        terms: Any,
+        tolerance: float,
+        is_open: Any = True,
     ) -> Any:
         """Return whether points with these relative residuals are SOLVED at a tolerance."""
         passes = (relative <= tolerance) & (terms <= tolerance)
-        return passes & ~self.are_refuted(z, at, tolerance, passes)
+        return passes & ~self.are_refuted(z, at, tolerance, passes, is_open)
 
     def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
         """Return an upper bound of every |r_i(z)|, which is compared with `limit`."""
@@ -274,17 +289,19 @@ class RowData:
         is_open = ~(violation <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
         if not self.anywhere(is_open):
             return np.zeros(z.shape)
-        is_open &= ~(self._is_excused(z, at) | (violation <= self._underflow(z)))
+        is_open &= ~(self._is_excused(z, at) | (violation <= self.underflow(z)))
         demand = self.demand
         least = (violation / at.terms) ** (1.0 / power)
         of_demand = np.where(demand > 0.0, (violation / demand) ** (1.0 / DEMAND_POWER), 0.0)
         least = np.where(is_open, np.maximum(least, of_demand), 0.0)
         return np.where(np.isfinite(least), least, np.inf)
 
-    def are_refuted(self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any) -> Any:
-        """Return a mask of the problems that pass only by the rounding level of a row, but have no solution.
+    def are_refuted(
+        self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any, is_open: Any = True
+    ) -> Any:
+        """Return a mask of the problems that pass only by the rounding level of a row, but not near a solution.
 
-        It is also True if the problem's origin rejects z.
+        It is also True if the problem's origin rejects z. Rows count where `is_open`: not within an absolute tolerance.
         """
         if not np.count_nonzero(passes):
             return np.False_
@@ -294,16 +311,16 @@ class RowData:
         if not self.anywhere(is_doubtful | (self.start != 0.0)):
             return np.False_
         demand = self.demand
-        is_doubtful = (at.violation > tolerance**DEMAND_POWER * demand) & (demand > 0.0)
+        is_doubtful = (at.violation > tolerance**DEMAND_POWER * demand) & (demand > 0.0) & is_open
         if not self.anywhere(is_doubtful):
             return np.False_
         found = np.array(passes & is_doubtful.any(-1))
         for k in map(tuple, np.argwhere(found).tolist()):
-            rows = self._small_components(k, is_doubtful[k])
-            key: tuple[Any, ...] = (*k, rows.tobytes())
-            if key not in self._refuted:
-                self._refuted[key] = bool(rows.size) and self.is_infeasible(k, z[k], rows)
-            found[k] = self._refuted[key]
+            labels: Any = np.zeros(z.shape[-1], int)
+            if self.labels is not None:
+                labels = np.broadcast_to(self.labels, self.q.shape)[k]
+            parts = (np.flatnonzero(labels == one) for one in np.unique(labels[is_doubtful[k]]))
+            found[k] = any(self.is_wrong(k, z[k], rows) for rows in parts)
         return found
 
     def is_rejected(self, z: FloatVector, tolerance: float) -> bool:
@@ -311,29 +328,26 @@ class RowData:
         rejects = getattr(self.origin, "rejects", None)
         if rejects is None:
             return False
-        key = (z.tobytes(), tolerance)
-        if key not in self._refuted:
-            self._refuted[key] = rejects(z, tolerance)
-        return self._refuted[key]
+        if self._latest is None or self._latest[:2] != (tolerance, z.tobytes()):
+            self._latest = tolerance, z.tobytes(), bool(rejects(z, tolerance))
+        return self._latest[2]
 
-    def _small_components(self, k: tuple[int, ...], mask: BoolVector) -> IntVector:
-        """Return the rows of components of problem k in which the mask is True somewhere, each of up to 300 rows."""
-        if self.labels is None:
-            return np.arange(mask.size if mask.size <= SEARCHED_UP_TO else 0)
-        labels = np.broadcast_to(self.labels, self.q.shape)[k]
-        is_small = np.bincount(labels)[labels] <= SEARCHED_UP_TO
-        return np.flatnonzero(np.isin(labels, labels[mask]) & is_small)
-
-    def is_infeasible(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
-        """Return whether a proof from these rows excludes every solution of problem k, of which z is a candidate."""
-        from ...proofs.no_solution import is_proved_infeasible
+    def is_wrong(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
+        """Return whether neither a linear solve nor a search finds a solution near z in these rows of problem k."""
+        from ...methods.search import is_near_solution
+        from ...proofs.no_solution import has_solution_near
 
         whole = self.q.shape
         M = self.M[min(*k, len(self.M) - 1)] if self.M.ndim > 2 else self.M
         q, lower, upper = (
             np.broadcast_to(one, whole)[k][rows] for one in (self.q, self.lower, self.upper)
         )
-        return is_proved_infeasible(LCP(M[rows][:, rows], q, lower=lower, upper=upper), z[rows])
+        part = LCP(M[rows][:, rows], q, lower=lower, upper=upper)
+        key = (*k, rows.tobytes(), z[rows].tobytes())
+        if key not in self._refuted:
+            is_near = has_solution_near(part, z[rows])
+            self._refuted[key] = not (is_near or is_near_solution(part, z[rows]))
+        return self._refuted[key]
 
     def _is_excused(self, z: FloatVector, at: RowsAtPoint) -> Any:
         """Return the rows with q_i = 0 that are at the rounding level of their component, bool."""
@@ -414,7 +428,7 @@ class RowData:
         rounding = (self._counts + 2) * (EPSILON * terms + TINY)
         return rounding / (self.scale if scale is None else scale)
 
-    def _underflow(self, z: FloatVector) -> Any:
+    def underflow(self, z: FloatVector) -> Any:
         """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""
         grid = np.where((z != 0.0) & (np.abs(z) < NORMAL), TINY, 0.0)
         if not self.anywhere(grid > 0.0):

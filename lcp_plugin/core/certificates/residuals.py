@@ -166,14 +166,13 @@ class Certificate:
         goal, least = settings.goal, settings.least_reference
         if not self.relative_above(least, solved, goal) <= goal:
             return False
-        of_rows = self.term_residuals ** (POWER / power)
-        if least:  # rows within the absolute tolerance
-            of_rows = np.where(self.residual_ends[1] > goal * least, of_rows, 0.0)
+        is_open = self.residual_ends[1] > goal * least  # else within the absolute tolerance
+        of_rows = np.where(is_open | (not least), self.term_residuals ** (POWER / power), 0.0)
         if not of_rows.max(initial=0.0) <= goal:
             return False
         with np.errstate(all="ignore"):
             data = row_data(self.problem)
-            return bool(least or not data.are_refuted(self.z, self._rows, goal, np.True_))
+            return not data.are_refuted(self.z, self._rows, goal, np.True_, is_open)
 
     def relative_above(
         self, least: float, solved: BoolVector | None = None, goal: float = np.inf

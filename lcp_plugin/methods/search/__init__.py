@@ -35,12 +35,14 @@ __all__ = [
     "Solutions",
     "all_solutions",
     "explore",
+    "is_near_solution",
     "is_searchable",
     "search",
 ]
 
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
+NEAR = 1e-4  # of the largest unknown: a point so near to a solution is one up to rounding
 DEFAULT_NODES = 200_000
 SHOWN = 6  # vertices of a face in a printed solution
 
@@ -289,6 +291,25 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
                 f"exact_{name}, or rescale the problem"
             ) from None
     return rounded
+
+
+def is_near_solution(problem: LCP, z: FloatVector) -> bool | None:
+    """Return whether a solution is near z, shape (n,), to 1e-4 of the largest unknown.
+
+    None if the problem is too large, if a search of 500 pieces does not decide it, or if solutions are not isolated.
+    """
+    if not is_searchable(problem):
+        return None
+    outcome = search(problem, first_only=False, max_nodes=500, most=50)
+    if isinstance(outcome, NoSolution):
+        return False
+    if isinstance(outcome, SearchLimitReached):
+        return None
+    distances = [float(np.abs(one.z - z).max()) for one in outcome.solutions]
+    if min(distances) <= NEAR * np.abs(z).max():
+        return True
+    is_known = len(distances) < 50 and all(one.is_isolated for one in outcome.solutions)
+    return False if is_known else None
 
 
 def is_searchable(problem: LCP) -> bool:

@@ -118,10 +118,10 @@ class ConeRows(RowData):
         found: FloatVector = self.largest(demand) if self.stack.has_friction else self._norm(demand)
         return found
 
-    def is_infeasible(self, k: Any, z: FloatVector, rows: Any) -> bool:
-        """Return whether a proof excludes every solution of problem k, if it is an LCP: rows between bounds only."""
+    def is_wrong(self, *component: Any) -> bool:
+        """Return whether z is not near a solution of problem k, if it is an LCP: rows between bounds only."""
         is_lcp = not (self.has_cones or self.stack.has_friction)
-        return is_lcp and super().is_infeasible(k, z, rows)
+        return is_lcp and super().is_wrong(*component)
 
     def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
         """Return the values of all laws at z, with its slack w if that is known."""
@@ -267,8 +267,9 @@ class Measures:
         self._has_reference = reference > 0.0
         self.residual = np.atleast_1d(relative.max(-1, initial=0.0))
         passes = (do_pass & np.isfinite(at.w)).all(-1)
-        if not absolute and np.any(passes):
-            passes &= ~rows.are_refuted(x, at, tolerance, passes)
+        if np.any(passes):
+            is_open = ~(ends[1] <= absolute)
+            passes &= ~rows.are_refuted(x, at, tolerance, passes, is_open)
         self.passes = np.atleast_1d(passes)
 
     def of_blocks(self, name: str) -> Array:

@@ -98,7 +98,9 @@ def plan(
     if begin is None:
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
-            yield Stage(Rounds(), GUESSED)
+            from .methods.search import has_few_active_sets
+
+            yield Stage(Rounds(restarts=not has_few_active_sets(problem)), GUESSED)
             yield from direct()
             return
         if is_program or is_game(problem):

@@ -18,6 +18,8 @@ methods. If the diagonal is negative throughout, newton is omitted for n > 5000.
 counts of its columns, newton and interior_point are omitted, except for programs. A row that is inconsistent with its
 bounds puts `feasibility` first (n ≤ 5000). lemke takes n ≤ 6000; beyond, psor comes at the end. `search` enumerates
 the active sets in exact arithmetic (n ≤ 60, at most 24 rows that leave a choice), up to a counted number of operations.
+If M + Mᵀ is not PSD and at most 4096 active sets exist (n ≤ 24), `search` comes first: it closes most of them by a few
+tableaus.
 """
 
 from __future__ import annotations
@@ -46,6 +48,7 @@ from .lemke import Lemke, has_components_that_fit
 from .lemke.pivoting_path import is_game
 from .newton import Newton
 
+SEARCHED = "few enough unknowns to try every choice of bounds to the end"
 AGAIN = "the other methods found no solution"
 GAME_PIVOTS = (
     20.0  # times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
@@ -66,8 +69,16 @@ def direct_methods(
         If False, no method looks for proofs.
     """
     from ..proofs.verdicts import analyze
-    from .search import ExhaustiveSearch, FeasibilityCheck, is_searchable
+    from .search import (
+        ExhaustiveSearch,
+        FeasibilityCheck,
+        has_few_active_sets,
+        is_searchable,
+    )
 
+    is_searched = has_few_active_sets(problem) and not _seems_monotone(problem)
+    if is_searched:
+        yield Stage(ExhaustiveSearch(), SEARCHED)
     check = Stage(FeasibilityCheck(), "is there a solution at all?")
     # For a convex program, a path from r > 0 ends in a solution if there is one: other starts do not help.
     restarts = 0 if getattr(problem.origin, "is_of_convex_program", False) else None
@@ -104,9 +115,8 @@ def direct_methods(
     for stage in (newton, lemke):
         if _is_unfinished(stage) and (stage is newton or stage not in fit[-1:]):
             yield Stage(stage.algorithm, AGAIN)
-    if is_searchable(problem):
-        search = ExhaustiveSearch(prove_infeasibility=prove_infeasibility)
-        yield Stage(search, "few enough unknowns to try every choice of bounds to the end")
+    if is_searchable(problem) and not is_searched:
+        yield Stage(ExhaustiveSearch(), SEARCHED)
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Stage(last_resort(problem), "the direct methods failed: sweeps to the end")
 

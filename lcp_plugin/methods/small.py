@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
@@ -45,7 +46,15 @@ LOW, FREE, HIGH = 0, 1, 2  # side of z_i: at its lower bound, between the bounds
 
 @dataclass(frozen=True, kw_only=True)
 class Rounds(Algorithm):
-    """Active-set iterations, then Lemke's paths, on a small dense problem."""
+    """Active-set iterations, then Lemke's paths, on a small dense problem.
+
+    Parameters
+    ----------
+    restarts : bool
+        If False, only the first path is followed.
+    """
+
+    restarts: bool = True
 
     name: ClassVar[str] = "rounds"
     is_monotone: ClassVar[bool] = False
@@ -55,7 +64,7 @@ class Rounds(Algorithm):
         """Yield the start, the point at which the rounds end, and the ends of the paths."""
         yield Step(z0, work=0.0)
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
-        for label, z, entries in candidates(data, z0):
+        for label, z, entries in candidates(data, z0, restarts=self.restarts):
             if np.isfinite(z).all():
                 found = measure(data, z, 0.0)
                 yield Step(found.z, work=entries / unit, label=label, measured=found)
@@ -382,7 +391,9 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 }
 
 
-def candidates(data: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
+def candidates(
+    data: RowData, z0: FloatVector, *, restarts: bool = True
+) -> Iterator[tuple[str, FloatVector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     entries = float(z0.size**3)
     is_cold = z0 is data.start or bool((z0 == data.start).all())
@@ -395,7 +406,7 @@ def candidates(data: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVecto
     )
     if game is not None:
         yield "game", back(path(M, q, width, game=game)), 3.0 * entries
-    for name, covering in COVERINGS.items():
+    for name, covering in islice(COVERINGS.items(), None if restarts else 1):
         z = back(path(M, q, width, covering(q)) if q.size else q)
         yield name, np.clip(z, data.lower, data.upper), 3.0 * entries
         if np.isfinite(z).all():

@@ -242,7 +242,7 @@ class LCPRun(Run):
         """Return the status from the certificate or a proof, or else from the reason for the end of the run."""
         if certificate.meets(self.settings):
             return Status.SOLVED
-        if end is TerminationReason.NO_SOLUTION:
+        if end is TerminationReason.NO_SOLUTION and self.proof is not None:
             return self.proof.status  # type: ignore[no-any-return]
         is_limited = certificate.is_limited_by_rounding and not self.test.is_rejected(certificate)
         if is_limited or self._is_within_rounding_of_data(certificate.z):

@@ -214,7 +214,8 @@ class Run:
         if not proof.verify():
             return None
         excludes = proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance)
-        if excludes or self.proof is None or proof.margin > self.proof.margin:
+        is_best = excludes or self.proof is None or proof.margin > self.proof.margin
+        if is_best and self.settings.prove_infeasibility:
             self.proof = proof
         return TerminationReason.NO_SOLUTION if excludes else None
 
@@ -222,7 +223,7 @@ class Run:
         """Return the status of the best point or of a proof, or else of the reason for the end of the run."""
         if self.best is not None and self.best.passes:
             return Status.SOLVED
-        if end is TerminationReason.NO_SOLUTION:
+        if end is TerminationReason.NO_SOLUTION and self.proof is not None:
             return self.proof.status  # type: ignore[no-any-return]
         if self.best is not None and self.best.is_limited:
             return Status.PRECISION_LIMIT

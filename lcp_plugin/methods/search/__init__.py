@@ -43,6 +43,7 @@ __all__ = [
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
 NEAR = 1e-4  # of the largest unknown: a point so near to a solution is one up to rounding
+FEW_ROWS, FEW_ACTIVE_SETS = 24, 4096  # the search takes milliseconds, at most a quarter of a second
 DEFAULT_NODES = 200_000
 SHOWN = 6  # vertices of a face in a printed solution
 
@@ -317,6 +318,13 @@ def is_searchable(problem: LCP) -> bool:
     return _choices(problem) <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE
 
 
+def has_few_active_sets(problem: LCP) -> bool:
+    """Return whether a search is likely to end before restarts of other methods: at most 4096 active sets, n ≤ 24."""
+    bounds = 1 + (problem.lower > -np.inf) + (problem.upper < np.inf)
+    count = np.prod(np.where(problem.lower < problem.upper, bounds, 1), dtype=np.float64)
+    return problem.n <= FEW_ROWS and bool(count <= FEW_ACTIVE_SETS)
+
+
 def _choices(problem: LCP) -> int:
     """Return the number of rows with more than one branch."""
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
@@ -357,14 +365,7 @@ class ExhaustiveSearch(Algorithm):
     """Branch and bound over z_i = bound, w_i = 0 in exact arithmetic (Cottle, Pang, Stone, §1.3).
 
     n ≤ 60, at most 24 rows that leave a choice. A step is at most 50 cases, each an exact linear program.
-
-    Parameters
-    ----------
-    prove_infeasibility : bool
-        If False, the method searches for a solution without a proof that none exists.
     """
-
-    prove_infeasibility: bool = True
 
     name: ClassVar[str] = "search"
     is_monotone: ClassVar[bool] = False
@@ -387,7 +388,7 @@ class ExhaustiveSearch(Algorithm):
                     step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
                 except UnsuitableProblem as error:
                     step.remark = f"an enumeration of all active sets found a solution, but {error}"
-            elif isinstance(outcome, NoSolution) and self.prove_infeasibility:
+            elif isinstance(outcome, NoSolution):
                 step.proof = outcome.infeasibility or outcome
             elif effort.cases >= 20_000 or effort.products >= MOST_PRODUCTS:
                 step.remark = (

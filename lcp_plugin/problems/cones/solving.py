@@ -325,7 +325,7 @@ class ConeRun(Run):
             if self._is_excluded():
                 return
         if stack.m == 1 and is_searchable(problem.rows):
-            search = ExhaustiveSearch(prove_infeasibility=self.settings.prove_infeasibility)
+            search = ExhaustiveSearch()
             points = search.iterates(problem.rows, problem.nearest_to_zero)
             yield self.stage(search, "without cones it is an LCP: every choice of bounds", points)
             return

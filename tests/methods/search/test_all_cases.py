@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -100,6 +101,51 @@ def test_a_contradiction_within_the_tolerance_ends_nothing() -> None:
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
     assert solve(problem, prove_infeasibility=False).status is Status.STALLED
     assert solve(problem, prove_infeasibility=False, tolerance=1e-5).is_solved
+
+
+def has_solution(M: Any, q: Any, upper: Any = None) -> bool:
+    """Return whether a linear system of one of the active sets solves the problem, in floating point."""
+    n = q.size
+    upper = np.full(n, np.inf) if upper is None else upper
+    for sides in itertools.product(*([0, 1] + [2] * bool(u < np.inf) for u in upper)):
+        side = np.array(sides)
+        z, free = np.where(side == 2, upper, 0.0), np.flatnonzero(side == 1)
+        z[free] = np.linalg.solve(M[np.ix_(free, free)], -(M @ z + q)[free])
+        w = M @ z + q
+        step = np.maximum(np.minimum(w, z), z - upper)
+        if np.abs(step).max() <= 1e-9 * (1.0 + np.abs(z).max()):
+            return True
+    return False
+
+
+@pytest.mark.parametrize(("n", "is_boxed"), [(8, False), (4, True)])
+@pytest.mark.parametrize("prove_infeasibility", [True, False])
+def test_few_active_sets_are_searched_before_other_methods(
+    n: int, is_boxed: bool, prove_infeasibility: bool, draws: Callable[..., range]
+) -> None:
+    """The status agrees with an enumeration of all linear systems, and only rounds and the search run."""
+    for seed in draws(60, 15):
+        rng = np.random.default_rng([98, seed, n])
+        M, q = rng.standard_normal((n, n)), rng.standard_normal(n)
+        upper = rng.uniform(0.1, 2.0, n) if is_boxed else None
+        problem = LCP(M, q) if upper is None else LCP(M, q, upper=upper)
+        result = solve(problem, prove_infeasibility=prove_infeasibility)
+        assert {stage.name for stage in result.stages} <= {"rounds", "path", "search"}
+        if has_solution(M, q, upper):
+            assert result.is_solved
+        else:
+            assert result.status in (PROVEN if prove_infeasibility else {Status.STALLED})
+            assert (result.infeasibility is None) is not prove_infeasibility
+
+
+def test_an_inconsistency_within_the_tolerance_does_not_end_a_run_after_the_search() -> None:
+    """Exact data without a solution, M not monotone: SOLVED at the tolerance that a point satisfies."""
+    M = np.zeros((4, 4))
+    M[:2, :2], M[2:, 2:] = [[1.0, -1.0], [-1.0, 1.0]], [[-1.0, 2.0], [2.0, -1.0]]
+    problem = LCP(M, [-1.0, 1.0 - 1e-6, 1.0, 1.0])
+    for prove_infeasibility in (True, False):
+        assert not solve(problem, prove_infeasibility=prove_infeasibility).is_solved
+        assert solve(problem, prove_infeasibility=prove_infeasibility, tolerance=1e-5).is_solved
 
 
 def test_prove_infeasibility_is_true_or_false() -> None:

@@ -287,17 +287,21 @@ def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[
     >>> mismatch(M, M.diagonal(), ROUNDED)
     (1e-20, None)
     """
+    root = np.sqrt(size)
     if isinstance(M, np.ndarray):
-        is_mirror = np.array_equal(M, M.T)
-    else:  # a faster test than the difference
-        rows, columns = M.tocsr(), M.tocsc()
-        parts = ("indptr", "indices", "data")
-        is_mirror = all(
-            np.array_equal(getattr(rows, part), getattr(columns, part)) for part in parts
-        )
-    if is_mirror:
+        if np.array_equal(M, M.T):
+            return 0.0, None
+        distance = np.abs(M - M.T)
+        excess = distance - tolerance * np.outer(root, root)
+        worst = np.unravel_index(excess.argmax(), M.shape)
+        return float(distance.max()), (int(worst[0]), int(worst[1])) if excess[
+            worst
+        ] > 0.0 else None
+    rows, columns = M.tocsr(), M.tocsc()  # a faster test than the difference
+    parts = ("indptr", "indices", "data")
+    if all(np.array_equal(getattr(rows, part), getattr(columns, part)) for part in parts):
         return 0.0, None
-    difference, root = sp.coo_array(M - M.T), np.sqrt(size)
+    difference = sp.coo_array(M - M.T)
     if not difference.nnz:
         return 0.0, None
     i, j, distance = difference.row, difference.col, np.abs(difference.data)

@@ -78,11 +78,12 @@ class InteriorPoint(Algorithm):
                 min(operations, sizes_of_factor(problem.matrix)[1]),
                 SPARSE_OPERATIONS,
             )
+        seconds = 20 * operations / speed  # of PIQP's factorizations
+        require_seconds(seconds)
         program = MonotoneProgram.of(with_signed_equations(problem))
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
-            # PIQP makes about 20 factorizations.
-            require_seconds(20 * operations / speed)
+            require_seconds(seconds)
             z, steps = program.answer(PIQP(max_iter=STEPS, **options))
             if not np.isfinite(z).all():
                 return
@@ -269,6 +270,8 @@ def signs_of(matrix: Matrix) -> FloatVector | None:
 
     if is_nearly_symmetric(matrix):
         return np.ones(matrix.n)
+    if matrix.is_dense and not _may_have_signs(matrix.array):
+        return None
     M, n = matrix.csr, matrix.n
     mirrored = sp.csr_array(M.T)
     mirrored.sort_indices()
@@ -295,3 +298,11 @@ def signs_of(matrix: Matrix) -> FloatVector | None:
     if (part[:n] == part[n:]).any() or (one & other).any():
         return None
     return np.where(one | (~other & (part[:n] <= part[n:])), 1.0, -1.0)
+
+
+def _may_have_signs(M: FloatVector) -> bool:
+    """Return False if two entries of a dense M have no common signs, or two rows with positive signs are opposite."""
+    size = SAME * np.abs(M)
+    is_same, is_opposite = np.abs(M - M.T) <= size, np.abs(M + M.T) <= size
+    is_positive = (is_same & (M != 0.0)).any(axis=1)  # entries between negative signs are 0
+    return bool((is_same | (is_opposite & ~np.logical_and.outer(is_positive, is_positive))).all())

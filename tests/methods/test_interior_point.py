@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -12,8 +13,9 @@ from oracles.exact_criterion import failures
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, solve
+from lcp_plugin.core.matrix import Matrix
 from lcp_plugin.core.settings import Status
-from lcp_plugin.methods.interior_point import InteriorPoint
+from lcp_plugin.methods.interior_point import InteriorPoint, MonotoneProgram, signs_of
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 
 
@@ -204,3 +206,45 @@ def test_the_sign_of_an_equation_does_not_matter(algorithm: str) -> None:
         found.append(solve(problem, algorithm).require_solved().z)
     assert a @ found[0][:n] == pytest.approx(1.0)
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+def test_no_program_is_built_if_its_factorizations_do_not_fit_into_the_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """20 factorizations of 1 500 rows take more than .2 s: the run ends with MAX_SECONDS before the program exists."""
+    rng, n = np.random.default_rng(98), 1500
+    A = rng.standard_normal((n, n))
+    problem = LCP(A - A.T + 1e-3 * np.eye(n), rng.standard_normal(n))
+    monkeypatch.setattr(MonotoneProgram, "of", None)  # a call would raise
+    assert solve(problem, "interior_point", max_seconds=0.2).status is Status.MAX_SECONDS
+
+
+def test_a_dense_matrix_without_signs_is_not_copied_into_a_sparse_one() -> None:
+    """Nonsymmetric, and skew with a positive diagonal: no signs, from the dense entries alone."""
+    A = np.random.default_rng(98).standard_normal((300, 300))
+    for M in (A, A - A.T + 1e-3 * np.eye(300)):
+        matrix = Matrix(M)
+        assert matrix.is_dense
+        assert signs_of(matrix) is None
+        assert "csr" not in vars(matrix)
+
+
+def test_signs_of_dense_and_sparse_matrices_agree(draws: Callable[..., range]) -> None:
+    """Symmetric matrices with rows of random signs, some entries replaced: the same signs or none in both storages."""
+    found = set()
+    for seed in draws(240, 4):
+        rng = np.random.default_rng([98, seed])
+        n = int(rng.integers(2, 8))
+        A = rng.integers(-2, 3, (n, n)).astype(float)
+        A, signs = A + A.T, rng.choice([-1.0, 1.0], n)
+        A[np.ix_(signs < 0.0, signs < 0.0)] = 0.0
+        A *= signs[:, None]
+        if rng.random() < 0.5:
+            A[rng.integers(n), rng.integers(n)] += 1.0
+        dense = Matrix(A)
+        expected = signs_of(Matrix(sp.csr_array(A)))
+        assert (signs_of(dense) is None) is (expected is None)
+        found.add(expected is None)
+        if expected is not None:
+            np.testing.assert_array_equal(signs_of(dense), expected)
+    assert found == {True, False}

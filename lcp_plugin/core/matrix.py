@@ -293,10 +293,8 @@ def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[
             return 0.0, None
         distance = np.abs(M - M.T)
         excess = distance - tolerance * np.outer(root, root)
-        worst = np.unravel_index(excess.argmax(), M.shape)
-        return float(distance.max()), (int(worst[0]), int(worst[1])) if excess[
-            worst
-        ] > 0.0 else None
+        i, j = map(int, np.divmod(excess.argmax(), len(M)))
+        return float(distance.max()), (i, j) if excess[i, j] > 0.0 else None
     rows, columns = M.tocsr(), M.tocsc()  # a faster test than the difference
     parts = ("indptr", "indices", "data")
     if all(np.array_equal(getattr(rows, part), getattr(columns, part)) for part in parts):
@@ -304,10 +302,10 @@ def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[
     difference = sp.coo_array(M - M.T)
     if not difference.nnz:
         return 0.0, None
-    i, j, distance = difference.row, difference.col, np.abs(difference.data)
-    excess = distance - tolerance * root[i] * root[j]
-    worst = int(np.argmax(excess))
-    return float(distance.max()), (int(i[worst]), int(j[worst])) if excess[worst] > 0.0 else None
+    rows, columns, distance = difference.row, difference.col, np.abs(difference.data)
+    excess = distance - tolerance * root[rows] * root[columns]
+    k = excess.argmax()
+    return float(distance.max()), (int(rows[k]), int(columns[k])) if excess[k] > 0.0 else None
 
 
 @fact

@@ -220,7 +220,7 @@ def test_no_program_is_built_if_its_factorizations_do_not_fit_into_the_time(
 
 
 def test_a_dense_matrix_without_signs_is_not_copied_into_a_sparse_one() -> None:
-    """Nonsymmetric, and skew with a positive diagonal: no signs, from the dense entries alone."""
+    """Nonsymmetric, and skew with a positive diagonal: no signs, and only dense entries are read."""
     A = np.random.default_rng(98).standard_normal((300, 300))
     for M in (A, A - A.T + 1e-3 * np.eye(300)):
         matrix = Matrix(M)

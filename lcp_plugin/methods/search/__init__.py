@@ -24,7 +24,7 @@ from ...core.settings import whole_number
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...proofs.exact import exact_slack
 from ...proofs.no_solution import NoSolution, find_infeasibility
-from .explorer import Explorer, Face, Point, extreme_points
+from .explorer import Explorer, Face, Point, extreme_points, faces_around
 from .simplex import QUANTUM, Effort
 
 __all__ = [
@@ -105,6 +105,9 @@ class Solution:
         if self.is_isolated:
             return f"z = {_in_fractions(self.exact_z)}, isolated"
         some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
+        if not some:
+            place = f"on a face of dimension {self.dimension} that contains a line"
+            return f"z = {_in_fractions(self.exact_z)}, {place}"
         others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z][
             : SHOWN + 1
         ]
@@ -183,7 +186,12 @@ def explore(
     """
     _require_small(problem)
     explorer = Explorer(problem, effort, first_only=first_only)
+    known = 0
     for _ in explorer.run():
+        if most < math.inf and len(explorer.faces) > known:  # perhaps a part of larger faces
+            around = yield from faces_around(problem, explorer.faces[-1], effort)
+            explorer.faces[-1:] = _maximal(around)
+            known = len(explorer.faces)
         if len(explorer.faces) >= most and len(_maximal(explorer.faces)) >= most:
             break
         yield None
@@ -209,7 +217,7 @@ def all_solutions(
     problem : LCP
         At most 24 rows that leave a choice, n at most 60.
     limit : int, optional
-        Stop after this number of solutions; a listed face may then be a part of a larger one.
+        Stop after this number of solutions.
     max_nodes : int
         Limit of the number of complementarity pieces.
 
@@ -217,8 +225,8 @@ def all_solutions(
     -------
     list of Solution
         In lexicographic order of z. Empty if no solution exists; `search` returns the proof. A face is listed if no
-        larger face contains it, and z is one of its vertices. ``solution.vertices`` has all vertices, and faces may
-        share vertices.
+        larger face contains it, and z is one of its vertices, if it has any. ``solution.vertices`` has all, and
+        faces may share vertices.
 
     Raises
     ------

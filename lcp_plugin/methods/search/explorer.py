@@ -60,10 +60,10 @@ class Explorer:
     def run(self) -> Iterator[None]:
         """Visit the complementarity pieces until the search ends; yield after each piece, and within long pieces.
 
-        A face may have been added to `faces`.
+        A face may have been added to `faces`. Choices that were made before hold in all pieces.
         """
         yield from self.simplex.solve_equations()
-        stack = [(0, -1, "", self.tree)]
+        stack = [(len(self.path), -1, "", self.tree)]
         while stack:
             depth, row, choice, case = stack.pop()
             self._return_to(depth)
@@ -237,6 +237,17 @@ class Explorer:
             return False
         self.simplex.set_bounds(x, at, at)
         return True
+
+
+def faces_around(problem: LCP, face: Face, effort: Effort) -> Generator[None, None, list[Face]]:
+    """Return faces that contain a face, among them all maximal ones; yield as `run` does."""
+    explorer = Explorer(problem, effort, first_only=False)
+    yield from explorer.simplex.solve_equations()
+    for i, choice in enumerate(face.pattern):
+        if len(explorer.choices[i]) > 1 == len(face.tight[i]):
+            explorer.choose(i, choice)
+    yield from explorer.run()
+    return [other for other in explorer.faces if face.lies_in(other)]
 
 
 def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -262,3 +263,29 @@ def test_a_limit_of_solutions_ends_the_search() -> None:
     assert len(all_solutions(problem, limit=3, max_nodes=100)) == 3
     with pytest.raises(UnsuitableProblem):
         all_solutions(problem, max_nodes=100)
+
+
+def test_a_limited_search_reports_maximal_faces(draws: Callable[..., range]) -> None:
+    """With `limit`, a vertex of a ray is not isolated: every face is one of the search without a limit."""
+    (ray,) = all_solutions(LCP([[1, -1], [-1, 1]], [0, 0]), limit=1)
+    assert (ray.dimension, ray.is_isolated) == (1, False)
+    assert str(ray) == "z = (0, 0), a vertex of a face of dimension 1"
+    for seed in draws(240):
+        rng = np.random.default_rng([98, seed])
+        n = int(rng.integers(2, 5))
+        lower = np.where(rng.random(n) < 0.2, -np.inf, 0.0)
+        upper = np.where(rng.random(n) < 0.3, 1.0, np.inf)
+        M, q = rng.integers(-1, 2, (n, n)), rng.integers(-1, 2, n)
+        problem = LCP(M, q, lower=lower, upper=upper)
+        faces = {(one.dimension, one.exact_vertices) for one in all_solutions(problem)}
+        for limit in (1, 2, 3):
+            found = all_solutions(problem, limit=limit)
+            assert len(found) >= min(limit, len(faces))
+            assert {(one.dimension, one.exact_vertices) for one in found} <= faces
+
+
+def test_a_line_of_solutions_has_no_vertex() -> None:
+    """z₀ is any number and z₁ = 1: the face has no vertices, as its text states."""
+    (line,) = all_solutions(LCP([[0, 0], [0, 1]], [0, -1], lower=[-np.inf, 0]))
+    assert line.exact_vertices == ()
+    assert str(line) == "z = (0, 1), on a face of dimension 1 that contains a line"

@@ -22,7 +22,6 @@ start only needs to determine branches. If pairs are degenerate at the minimizer
 from __future__ import annotations
 
 import heapq
-import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -36,12 +35,10 @@ from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import Status, checked_tolerance
 from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
-from .relaxations import CONTRADICTED, ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
+from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
 
 MEETS = 1e-7  # relative to 1 + ‖x‖∞: distance up to which x belongs to a branch
 DESCENT = 1e-9  # of 1 + |f|
-NEAR = 1e-5  # relative to 1 + ‖x‖∞: pairs of another solver's point whose branch is in doubt
-MOST_DOUBTFUL = 6
 MOST_NEIGHBOURS = 50
 
 
@@ -98,22 +95,6 @@ class LocalSearch:
     def from_point(self, x: FloatVector, cases: Cases | None = None) -> None:
         """Descend from the branches nearest to x."""
         self.descend(self.problem.nearest(x, self.problem.all_cases if cases is None else cases), x)
-
-    def confirm(self, x: FloatVector, value: float) -> None:
-        """Descend from the branches at and near an external point, until the value is reached."""
-        self.from_point(x)
-        near = self.problem.distances(x) <= NEAR * (1.0 + float(np.abs(x).max(initial=0.0)))
-        chosen = self.problem.nearest(x, self.problem.all_cases)
-        doubtful = np.flatnonzero(near.sum(axis=0) > 1)[:MOST_DOUBTFUL]
-        choices = [
-            [case for case, is_near in zip(CASES, near[:, i], strict=True) if is_near]
-            for i in doubtful
-        ]
-        for cases in itertools.product(*choices):
-            if self.value <= value or is_over():
-                return
-            chosen[doubtful] = cases
-            self.descend(chosen.copy(), x)
 
     def _better_neighbour(self, piece: Node) -> Node | None:
         if piece.value == math.inf:
@@ -228,13 +209,13 @@ def minimize_over_solutions(
     start = None if x0 is None else vector_option(x0, "x0", problem.program.n)
     search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
     limit = math.inf if max_seconds is None else float(max_seconds)
-    if start is not None and limit < SECONDS_OF_START:  # the result is not worse than the start
-        with time_limit(SECONDS_OF_START):
+    if start is not None:  # the result is not worse than the start
+        with time_limit(max(limit, SECONDS_OF_START)):
             search.local.from_point(start)
     with time_limit(limit):
         log = _Log() if verbose else None
         watchers = [one for one in (log, callback) if one is not None]
-        return search.run(lambda: any([bool(one(search)) for one in watchers]), start, prove)
+        return search.run(lambda: any([bool(one(search)) for one in watchers]), prove)
 
 
 def _refuse_proof(problem: EquilibriumProgram) -> None:
@@ -296,23 +277,19 @@ class BranchAndBound:
         point = None if self.local.best is None else self.local.best.point
         return 0.0 if point is None else self.tolerance * self.problem.objective_size(point)
 
-    def run(
-        self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool
-    ) -> EquilibriumResult:
+    def run(self, ends: Callable[[], bool], prove: bool) -> EquilibriumResult:
         """Run the search until the gap is closed or a limit is reached, and return the result."""
         ended: Status | None = None
         try:
-            ended = self._run(ends, x0, prove)
+            ended = self._run(ends, prove)
         except KeyboardInterrupt:
             ended = Status.INTERRUPTED
         return self._result(ended)
 
-    def _run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> Status | None:
+    def _run(self, ends: Callable[[], bool], prove: bool) -> Status | None:
         from ...interfaces.scip import minimize_or_none
 
         engine, is_provable = minimize_or_none(), self.problem.is_provable
-        if x0 is not None:
-            self.local.from_point(x0)
         if is_provable:
             most = math.inf if engine is None else FIRST // max(1, self.problem.pairs)
             ended = self._search(ends, most)
@@ -356,11 +333,9 @@ class BranchAndBound:
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = ExternalBound(found.status, found.bound)
         if found.x is not None:
-            self.local.confirm(
-                found.x, found.value + self.tolerance * self.problem.objective_size(found.x)
-            )
-        if self.local.value < found.bound - self.allowed:
-            self.outside = ExternalBound(CONTRADICTED, -math.inf)
+            self.local.from_point(found.x)
+        if self.local.value < found.bound - self.allowed:  # a better point refutes the bound
+            self.outside = ExternalBound(found.status, -math.inf)
         return ENDS.get(found.status)
 
     def _is_closed(self) -> bool:

@@ -247,7 +247,6 @@ def _solution_of(program: QuadraticProgram) -> QPSolution:
     return result.solution
 
 
-CONTRADICTED = "contradicted"  # by a better point found here
 ENDS = {  # SCIP's names
     "timelimit": Status.MAX_SECONDS,
     "nodelimit": Status.MAX_ITERATIONS,
@@ -272,15 +271,10 @@ ADVICE = {
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
-UNCONFIRMED = "SCIP's point or its bound could not be confirmed; next: bound the unknowns, or rescale the data"
-SAID = {
-    "infeasible": "SCIP, in floating point, finds no solution; this is not proved, so the status is not INFEASIBLE; "
-    "next: check the data",
-    "unbounded": "SCIP, in floating point, reports an unbounded objective; this is not proved; next: bound the "
-    "variables",
-    "inforunbd": "SCIP, in floating point, reports an infeasible or unbounded problem; next: bound the variables",
-    CONTRADICTED: "x is better than SCIP's bound, which is therefore ignored; next: rescale the data",
-}
+UNCONFIRMED = (
+    "SCIP, in floating point, reports {}, which could not be confirmed, so that nothing is proved; "
+    "next: bound the variables, or rescale the data"
+)
 
 
 class ExternalBound(NamedTuple):
@@ -464,7 +458,7 @@ class EquilibriumResult(BaseResult):
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         advice = ADVICE.get(self.status, self.status.value)
         if self.status is Status.STALLED and self.outside is not None:
-            advice = SAID.get(self.outside.status, UNCONFIRMED)
+            advice = UNCONFIRMED.format(self.outside.status)
         elif self.status is Status.STALLED and not self.problem.is_provable:
             advice = (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "

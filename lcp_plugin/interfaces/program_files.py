@@ -1,13 +1,9 @@
-"""Problems from files: one table of the arrays that state each class; QPS, MPS and LP files through HiGHS."""
+"""Problems from files: one table of the arrays that state each class; LP files through HiGHS."""
 
 from __future__ import annotations
 
-import re
-import tempfile
 import warnings
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import groupby
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,21 +22,10 @@ from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
 from .files.files import PARTS, arrays_in, checked_path, names_in
 from .files.matrix_market import folder_arrays, in_folder
+from .mps import Read, read_mps
 from .nl.model import lcp_in_nl, program_in_nl
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
-MAXIMIZE = re.compile(rb"(?im)^(?:OBJSENSE\s+)?MAX(?:IMI[SZ]E|IMUM)?[ \t\r]*$")  # also on one line
-LEFT_OUT = re.compile(r"WARNING: +((?:Column|Variables) .*(?:duplicate nonzero|same name).*)")
-REPEATED = {  # what HiGHS takes of repeated entries of a section, if it is silent
-    "COLUMNS": "",
-    "RHS": "first",
-    "RANGES": "first",
-    "BOUNDS": "",
-    "QUADOBJ": "sum, as of one triangle,",
-    "QSECTION": "sum, as of one triangle,",
-    "QMATRIX": "",
-}
-KEYWORDS = {*REPEATED, "ENDATA"}  # that end a section
 Arrays = dict[str, Any]
 
 
@@ -318,7 +303,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or Path
-        ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads them. ``.npz`` and ``.mat`` with M and q state an
+        ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads .lp. ``.npz`` and ``.mat`` with M and q state an
         LCP; with P, q, A, l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq,
         lb, ub a program; with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares;
         with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
@@ -350,18 +335,33 @@ def load_problem(path: str | PathLike[str]) -> Any:
     return found.program
 
 
-# --- MPS --------------------------------------------------------------------------------------------------------
+# --- MPS and LP -------------------------------------------------------------------------------------------------
 
 
 def _from_mps(source: Path) -> LoadedProgram:
+    if not source.is_file():
+        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
+    read, remarks = read_lp if source.suffix.lower() == ".lp" else read_mps, list[str]()
+    sign, names, integers, parts = _stated(source, QuadraticProgram, lambda: read(source, remarks))
+    if integers:
+        raise UnsupportedModel(
+            f"{source} has {len(integers)} integer variables, the first is {integers[0]}; a program has continuous "
+            "ones: state it in cvxpy, or as an EquilibriumProgram with integers=…"
+        )
+    if remarks:
+        warnings.warn(f"{source}: {'; '.join(remarks[:3])}", ModelWarning, stacklevel=2)
+    program = _stated(source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts))
+    return LoadedProgram(program, sign, names)
+
+
+def read_lp(source: Path, remarks: list[str]) -> Read:
+    """Return what :func:`read_mps` returns, of an LP file, by HiGHS."""
     try:
         import highspy
     except ImportError as error:
         raise UnreadableFile(
             f"{source} is read by HiGHS; install it with: pip install highspy"
         ) from error
-    if not source.is_file():
-        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
 
     class QuietHighs(highspy.Highs):
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""
@@ -371,178 +371,17 @@ def _from_mps(source: Path) -> LoadedProgram:
             super().enableCallbacks()  # type: ignore[no-untyped-call]
 
     reader: Any = QuietHighs()  # type: ignore[no-untyped-call]
-    reader.setOptionValue("log_to_console", False)
-    content, is_mps = source.read_bytes(), source.suffix.lower() != ".lp"
-    with tempfile.TemporaryDirectory() as folder:  # HiGHS goes by the ending of the name
-        copy, log = Path(folder) / f"program{'.mps' if is_mps else '.lp'}", Path(folder) / "log"
-        copy.write_bytes(MAXIMIZE.sub(b"OBJSENSE\n    MAX", content) if is_mps else content)
-        reader.setOptionValue("log_file", str(log))
-        if reader.readModel(str(copy)) == highspy.HighsStatus.kError:
-            is_cut = is_mps and b"ENDATA" not in content
-            rest = ", and it has no line ENDATA: is it complete?" if is_cut else ""
-            raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it{rest}")
-        text = log.read_text("utf-8", "replace") if log.exists() else ""
-    if is_mps:
-        _check_names(source, content)
-    if left_out := LEFT_OUT.findall(text):
-        warnings.warn(f"{source}: {'; '.join(left_out[:3])}", ModelWarning, stacklevel=2)
-    model = reader.getModel()
-    linear, hessian = model.lp_, model.hessian_
-    kinds = enumerate(linear.integrality_)
-    if integers := [j for j, kind in kinds if kind != highspy.HighsVarType.kContinuous]:
-        first = linear.col_names_[integers[0]] if linear.col_names_ else f"x[{integers[0]}]"
-        raise UnsupportedModel(
-            f"{source} has {len(integers)} integer variables, the first is {first}; a program has continuous ones: "
-            "state it in cvxpy, or as an EquilibriumProgram with integers=…"
-        )
-    n, m = linear.num_col_, linear.num_row_
-    matrix = linear.a_matrix_  # by columns, as a file is read
-    parts = np.array(matrix.value_), matrix.index_, matrix.start_
-    A = sp.csr_array(sp.csc_array(parts, shape=(m, n)))
-    P: Any = sp.csr_array((n, n))
-    if hessian.dim_:
-        P = sp.csr_array(
-            sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n))
-        )
-    sense = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
-    program = _stated(
-        source,
-        QuadraticProgram,
-        lambda: QuadraticProgram.from_ranges(
-            sense * _symmetric(P),
-            sense * np.array(linear.col_cost_),
-            A,
-            linear.row_lower_,
-            linear.row_upper_,
-            *(
-                _bounds(source, content, linear)
-                if is_mps
-                else (linear.col_lower_, linear.col_upper_)
-            ),
-            sense * (_constant(content, linear) if is_mps else float(linear.offset_)) + 0.0,
-        ),
-    )
-    names = list(linear.col_names_)
-    return LoadedProgram(program, sense, names if len(names) == n else None)
+    if reader.readModel(str(source)) == highspy.HighsStatus.kError:
+        raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it")
+    linear, hessian = reader.getLp(), reader.getModel().hessian_
+    n, sign = linear.num_col_, -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
 
+    def matrix(of: Any, rows: int) -> Any:
+        return sp.csr_array(sp.csc_array((np.array(of.value_), of.index_, of.start_), (rows, n)))
 
-def _section(content: bytes, name: str) -> Iterator[list[str]]:
-    """Yield the words of each line in a section of an MPS file."""
-    _, _, rest = content.partition(b"\n" + name.encode())
-    for line in rest.decode("utf-8", "replace").split("\n")[1:]:
-        words = line.split()
-        if words and not line[0].isspace() and words[0].upper() in KEYWORDS:
-            return
-        if words and not words[0].startswith("*"):
-            yield words
-
-
-def _check_names(source: Path, content: bytes) -> None:
-    """Raise UnreadableFile for repeated names and unknown rows; warn of repeated entries and of unknown columns."""
-    rows = list(_section(content, "ROWS"))
-    columns = [words for words in _section(content, "COLUMNS") if words[1:2] != ["'MARKER'"]]
-    has_blanks = any(len(words) != 2 for words in rows) or any(len(w) % 2 == 0 for w in columns)
-    if has_blanks or not columns:  # names with blanks have fixed places in a line
-        return
-    names = {
-        "ROWS": [name for _, name in rows],
-        "COLUMNS": [name for name, _ in groupby(words[0] for words in columns)],
-    }
-    for section, own in names.items():
-        if name := _repeated(own):
-            raise UnreadableFile(
-                f"cannot read {source}: {name} in {section} is stated twice; rename one, or write its lines together"
-            )
-    known, added = {section: set(own) for section, own in names.items()}, list[str]()
-    for section, kept in REPEATED.items():
-        where = "ROWS" if section in ("COLUMNS", "RHS", "RANGES") else "COLUMNS"
-        entries: list[str] = []
-        for words in columns if section == "COLUMNS" else _section(content, section):
-            own = _names_of(section, words, known[where])
-            if not known[where].issuperset(own):
-                unknown = next(name for name in own if name not in known[where])
-                fault = f'{unknown} of the line "{" ".join(words)}" in {section} is not in {where}'
-                if where == "ROWS":
-                    raise UnreadableFile(f"cannot read {source}: {fault}")
-                added.append(fault)
-                known[where].update(own)
-            if where == "COLUMNS":  # pairs of columns
-                own = [" ".join(sorted((own[0], other))) for other in own[1:]]
-            entries += own
-        if kept and (name := _repeated(entries)):
-            warnings.warn(
-                f"{source} repeats the entry of {name} in {section}; the {kept} holds",
-                ModelWarning,
-                stacklevel=3,
-            )
-    if added:  # HiGHS writes variables without coefficients so
-        warnings.warn(f"{source}: {added[0]}; it is a new variable", ModelWarning, stacklevel=3)
-
-
-def _names_of(section: str, words: list[str], columns: set[str]) -> list[str]:
-    """Return the names of rows, or of columns, in a line of a section."""
-    if section in ("COLUMNS", "RHS", "RANGES"):
-        return words[len(words) % 2 :: 2]
-    if section != "BOUNDS":
-        return [words[0], *words[1::2]]
-    kind = words[0].upper()
-    if kind in ("LO", "UP", "FX"):
-        return words[-2:-1]
-    if kind not in ("FR", "MI", "PL"):
-        return []
-    return sorted(columns.intersection(words[1:]))[:1] or words[-1:]
-
-
-def _repeated(names: Sequence[str]) -> str | None:
-    return next((name for name, count in Counter(names).items() if count > 1), None)
-
-
-def _constant(content: bytes, linear: Any) -> float:
-    """Return the constant of the objective, the first free row; HiGHS takes the constant of any free row."""
-    free = [words[1] for words in _section(content, "ROWS") if words[0].upper() == "N"]
-    if len(free) < 2:
-        return float(linear.offset_)
-    pairs = (words[len(words) % 2 :] for words in _section(content, "RHS"))
-    values = [
-        float(value)
-        for words in pairs
-        for row, value in zip(words[::2], words[1::2], strict=False)
-        if row == free[0]
-    ]
-    return -values[0] if values else 0.0
-
-
-def _bounds(source: Path, content: bytes, linear: Any) -> tuple[Any, Any]:
-    """Return the bounds of the variables; of several for one variable the last, of which HiGHS takes the first.
-
-    The lower bound is −∞ for a negative upper bound without a lower one.
-    """
-    lower, upper = np.array(linear.col_lower_), np.array(linear.col_upper_)
-    columns = {name: j for j, name in enumerate(linear.col_names_)}
-    known, default = set[int](), set[int]()  # of the latter the lower bound is 0 by default
-    for first, *words in _section(content, "BOUNDS"):
-        kind, name = first.upper(), (words[-1:] or [""])[0]
-        has_value = kind in ("LO", "UP", "FX") or (name not in columns and len(words) > 1)
-        j = columns.get(words[-2] if has_value and len(words) > 1 else name)
-        if j is None or kind not in ("LO", "UP", "FX", "FR", "MI", "PL"):
-            continue
-        if j not in known:
-            lower[j], upper[j] = 0.0, np.inf
-            known.add(j)
-            default.add(j)
-        if kind not in ("UP", "PL"):
-            default.discard(j)
-            lower[j] = float(words[-1]) if kind in ("LO", "FX") else -np.inf
-        if kind not in ("LO", "MI"):
-            upper[j] = float(words[-1]) if kind in ("UP", "FX") else np.inf
-    open_below = sorted(j for j in default if upper[j] < 0.0)
-    lower[open_below] = -np.inf
-    if open_below:
-        name = linear.col_names_[open_below[0]]
-        warnings.warn(
-            f"{source} gives {name} the upper bound {upper[open_below[0]]:g} and no lower bound; it is −∞, as in other "
-            "readers of MPS files: write MI for −∞, or LO",
-            ModelWarning,
-            stacklevel=2,
-        )
-    return lower, upper
+    P = _symmetric(matrix(hessian, n)) if hessian.dim_ else sp.csr_array((n, n))
+    limits = linear.row_lower_, linear.row_upper_, linear.col_lower_, linear.col_upper_
+    parts = sign * P, sign * np.array(linear.col_cost_), matrix(linear.a_matrix_, linear.num_row_)
+    kinds = zip(linear.col_names_, linear.integrality_, strict=False)
+    integers = [name for name, kind in kinds if kind != highspy.HighsVarType.kContinuous]
+    return sign, linear.col_names_, integers, (*parts, *limits, sign * linear.offset_ + 0.0)

@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, LCPError, did_you_mean
 from ..core.settings import Settings, parse_options
 
 if TYPE_CHECKING:
-    from ..interfaces.nl.content import NLContent
+    from ..interfaces.nl.reading import NLContent
 
 NAME = "lcp-plugin-ampl"
 VARIABLE = "lcp_plugin_options"
@@ -129,7 +129,7 @@ def _solve(words: list[str], environment: str) -> int:
         print(_information(["-v"]))
     Settings(**{key: settings[key] for key in settings.keys() - {"algorithm", "prove"}})
     from ..interfaces.nl.reading import read_content, source_of
-    from ..interfaces.nl.solution import write_sol
+    from ..interfaces.nl.writing import write_sol
 
     content = read_content(stub)
     start = time.perf_counter()

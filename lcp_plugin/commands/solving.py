@@ -146,7 +146,7 @@ def run(
         shown = [] if given.test_problem else _values(given, answer, x)
         typer.echo("\n".join([f"{source}", f"{model}", answer.explain(), *lines, *shown]))
     if out is not None:
-        from ..interfaces.files.files import write_whole
+        from ..interfaces.files import write_whole
 
         names = {} if given.names is None else {"names": np.array(given.names, dtype=np.str_)}
         arrays |= names | {"status": np.array(answer.status.name)}

@@ -227,7 +227,7 @@ class LCP:
         UnreadableFile
             If it cannot be written, or its name belongs to another format, as a.mat.
         """
-        from ..interfaces.files.files import save
+        from ..interfaces.files import save
 
         save(self, path)
 

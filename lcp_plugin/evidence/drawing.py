@@ -21,7 +21,7 @@ from ..core.representation import format_count
 from ..core.solving.base_result import BaseResult
 from ..core.solving.result import Result
 from ..gallery.scene import Scene
-from ..interfaces.files.files import write_whole
+from ..interfaces.files import write_whole
 from ..problems.cones.frictional_contact import FrictionalContact
 from .free_boundary import contact_level
 

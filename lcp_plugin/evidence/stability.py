@@ -17,7 +17,7 @@ from ..algorithms import REGISTRY
 from ..api import solve
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..interfaces.files.files import checked_path, write_whole
+from ..interfaces.files import checked_path, write_whole
 from .measurement import Method, methods_of
 from .stresses import FAMILIES, StressCase, relative_error
 from .study import csv_text

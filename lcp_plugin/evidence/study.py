@@ -37,7 +37,7 @@ from ..core.settings import Settings, whole_number
 from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import Scene, builder_of
-from ..interfaces.files.files import checked_path, write_whole
+from ..interfaces.files import checked_path, write_whole
 from .drawing import FORMATS, draw_curve, draw_tolerance, look_of, panels, save
 from .measurement import (
     BOUND,

@@ -96,7 +96,7 @@ class SquareModel:
     dropped: Indices
 
     def first_mismatch(
-        self, z: FloatVector, w: FloatVector, values: FloatVector, slip: float = 0.0
+        self, z: FloatVector, w: FloatVector, values: FloatVector
     ) -> tuple[int, float] | None:
         """Return the first row that the language evaluates otherwise than it was computed, and the computed value.
 
@@ -106,8 +106,6 @@ class SquareModel:
             Solution of the problem.
         values : ndarray
             Rows of the pairs, then of the equations, as the language evaluates them.
-        slip : float
-            Difference that is allowed in addition to rounding.
         """
         expected, terms = np.zeros((2, values.size))
         left = np.delete(np.arange(values.size), self.stored[0].shape[0] + self.elimination.rows)
@@ -119,13 +117,13 @@ class SquareModel:
         else:
             unknowns = np.abs(self.elimination.expand(z))
             terms = np.concatenate([abs(matrix) @ unknowns for matrix in self.stored])
-        wrong = mismatches(values, expected, terms, slip)
+        wrong = mismatches(values, expected, terms)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None
 
 
-def mismatches(values: Any, expected: Any, terms: Any, slip: Any = 0.0) -> Indices:
+def mismatches(values: Any, expected: Any, terms: Any) -> Indices:
     """Return the rows whose values differ from the finite expected ones by more than rounding of terms of that size."""
-    allowed = DISAGREEMENT * (terms + np.abs(values) + np.abs(expected)) + slip
+    allowed = DISAGREEMENT * (terms + np.abs(values) + np.abs(expected))
     return np.flatnonzero(np.isfinite(expected) & ~(np.abs(values - expected) <= allowed))
 
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ..core.errors import UnreadableFile, UnsupportedModel
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.contact import inverse_by_components
-from .files.matrix_market import opened
+from .files import opened
 
 SUFFIXES = (".h5", ".hdf5")
 LAYOUT = (

@@ -29,7 +29,7 @@ from ..core.checks import (
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
-from ..interfaces.files.files import (
+from ..interfaces.files import (
     MATRIX_KEYS,
     VECTORS,
     arrays_of,

@@ -73,7 +73,7 @@ LEADS_ON = {  # imports inside a function from a layer above: importing file, ta
         {"auto", "direct"},
         "convergence_guarantee takes what solve takes, a name or auto",
     ),
-    "interfaces.files.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
+    "interfaces.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
     "interfaces.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
 }
 

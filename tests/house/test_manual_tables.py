@@ -15,7 +15,7 @@ import lcp_plugin
 from lcp_plugin import LCP, Status
 from lcp_plugin.algorithms import create
 from lcp_plugin.api import SOLVERS, options_of, solver_of
-from lcp_plugin.interfaces.nl.answers import CODES
+from lcp_plugin.interfaces.nl.model import CODES
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
 MANUAL = Path(__file__).parents[2] / "examples" / "manual"

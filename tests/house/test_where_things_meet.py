@@ -54,7 +54,7 @@ from lcp_plugin.core.solving.base_result import BaseResult
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.study import error_against_time, study
 from lcp_plugin.interfaces.nl import read_nl, write_nl
-from lcp_plugin.interfaces.nl.answers import CODES
+from lcp_plugin.interfaces.nl.model import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 from lcp_plugin.proofs.guarantees import convergence_guarantee

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.interfaces.nl.content import WITH_TOLERANCE, NLContent, Trees
-from lcp_plugin.interfaces.nl.solution import OPTIONS
+from lcp_plugin.interfaces.nl.expressions import OPERATORS, evaluated_tree, value_of
+from lcp_plugin.interfaces.nl.reading import WITH_TOLERANCE, NLContent, Token, Trees
+from lcp_plugin.interfaces.nl.writing import OPTIONS
 
 
 def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
@@ -30,6 +32,36 @@ def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
         own,
     )
     return replace(content, **changes)
+
+
+@np.errstate(all="ignore")
+def evaluated(content: NLContent, x: Any) -> tuple[Any, Any]:
+    """Return the values of the rows and of the objectives at x by plain arithmetic; NaN if one has no value."""
+    values: list[float] = x.tolist()
+
+    def leaf(kind: int, value: float) -> float:
+        return value if kind == Token.NUMBER else values[int(value)]
+
+    def operation(number: int, operands: list[float]) -> float:
+        found = float(value_of(OPERATORS[number], operands))
+        return found if math.isfinite(found) else math.nan
+
+    def value(matrix: Any, trees: Trees, k: int) -> float:
+        row = matrix[[k]].tocoo()
+        terms = zip(row.data.tolist(), row.col.tolist(), strict=True)
+        linear = sum(factor * values[j] for factor, j in terms)
+        return evaluated_tree(trees, k, leaf, operation) + linear
+
+    for k in range(content.defined_trees.size):
+        values.append(value(content.defined_linear, content.defined_trees, k))
+    rows, objectives = (
+        np.array([value(matrix, trees, k) for k in range(trees.size)])
+        for matrix, trees in (
+            (content.linear, content.trees),
+            (content.objective_linear, content.objective_trees),
+        )
+    )
+    return rows, objectives
 
 
 class SolContent(NamedTuple):

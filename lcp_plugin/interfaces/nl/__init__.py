@@ -41,8 +41,7 @@ bounds of a variable belong to its complementarity, as PATH and AMPL take them, 
 complementarity does not state if a variable stops at it. Inequalities without a partner, and bounds of a variable
 without a complementarity, are checked at the solution of the complementarities and equations. If one is violated, the
 model is solved as one with an objective: another solution is searched, or proved not to exist. With an objective they
-are constraints like others, as are bounds that a complementarity does not state. Every answer is compared with the
-rows of the file, which are evaluated apart from the problem.
+are constraints like others, as are bounds that a complementarity does not state.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, names from ``.col`` and ``.row``. What is
@@ -50,10 +49,8 @@ corrupt, or contradicts itself, is an `UnreadableFile` with its line or byte, an
 it is compared with the file's length.
 """
 
-from .answers import NLAnswer, NLModel
-from .model import model_of, read_nl
+from .model import NLAnswer, NLModel, model_of, read_nl
 from .reading import read_content
-from .solution import write_sol
-from .writing import write_nl
+from .writing import write_nl, write_sol
 
 __all__ = ["NLAnswer", "NLModel", "model_of", "read_content", "read_nl", "write_nl", "write_sol"]

@@ -1,24 +1,419 @@
-"""Problem that an ``.nl`` file states: a complementarity problem or a quadratic program."""
+"""The problem that an ``.nl`` file states, its solution, and the side conditions, in the file's variables and rows.
+
+Side conditions are inequalities without a partner and bounds of variables without a complementarity. Bounds of a
+variable with a complementarity all belong to it, stated there or not, as PATH and AMPL take them.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from os import PathLike
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from ... import __version__
 from ...core.checks import BoolVector, FloatVector
-from ...core.errors import UnsupportedModel
+from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
+from ...core.representation import format_count
+from ...core.settings import Settings, Status
+from ...core.solving.base_result import Outcome
+from ...core.solving.result import Result
+from ...expressions.program import Program
 from ...expressions.rows import Rows
-from ...expressions.statement import Statement
+from ...expressions.statement import SquareModel, Statement, solve_from
+from ...problems.equilibria.equilibrium_program import EquilibriumProgram
+from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
-from .answers import ComplementarityModel, EquilibriumModel, NLModel, ProgramModel
-from .checks import SideConditions, pair_bounds, sizes_of
-from .content import Indices, NLContent, Token
+from ...problems.programs.solving import solve_program
 from .expressions import UNKNOWNS, Expressions
-from .reading import read_content
+from .reading import Indices, NLContent, Token, read_content
+
+FEASIBLE = 1e-6  # by which a side condition may be violated, or ten times the tolerance
+
+
+def values_and_slopes(
+    content: NLContent, x: FloatVector, rows: Indices
+) -> tuple[FloatVector, sp.csr_array]:
+    """Return the values of rows, then objectives, with these numbers, and their derivatives by all variables."""
+    found = Expressions(content, np.full(x.size, np.nan))
+    program = Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size)
+    with np.errstate(all="ignore"):
+        return program.value(x), program.jacobian(x)
+
+
+def sizes_of(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
+    """Return the sizes |J| |x| of the terms of rows, then objectives; 0 if a derivative is not finite."""
+    sizes: FloatVector = abs(values_and_slopes(content, x, rows)[1]) @ np.abs(x)
+    return np.where(np.isfinite(sizes), sizes, 0.0)
+
+
+# --- Side conditions -----------------------------------------------------------------------------------------------
+
+
+def pair_bounds(
+    content: NLContent, rows: Indices, *, as_stated: bool
+) -> tuple[FloatVector, FloatVector]:
+    """Return the bounds that complementarity rows state, or all of their variables; else ∓∞."""
+    columns, bits = content.partners[rows], content.partner_bounds[rows]
+    lower, upper = content.lower[columns], content.upper[columns]
+    if not as_stated:
+        return lower, upper
+    return np.where(bits & 1, lower, -np.inf), np.where(bits & 2, upper, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class SideConditions:
+    """Side conditions of a complementarity problem.
+
+    Attributes
+    ----------
+    content : NLContent
+    inequalities : ndarray of int
+        Rows without a partner.
+    bounded : ndarray of int
+        Variables with bounds and without a complementarity.
+    """
+
+    content: NLContent
+    inequalities: Indices
+    bounded: Indices
+
+    def names(self) -> list[str]:
+        """Return the names: inequalities, variables."""
+        content = self.content
+        rows, variables = self.inequalities.tolist(), self.bounded.tolist()
+        return [*map(content.row, rows), *map(content.variable, variables)]
+
+    def violated(self, x: FloatVector, tolerance: float) -> str:
+        """Return the names of what is violated at x by more than the run's tolerance; else ""."""
+        content, inner = self.content, self.inequalities
+        if not (names := self.names()):
+            return ""
+        rows, slopes = values_and_slopes(content, x, inner)
+        units = abs(slopes) @ (1.0 + np.abs(x))  # the change of a row if all its variables change
+        own, bounds = x[self.bounded], (content.lower[self.bounded], content.upper[self.bounded])
+        limits = content.row_lower[inner], content.row_upper[inner]
+        excesses = np.append(excess(rows, *limits, units), excess(own, *bounds, 1.0 + np.abs(own)))
+        excesses = np.where(np.isnan(excesses), np.inf, excesses)
+        worst = int(np.argmax(excesses))
+        count = int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
+        others = f", nor {count - 1} more" if count > 1 else ""
+        what = f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}"
+        return f"the complementarities and equations are solved, but {what}" if count else ""
+
+
+def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
+    """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's if that is less."""
+    sizes = np.maximum(
+        *(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper))
+    )
+    scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
+    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(
+        scales > 0.0, scales, 1.0
+    )
+
+
+#: AMPL's numbers for the ways a run may end.
+CODES = {
+    Status.SOLVED: 0,
+    Status.PRECISION_LIMIT: 100,
+    Status.INFEASIBLE: 200,
+    Status.NO_SOLUTION: 200,
+    Status.UNBOUNDED: 300,
+    Status.MAX_ITERATIONS: 400,
+    Status.MAX_SECONDS: 401,
+    Status.INTERRUPTED: 402,
+    Status.STALLED: 500,
+    Status.DIVERGED: 501,
+}
+MAX_SEARCH_NODES = 1000  # of a search that the user did not request
+
+
+@dataclass(frozen=True, eq=False)
+class NLAnswer(Outcome):
+    """Result of a run, in the variables and rows of the file.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,), or None
+        None if a search found no solution.
+    duals : ndarray, shape (m,), or None
+        For a complementarity row the value w. For a row of a program the derivative of the objective by the row's
+        right-hand side, the convention of AMPL. 0 for the other rows of a complementarity problem.
+    status : Status
+    message : str
+        One line: outcome, residual, iterations.
+    result : Result, QuadraticProgramResult or EquilibriumResult
+    objective : float or None
+    code : int
+        AMPL's number for the status.
+    """
+
+    x: FloatVector | None
+    duals: FloatVector | None
+    status: Status
+    message: str
+    result: Any = field(repr=False)
+    objective: float | None
+    code: int
+
+
+@dataclass(eq=False, repr=False)
+class NLModel(ABC):
+    """Problem that an ``.nl`` file states.
+
+    Attributes
+    ----------
+    content : NLContent
+    problem : LCP, NonlinearProblem, QuadraticProgram or EquilibriumProgram
+    unknowns : ndarray of int
+        Variable of the file that each unknown is.
+    known : ndarray, shape (n,)
+        Values of the variables that are not unknowns.
+    """
+
+    content: NLContent
+    problem: Any
+    unknowns: Indices
+    known: FloatVector
+
+    @abstractmethod
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer.
+
+        Parameters
+        ----------
+        algorithm, **options
+            Of :func:`lcp_plugin.solve`, or :func:`lcp_plugin.problems.nonlinear.solving.solve_nonlinear` for a smooth
+            model.
+        """
+
+    def variables(self, values: FloatVector) -> FloatVector:
+        """Return all variables, shape (n,), from the values of the unknowns."""
+        x = self.known.copy()
+        x[self.unknowns] = values
+        return x
+
+    def objective(self, x: FloatVector) -> float:
+        """Return the objective as the file states it: expanded, (x - 10⁶)² loses ten digits."""
+        if not self.content.is_maximized.size:
+            return 0.0
+        first = np.array([self.content.row_lower.size])
+        return float(values_and_slopes(self.content, x, first)[0][0])
+
+    def names(self) -> list[str]:
+        """Return the names of the variables, or of their numbers if the file has no names."""
+        return [*map(self.content.variable, range(self.content.lower.size))]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.problem})"
+
+    def _message(self, words: str, residual: float, iterations: int) -> str:
+        return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {format_count(iterations, 'iteration')}"
+
+
+@dataclass(eq=False, repr=False)
+class ComplementarityModel(NLModel):
+    """A complementarity problem or a system; from n on, unknowns are defined variables.
+
+    Attributes
+    ----------
+    arrangement : SquareModel
+        The problem in fewer unknowns, with definitions substituted.
+    pairs : ndarray of int
+        The complementarity rows.
+    beside : SideConditions
+        Conditions that are checked at the solution.
+    search : callable
+        Returns the model of all conditions, which is solved if a solution violates some.
+    """
+
+    problem: LCP | NonlinearProblem
+    arrangement: SquareModel
+    pairs: Indices
+    beside: SideConditions
+    search: Callable[[], NLModel]
+
+    @property
+    def start(self) -> FloatVector:
+        """The start in the unknowns of the problem; the value nearest to 0 for unknowns without a start in the file."""
+        content = self.content
+        start = np.clip(content.start, content.lower, content.upper)
+        start = np.append(start, np.zeros(content.defined_trees.size))
+        return start[self.unknowns][self.arrangement.elimination.kept]
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer; see :meth:`NLModel.solve`."""
+        is_started = self.content.has_start.any() or self.beside.bounded.size
+        options = {"algorithm": algorithm, **options}
+        found = solve_from(self.problem, self.start if is_started else None, options)
+        x, duals = self.values(found.z, found.w)
+        status, words = found.status, found.status.name.lower()
+        if status is Status.SOLVED:
+            tolerance = options.get("tolerance", Settings.tolerance)
+            if wrong := self.beside.violated(x, tolerance):
+                if (other := self._another(options, found)) is not None:
+                    why = f"; {wrong}" if other.result.has_no_solution else ""
+                    return replace(other, message=other.message + why)
+                wrong += ", and no other solution was found"
+            status, words = (Status.STALLED, wrong) if wrong else (status, words + self._remark(x))
+        message = self._message(words, found.residual, found.iterations)
+        return NLAnswer(x, duals, status, message, found, None, CODES[status])
+
+    def _another(self, options: dict[str, Any], found: Result) -> NLAnswer | None:
+        """Return a solution of the pairs that meets all conditions, or a proof that there is none; else None."""
+        if (limit := options.get("max_seconds")) is not None:
+            limit = max(limit - found.seconds, 0.0)
+        try:
+            other = self.search().solve(max_iterations=MAX_SEARCH_NODES, max_seconds=limit)
+        except UnsupportedModel:
+            return None
+        return other if other.is_solved or other.result.has_no_solution else None
+
+    def _remark(self, x: FloatVector) -> str:
+        """Return the name of a variable at a bound that its pair does not state; else ""."""
+        content, at = self.content, x[self.content.partners[self.pairs]]
+        both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
+        for word, own, stated in zip(("lower", "upper"), *both, strict=True):
+            is_near = np.abs(at - own) <= FEASIBLE * np.maximum(1.0, np.abs(own))
+            for k in self.pairs[is_near & (own != stated)][:1].tolist():
+                j = content.partners[k]
+                return (
+                    f"; {content.variable(j)} stops at its own {word} bound {x[j]:g}, which counts although "
+                    f"its complementarity, {content.row(k)}, does not state it"
+                )
+        return ""
+
+    def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return the variables, and the values of the complementarity rows, 0 for other rows."""
+        elimination = self.arrangement.elimination
+        n, duals = self.known.size, np.zeros(self.content.row_lower.size)
+        x, slack = np.append(self.known, np.zeros(self._size - n)), np.zeros(self._size)
+        x[self.unknowns] = elimination.expand(z)
+        slack[self.unknowns] = elimination.expand_slack(w)
+        duals[self.pairs] = slack[self.content.partners[self.pairs]]
+        return x[:n], duals
+
+    @property
+    def _size(self) -> int:
+        return self.known.size + self.content.defined_trees.size
+
+
+@dataclass(eq=False, repr=False)
+class ProgramModel(NLModel):
+    """A convex quadratic or linear program; without an objective, the search for a feasible point.
+
+    Attributes
+    ----------
+    sign : float
+        −1 if the file maximizes the objective.
+    rows : ndarray of int, shape (k,)
+        Numbers in the file of the program's rows: rows without limits are left out.
+    """
+
+    problem: QuadraticProgram
+    sign: float
+    rows: Indices
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer, infeasible or unbounded only with a proof, ``answer.result.proof``."""
+        found = solve_program(self.problem, algorithm, **options)
+        status = found.status
+        x = self.variables(found.solution.x)
+        objective = self.objective(x)
+        words = "optimal" if found.is_solved else status.name.lower()
+        has_objective = found.proof is None
+        words += f", objective {objective:.9g}" if has_objective else ""
+        # The residuals of the program, on which the status relies, not the residuals of its optimality conditions.
+        message = self._message(words, found.solution.error, found.iterations)
+        duals = np.zeros(self.content.row_lower.size)
+        duals[self.rows] = -self.sign * found.solution.row_multipliers + 0.0
+        told = objective if has_objective else None
+        return NLAnswer(x, duals, status, message, found, told, CODES[status])
+
+
+@dataclass(eq=False, repr=False)
+class EquilibriumModel(NLModel):
+    """A program with complementarity constraints, in the variables and the values of the complementarity rows.
+
+    Attributes
+    ----------
+    sign : float
+        −1 if the file maximizes the objective.
+    pairs, columns : ndarray of int
+        The complementarity rows, and the unknowns that are their values.
+    """
+
+    problem: EquilibriumProgram
+    sign: float
+    pairs: Indices
+    columns: Indices
+
+    def start_or_none(self) -> FloatVector | None:
+        """Return the start in the unknowns of the problem; None if the file names none, or a row has no value."""
+        x = np.zeros(self.problem.program.n)
+        x[: self.unknowns.size] = self.content.start[self.unknowns]
+        own = self.variables(x[: self.unknowns.size])
+        x[self.columns] = values_and_slopes(self.content, own, self.pairs)[0]
+        return x if self.content.has_start.any() and np.isfinite(x).all() else None
+
+    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+        """Return the answer, optimal only with a closed gap; the message names the bound's source.
+
+        Parameters
+        ----------
+        algorithm : str
+            "auto": SCIP if it is installed, else branch and bound.
+        **options
+            Options of :func:`~lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`;
+            ``max_iterations`` is its ``max_nodes``, ``threads`` is taken and changes nothing.
+
+        Raises
+        ------
+        InvalidOption
+            For any other.
+        """
+        from ...problems.equilibria.branch_and_bound import (
+            minimize_over_solutions,
+        )  # which loads more
+
+        wishes = _of_search({**options, "algorithm": algorithm})
+        result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})
+        x, duals, objective, status = None, None, None, result.status
+        if result.x is not None:
+            x = self.variables(result.x[: self.unknowns.size])
+            duals = np.zeros(self.content.row_lower.size)
+            duals[self.pairs] = result.x[self.columns]
+            objective = self.objective(x)
+        words = "optimal" if result.is_solved else status.name.lower()
+        of = "" if self.sign > 0.0 else " (of minus the objective)"
+        reached = "" if result.has_no_solution else f"{result.describe_accuracy()}{of}, "
+        nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
+        advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
+        message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"
+        return NLAnswer(x, duals, status, message, result, objective, CODES[status])
+
+
+def _of_search(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that a search takes; raise InvalidOption for others."""
+    from ...problems.equilibria.branch_and_bound import OPTIONS
+
+    taken = {name: wish for name, wish in options.items() if name != "threads"}
+    wishes = {name: wish for name, wish in taken.items() if (name, wish) != ("algorithm", "auto")}
+    if "max_iterations" in wishes:
+        wishes["max_nodes"] = wishes.pop("max_iterations")
+    for name in wishes.keys() - {*OPTIONS}:
+        raise InvalidOption(
+            f"an objective with complementarities is minimized by SCIP or branch and bound, which has no option "
+            f"{name}, got {wishes[name]!r}; leave it out; the options are {', '.join(OPTIONS)}"
+        )
+    return wishes
+
 
 KINDS = {
     "QuadraticProgram": "a quadratic program",
@@ -200,9 +595,7 @@ class FileStatement:
             raise UnsupportedModel(
                 "the objective is neither linear nor quadratic; convex quadratic ones are taken"
             )
-        A = sp.csr_array(found.matrix[others, : own.size])
-        limits = A, found.offset[others], others
-        return ProgramModel(content, problem.program, own, self.known, sign, *limits)
+        return ProgramModel(content, problem.program, own, self.known, sign, others)
 
     def _parts(self, rows: Indices) -> list[Indices]:
         """Return the affine rows, then the others; no empty part."""
@@ -246,7 +639,6 @@ class FileStatement:
             arrangement,
             pairs,
             beside,
-            np.concatenate([*order[0], *order[1]]),
             lambda: FileStatement(content).best(),
         )
 

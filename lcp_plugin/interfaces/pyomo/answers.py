@@ -17,10 +17,8 @@ from pyomo.core.staleflag import StaleFlagManager
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
 from ...core.settings import Status
-from ..nl.answers import NLAnswer, NLModel, ProgramModel
-from ..nl.checks import jacobian
-from ..nl.content import NLContent
-from ..nl.model import model_of
+from ..nl.model import NLAnswer, NLModel, ProgramModel, model_of, values_and_slopes
+from ..nl.reading import NLContent
 from ..nl.writing import write_nl
 from .model import SOME, PyomoStatement, stated
 from .pairs import Pair
@@ -145,7 +143,7 @@ def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVect
     The gradient is by all variables, including variables with equal bounds, which are constants in the program.
     """
     weights = np.append(-duals, np.ones(content.is_maximized.size))
-    slopes: FloatVector = jacobian(content, x, np.arange(weights.size)).T @ weights
+    slopes: FloatVector = values_and_slopes(content, x, np.arange(weights.size))[1].T @ weights
     return slopes
 
 

@@ -21,8 +21,7 @@ from pyomo.repn.util import categorize_valid_components
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem, UnsupportedModel
-from ..nl.content import NLContent, Token, Trees
-from ..nl.reading import read_content
+from ..nl.reading import NLContent, Token, Trees, read_content
 from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of
 
 KNOWN = {Complementarity, Port} | {

@@ -157,7 +157,7 @@ class Blocks:
         UnreadableFile
             If the file cannot be written, or has another extension.
         """
-        from ...interfaces.files.files import save_arrays
+        from ...interfaces.files import save_arrays
 
         M = self.rows.csr
         matrix = {

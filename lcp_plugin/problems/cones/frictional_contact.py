@@ -276,7 +276,7 @@ class FrictionalContactBatch:
         UnreadableFile
             If the file cannot be written, or has another extension.
         """
-        from ...interfaces.files.files import save_arrays
+        from ...interfaces.files import save_arrays
 
         arrays = {"W": self.W, "b": self.b, "mu": self.friction, "contacts": self.contacts}
         save_arrays(

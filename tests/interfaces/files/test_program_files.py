@@ -448,7 +448,7 @@ def test_a_dollar_begins_a_comment_unless_a_name_does(tmp_path: Path) -> None:
 
 
 def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
-    """In fixed format a name is what stands in its columns of a line."""
+    """In fixed format a name has its columns of a line, and may hold blanks."""
     row = "    {:<8}  {:<8}  {:>12}\n".format
     (tmp_path / "p.mps").write_text(
         "NAME\nROWS\n N  the cost\n L  of it\nCOLUMNS\n"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.interfaces.nl.content import (
+from lcp_plugin.interfaces.nl.reading import (
     BIG_ENDIAN,
     LITTLE_ENDIAN,
     PARTNER,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.interfaces.nl.content import (
+from lcp_plugin.interfaces.nl.reading import (
     NARY,
     OPERATOR_NAMES,
     PIECEWISE,

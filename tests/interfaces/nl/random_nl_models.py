@@ -16,14 +16,13 @@ import numpy as np
 import scipy.sparse as sp
 from binary_nl import write_form
 from scipy.optimize import linprog
-from tools.nl_files import read_sol
+from tools.nl_files import evaluated, read_sol
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
 from lcp_plugin.interfaces.nl import read_nl
-from lcp_plugin.interfaces.nl.answers import CODES
-from lcp_plugin.interfaces.nl.checks import evaluated
-from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees
+from lcp_plugin.interfaces.nl.model import CODES
+from lcp_plugin.interfaces.nl.reading import NLContent, Token, Trees
 
 INF = np.inf
 MET = 1e-5  # of the size of a row or a variable

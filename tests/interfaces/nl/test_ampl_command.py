@@ -21,7 +21,7 @@ from tools.nl_files import content_of, read_sol
 
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.interfaces.nl.content import NLContent, Trees
+from lcp_plugin.interfaces.nl.reading import NLContent, Trees
 
 Z, W = np.array([1.5, 0.0, 2.0]), np.array([0.0, 0.25, 0.0])
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])

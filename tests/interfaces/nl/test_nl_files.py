@@ -21,7 +21,7 @@ from tools.nl_files import read_sol
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
 from lcp_plugin.core import errors
 from lcp_plugin.interfaces.nl import read_content, read_nl, write_nl, write_sol
-from lcp_plugin.interfaces.nl.content import NLContent, Trees
+from lcp_plugin.interfaces.nl.reading import NLContent, Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
 SMALL = b"""g3 1 1 0	# two variables, x0 + exp(x1) - 2 complementary to x0 >= 0, x0 x1 = 1

@@ -1,1 +1,0 @@
-"""Problems in files: .npz, Matrix Market, .mat, QPS and MPS."""

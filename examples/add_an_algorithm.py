@@ -121,12 +121,12 @@ def main(out: Path = Path()) -> None:
     )  # matching pennies: each tosses a coin
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(5.4, 5.0), layout="constrained")
-    for looks_ahead, colour, label in (
+    for looks_ahead, color, label in (
         (False, "#D55E00", "without the look ahead"),
         (True, "#0072B2", "with it"),
     ):
         way = way_through(game, Extragradient(looks_ahead=looks_ahead))
-        axes.plot(*way[:40].T, ".-", color=colour, markersize=4, linewidth=0.8, label=label)
+        axes.plot(*way[:40].T, ".-", color=color, markersize=4, linewidth=0.8, label=label)
     print(
         f"check: the largest error on random problems with exact answers is {worst_of_random_problems():.1e}"
     )

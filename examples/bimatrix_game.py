@@ -1,6 +1,6 @@
 """A game of two players with all its equilibria.
 
-Two firms choose one of three standards. Each has a favourite, but both gain more if they agree: the row player gets
+Two firms choose one of three standards. Each has a favorite, but both gain more if they agree: the row player gets
 A_ij and the column player B_ij when one plays row i and the other column j. In a Nash equilibrium no player gains by a
 change of mind; the players may toss coins. With costs K, L > 0 in the place of the payoffs the equilibria are, up to a
 scale factor, the solutions of an LCP:

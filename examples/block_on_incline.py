@@ -49,24 +49,24 @@ def main(out: Path = Path()) -> None:
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
     degrees, worst = np.linspace(0.0, 45.0, 46), 0.0
-    for friction, colour in zip(FRICTIONS, ("#0072B2", "#D55E00", "#009E73"), strict=True):
+    for friction, color in zip(FRICTIONS, ("#0072B2", "#D55E00", "#009E73"), strict=True):
         angles = np.radians(degrees)
         found = np.array([speed_after(angle, friction) for angle in angles])
         expected = (
             STEPS * STEP * GRAVITY * np.maximum(np.sin(angles) - friction * np.cos(angles), 0.0)
         )
         worst = max(worst, abs(found[:, 0] - expected).max())
-        left.plot(degrees, expected, color=colour, linewidth=1.6)
-        left.plot(degrees, found[:, 0], "o", color=colour, markersize=3)
+        left.plot(degrees, expected, color=color, linewidth=1.6)
+        left.plot(degrees, found[:, 0], "o", color=color, markersize=3)
         left.annotate(
             f"μ = {friction:g}",
             (np.degrees(np.arctan(friction)), 0.0),
             (-2, 8),
-            color=colour,
+            color=color,
             ha="right",
             textcoords="offset points",
         )
-        right.plot(degrees, 100 * found[:, 1], color=colour, linewidth=1.6)
+        right.plot(degrees, 100 * found[:, 1], color=color, linewidth=1.6)
         slides = degrees[found[:, 0] > 1e-9]
         limit = np.degrees(np.arctan(friction))
         print(f"μ = {friction:g}: it slides from {slides[0]:g}° on, tan θ > μ from {limit:.2f}°")

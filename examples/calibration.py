@@ -134,13 +134,13 @@ def main(out: Path = Path()) -> None:
         ylabel="maturity (years)",
         title=f"{sigma.size} puts, a volatility each",
     )
-    for k, colour in zip((0, 3, 9), ("#D55E00", "#0072B2", "#009E73"), strict=True):
-        middle.plot(STRIKES, 100 * planted(STRIKES, np.full(STRIKES.size, YEARS[k])), color=colour)
+    for k, color in zip((0, 3, 9), ("#D55E00", "#0072B2", "#009E73"), strict=True):
+        middle.plot(STRIKES, 100 * planted(STRIKES, np.full(STRIKES.size, YEARS[k])), color=color)
         middle.plot(
             STRIKES,
             100 * sigma.reshape(shape)[k],
             "o",
-            color=colour,
+            color=color,
             markersize=4,
             markerfacecolor="white",
             label=f"{YEARS[k]:.2g} years",

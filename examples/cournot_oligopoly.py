@@ -82,15 +82,15 @@ def main(out: Path = Path()) -> None:
 
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
-    for i, colour in enumerate(("#D55E00", "#0072B2", "#009E73", "#B07D00", "#6A4C93")):
+    for i, color in enumerate(("#D55E00", "#0072B2", "#009E73", "#B07D00", "#6A4C93")):
         curve = np.array(outputs)[:, i]
-        axes.plot(RISES, curve, color=colour, linewidth=1.8)
+        axes.plot(RISES, curve, color=color, linewidth=1.8)
         lift = {0: -9, 1: 1, 2: 12, 3: -9}.get(i, 0)  # four lines end close together
         axes.annotate(
             f" firm {i + 1}",
             (RISES[-1], curve[-1]),
             (0, lift),
-            color=colour,
+            color=color,
             va="center",
             textcoords="offset points",
         )

@@ -1,14 +1,14 @@
 """Total-variation denoising of an image: noise is removed, edges are kept.
 
 Given a noisy image f, find the image u that is close to it and has little total variation, that is, few and clear
-jumps between neighbours (D u holds all differences between neighbouring pixels):
+jumps between neighbors (D u holds all differences between neighboring pixels):
 
     min ½ ‖u − f‖² + λ ‖D u‖₁.
 
 (This is the anisotropic kind: it adds up jumps between rows and jumps between columns.)
 
-Its dual has one number p for each pair of neighbours, −λ ≤ p ≤ λ, and minimises ½ ‖Dᵀp − f‖²: an LCP with bounds on
-both sides, M = D Dᵀ and q = −D f. Then u = f − Dᵀp, and w = −D u: where two neighbours differ, p is at a bound.
+Its dual has one number p for each pair of neighbors, −λ ≤ p ≤ λ, and minimizes ½ ‖Dᵀp − f‖²: an LCP with bounds on
+both sides, M = D Dᵀ and q = −D f. Then u = f − Dᵀp, and w = −D u: where two neighbors differ, p is at a bound.
 
 The check needs no reference: every p within its bounds gives a lower bound of the least energy, every u an upper one.
 

@@ -115,12 +115,12 @@ def main(out: Path = Path()) -> None:
     plt.style.use(STYLE)
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(12, 3.9), layout="constrained")
     nodes, shape = membrane.nodes, (SIZE, SIZE)
-    for axes, field, colours, title, top in (
+    for axes, field, colors, title, top in (
         (left, membrane.height, "cividis", "Height of the membrane", 0.0),
         (middle, load, "magma", "The load that was found", np.percentile(load, 99.5)),
     ):
         image = axes.imshow(
-            field.reshape(shape), origin="lower", extent=(-1, 1, -1, 1), cmap=colours, vmax=top
+            field.reshape(shape), origin="lower", extent=(-1, 1, -1, 1), cmap=colors, vmax=top
         )
         figure.colorbar(image, ax=axes, pad=0.02)
         axes.set(title=title, xticks=[-1, 0, 1], yticks=[-1, 0, 1], xlabel="x", ylabel="y")

@@ -114,8 +114,8 @@ def main(out: Path = Path()) -> None:
         )
     left.set(xlabel="risk: standard deviation, % a year", ylabel="expected return, % a year")
     left.set_title(f"The frontier and its {len(path.breakpoints)} corner portfolios")
-    colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.95, ASSETS))
-    right.stackplot(fine, 100 * path.x(fine).T, colors=colours, labels=NAMES, linewidth=0)
+    colors = plt.get_cmap("viridis")(np.linspace(0.05, 0.95, ASSETS))
+    right.stackplot(fine, 100 * path.x(fine).T, colors=colors, labels=NAMES, linewidth=0)
     for theta in path.breakpoints:
         right.axvline(theta, color="white", linewidth=0.6)
     right.set(xlim=(0, 3), ylim=(0, 100), xlabel="risk tolerance θ", ylabel="share, %")

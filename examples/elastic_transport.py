@@ -7,7 +7,7 @@ b_j (p̄_j/p_j)^ε_j cases at the price p_j. If goods flow, no trader profits, a
     p_j ≥ 0   with  Σ_i x_ij − b_j (p̄_j/p_j)^ε_j ≥ 0.
 
 p̄ are the prices at which the fixed demands b are met by both plants; then buyers begin to choose, and the plant in San
-Diego loses its capacity bit by bit. A convex solver gives the same sales: they maximise what buyers gain less what
+Diego loses its capacity bit by bit. A convex solver gives the same sales: they maximize what buyers gain less what
 shipping costs.
 
 Sources: Dantzig, Linear Programming and Extensions, Princeton 1963, ch. 3.3; the elastic model and its figures are
@@ -89,10 +89,10 @@ def main(out: Path = Path()) -> None:
         (left, sold, "Cases sold"),
         (right, prices, "Price (thousand dollars a case)"),
     ):
-        for curve, name, colour in zip(
+        for curve, name, color in zip(
             np.transpose(curves), MARKETS, ("#0072B2", "#D55E00", "#009E73"), strict=True
         ):
-            axes.plot(1 - LEFT, curve, color=colour, linewidth=1.8, label=name)
+            axes.plot(1 - LEFT, curve, color=color, linewidth=1.8, label=name)
         axes.set(
             title=title, xlabel="lost share of San Diego's capacity", xlim=(0, 1), ylim=(0, None)
         )

@@ -124,8 +124,8 @@ def main(out: Path = Path()) -> None:
         title="Prices that clear every market", xlabel="price (the first consumer's income is 9.1)"
     )
     profit = TECHNIQUE.T @ p
-    colours = np.where(y > 1e-9, "#D55E00", "#bbbbbb")
-    right_axes.barh(ACTIVITIES, y, color=colours)
+    colors = np.where(y > 1e-9, "#D55E00", "#bbbbbb")
+    right_axes.barh(ACTIVITIES, y, color=colors)
     for k, loss in enumerate(-profit):
         words = f"  {y[k]:.3g}" if y[k] > 1e-9 else f"  idle: would lose {loss:.2f} a unit"
         right_axes.annotate(words, (y[k], k), va="center", fontsize=8, color="#333333")

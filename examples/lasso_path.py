@@ -97,11 +97,11 @@ def main(out: Path = Path()) -> None:
     left.legend(loc="upper left", fontsize=8)
     penalties = np.geomspace(most, most / 100, 400)
     x_at = path.x(penalties)
-    for name, one, other, colour in (("fresh", fresh, seen, "#D55E00"), ("own", A, b, "#0072B2")):
+    for name, one, other, color in (("fresh", fresh, seen, "#D55E00"), ("own", A, b, "#0072B2")):
         right.plot(
             penalties,
             np.mean((x_at @ one.T - other) ** 2, axis=1),
-            color=colour,
+            color=color,
             label=f"{name} measurements",
         )
     right.plot(best, least / SAMPLES, "o", color="#D55E00")

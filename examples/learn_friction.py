@@ -104,28 +104,28 @@ def main(out: Path = Path()) -> None:
         1, 2, figsize=(10.4, 4.4), width_ratios=[1.5, 1], layout="constrained"
     )
     seconds, places, guessed = STEP * np.arange(1, STEPS + 1), film(learned)[0], film(GUESS)[0]
-    for k, colour in enumerate(("#0072B2", "#D55E00", "#009E73")):
+    for k, color in enumerate(("#0072B2", "#D55E00", "#009E73")):
         behind = -0.6 * k
         left.plot(
             seconds[::6],
             behind + noisy.measured[::6, k],
             ".",
-            color=colour,
+            color=color,
             markersize=4,
             alpha=0.55,
         )
-        left.plot(seconds, behind + places[:, k], color=colour, linewidth=1.6)
-        left.plot(seconds, behind + guessed[:, k], color=colour, linewidth=1, linestyle=(0, (4, 3)))
+        left.plot(seconds, behind + places[:, k], color=color, linewidth=1.6)
+        left.plot(seconds, behind + guessed[:, k], color=color, linewidth=1, linestyle=(0, (4, 3)))
         left.text(
-            seconds[-1] + 0.1, behind + places[-1, k], f"sledge {k + 1}", color=colour, va="center"
+            seconds[-1] + 0.1, behind + places[-1, k], f"sledge {k + 1}", color=color, va="center"
         )
-        right.plot([one[k] for one in noisy.tried], "o-", color=colour, linewidth=1.6, markersize=4)
-        right.axhline(PLANTED[k], color=colour, linewidth=1, linestyle=":")
+        right.plot([one[k] for one in noisy.tried], "o-", color=color, linewidth=1.6, markersize=4)
+        right.axhline(PLANTED[k], color=color, linewidth=1, linestyle=":")
         right.text(
             len(noisy.tried) - 1,
             PLANTED[k] + 0.007,
             f"known {PLANTED[k]:.2f}",
-            color=colour,
+            color=color,
             ha="right",
         )
     left.set(

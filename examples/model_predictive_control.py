@@ -94,10 +94,10 @@ def main(out: Path = Path()) -> None:
 
     places, speeds = np.linspace(-5, 5, 81), np.linspace(-2, 2, 81)
     grid = np.stack([*np.meshgrid(places, speeds), *np.zeros((2, 81, 81))], axis=-1).reshape(-1, 4)
-    begun = perf_counter()
+    start = perf_counter()
     answers = solve_batch(program, grid @ F.T)
     law = np.array([answer.require_solved().z[0] for answer in answers])
-    print(f"{len(grid)} states as one batch: {perf_counter() - begun:.1f} s")
+    print(f"{len(grid)} states as one batch: {perf_counter() - start:.1f} s")
 
     conic = max(
         abs(

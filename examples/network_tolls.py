@@ -154,13 +154,13 @@ def _draw(
     figure, (town, search) = plt.subplots(1, 2, figsize=(10.4, 4.4), layout="constrained")
     for road, toll, is_owned in zip(ROADS, tolls, is_highway, strict=True):
         (x, y), (dx, dy) = PLACES[road[0]], PLACES[road[1]] - PLACES[road[0]]
-        colour = "#D55E00" if is_owned else "#BBBBBB"
+        color = "#D55E00" if is_owned else "#BBBBBB"
         town.annotate(
             "",
             (x + 0.9 * dx, y + 0.9 * dy),
             (x + 0.1 * dx, y + 0.1 * dy),
             zorder=3 if is_owned else 2,
-            arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 2.5 if is_owned else 1.2},
+            arrowprops={"arrowstyle": "->", "color": color, "linewidth": 2.5 if is_owned else 1.2},
         )
         if is_owned:
             town.text(
@@ -170,7 +170,7 @@ def _draw(
                 ha="center",
                 va="center",
                 zorder=5,
-                bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": colour},
+                bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": color},
             )
     town.plot(*PLACES.T, "o", color="#0072B2", markersize=9)
     for place, (x, y) in enumerate(PLACES):

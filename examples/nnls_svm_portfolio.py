@@ -70,8 +70,8 @@ def classifier(axes: plt.Axes, random: np.random.Generator) -> float:
     on_margin = (alpha > 1e-6) & (alpha < PENALTY - 1e-6)
     offset = np.mean(side[on_margin] - x[on_margin] @ normal)
     primal = 0.5 * normal @ normal + PENALTY * np.maximum(1 - side * (x @ normal + offset), 0).sum()
-    for sign, colour in ((1, BLUE), (-1, GREEN)):
-        axes.plot(*x[side == sign].T, "o" if sign > 0 else "s", color=colour, markersize=4)
+    for sign, color in ((1, BLUE), (-1, GREEN)):
+        axes.plot(*x[side == sign].T, "o" if sign > 0 else "s", color=color, markersize=4)
     axes.plot(
         *x[alpha > 1e-6].T,
         "o",
@@ -117,9 +117,9 @@ def portfolio(axes: plt.Axes, random: np.random.Generator) -> float:
         taste.value = tastes[k]
         model.solve(solver="CLARABEL")
         apart.append(abs(mixes[k] - x.value).max())
-    colours = plt.get_cmap("cividis")(np.linspace(0.05, 0.95, 6))
+    colors = plt.get_cmap("cividis")(np.linspace(0.05, 0.95, 6))
     axes.stackplot(
-        tastes, 100 * mixes.T, colors=colours, labels=[f"{value:g} %" for value in mean], alpha=0.9
+        tastes, 100 * mixes.T, colors=colors, labels=[f"{value:g} %" for value in mean], alpha=0.9
     )
     axes.set(
         xlim=(0, 40),

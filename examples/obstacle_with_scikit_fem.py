@@ -6,7 +6,7 @@ height is known: u = −A log(r/2) outside the radius r* with r*² (1 − log(r*
 
 With linear elements on a Delaunay mesh no two nodes inside have a positive entry, so that M is an M-matrix, which its
 signs and one vector prove at any size: sweeps are proved to converge. With quadratic elements there are positive
-entries, and no theorem on sweeps applies; M is still positive definite, which takes a factorisation to prove. The
+entries, and no theorem on sweeps applies; M is still positive definite, which takes a factorization to prove. The
 residual that judges the answer is the same, and of both the error of z has a proved bound. The error in L² falls like
 h² with linear elements, and with quadratic ones like h^2.5, not h³, because of the jump.
 
@@ -124,16 +124,16 @@ def draw(out: Path, widths: np.ndarray, errors: np.ndarray, orders: list[float])
     figure.colorbar(image, ax=left, shrink=0.85).outline.set_visible(False)
     left.set(aspect="equal", title="Height; dots: where it touches, circle: r*")
     left.set_axis_off()
-    for name, colour, error, order in zip(
+    for name, color, error, order in zip(
         ELEMENTS, ("#0072B2", "#009E73"), errors, orders, strict=True
     ):
-        right.loglog(widths, error, "o-", color=colour, linewidth=1.5)
+        right.loglog(widths, error, "o-", color=color, linewidth=1.5)
         right.annotate(
             f"{name} elements: h^{order:.2f}",
             (widths[-1], error[-1]),
             (16, -6),
             textcoords="offset points",
-            color=colour,
+            color=color,
         )
     right.set(title="Error in L² against the mesh width h", xlabel="h", xticks=widths)
     right.set_xticklabels([f"{width:.2f}" for width in widths])

@@ -195,9 +195,9 @@ def main(out: Path = Path()) -> None:
     shown, today = slice(*np.searchsorted(spot, (60, 150)), 5), MATURITY - years
     names = ("delta", "vega (EUR per 1.00 of σ)", "rho (EUR per 1.00 of r)")
     for greek, (name, (above, below)) in enumerate(zip(names, panels.T, strict=True)):
-        field, colours = kept[:, greek, shown].T, ("cividis", "viridis", "viridis_r")[greek]
+        field, colors = kept[:, greek, shown].T, ("cividis", "viridis", "viridis_r")[greek]
         figure.colorbar(
-            above.pcolormesh(today[1:], spot[shown], field, cmap=colours, shading="gouraud"),
+            above.pcolormesh(today[1:], spot[shown], field, cmap=colors, shading="gouraud"),
             ax=above,
         )
         above.fill_between(today, boundary, 60, color="white", linewidth=0)

@@ -77,12 +77,12 @@ def main(out: Path = Path()) -> None:
     )
     left.set(ylabel="torque, share", title="The bar yields")
     left.legend(loc="center right", bbox_to_anchor=(1, 0.55))
-    for twist, colour in zip(
+    for twist, color in zip(
         (1.0, 1.5, 2.5, 5.0), ("#E9C46A", "#E69F00", "#D55E00", "#7F2704"), strict=True
     ):
         k = np.argmin(abs(TWISTS - twist))
-        free_boundary(warm[k], coordinates=(nodes, nodes)).draw(right, color=colour, linewidth=2)
-        right.plot([], [], color=colour, linewidth=2, label=f"α = {twist:g}")
+        free_boundary(warm[k], coordinates=(nodes, nodes)).draw(right, color=color, linewidth=2)
+        right.plot([], [], color=color, linewidth=2, label=f"α = {twist:g}")
     right.set(
         aspect="equal",
         xlim=(-1, 1),

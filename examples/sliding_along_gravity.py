@@ -51,7 +51,7 @@ def main(out: Path = Path()) -> None:
     )
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
-    for edges, colour in EDGES.items():
+    for edges, color in EDGES.items():
         found = []
         for one in directions:
             problem = LCP.from_contacts(W, FRICTION, pull(one)[None], directions=edges)
@@ -59,8 +59,8 @@ def main(out: Path = Path()) -> None:
                 problem.origin.recover(solve(problem, tolerance=1e-12).require_solved()).slip[0]
             )
         off = [drift(slip, one) for slip, one in zip(found, directions, strict=True)]
-        left.plot(np.degrees(directions), off, color=colour, label=f"pyramid of {edges} edges")
-        right.plot(np.degrees(directions), np.linalg.norm(found, axis=1) / expected, color=colour)
+        left.plot(np.degrees(directions), off, color=color, label=f"pyramid of {edges} edges")
+        right.plot(np.degrees(directions), np.linalg.norm(found, axis=1) / expected, color=color)
         print(
             f"pyramid of {edges} edges: up to {max(map(abs, off)):.2g}° aside, "
             f"speeds {np.linalg.norm(found, axis=1).max() / expected - 1.0:+.1%} at the most"

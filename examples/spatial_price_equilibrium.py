@@ -8,7 +8,7 @@ i to j costs t_ij. No trader ships at a loss, and where goods flow, competition 
 with the supply s_i = Σ_j x_ij and the demand y_j = Σ_i x_ij. In the flows x this is an LCP: with the 0–1 matrices S and
 Y that add up supplies and demands, M = Sᵀ diag(b) S + Yᵀ diag(d) Y and q = Sᵀ a + t − Yᵀ c.
 
-Samuelson's theorem gives a second way: the same flows maximise a total surplus, so that a convex solver finds them too.
+Samuelson's theorem gives a second way: the same flows maximize a total surplus, so that a convex solver finds them too.
 
 Sources: Samuelson, Spatial price equilibrium and linear programming, American Economic Review 42, 1952; Takayama,
 Judge, Equilibrium among spatially separated markets: a reformulation, Econometrica 32, 1964.

@@ -2,7 +2,7 @@
 
 Ten equal blocks lie on each other; each face touches the next at its two edges, with friction. Someone pulls the block
 in the middle sideways. Pulled a little the tower is at rest; harder, all blocks from there on move together;
-harder still, the block slips out between its neighbours. The complementarity problem decides which,
+harder still, the block slips out between its neighbors. The complementarity problem decides which,
 for all twenty contacts at once.
 
 The check: of b blocks from the pulled one on, of mass m and weight G each, nothing moves up to a pull of b μ G; then

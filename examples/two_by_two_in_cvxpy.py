@@ -51,12 +51,12 @@ def main(out: Path = Path()) -> None:
     unit = {name: np.array(edge) / np.linalg.norm(edge) for name, edge in edges.items()}
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
-    for (first, second), text, colour in zip(
+    for (first, second), text, color in zip(
         cones, says, ["#56B4E9", "#E69F00", "#009E73", "#CC79A7"], strict=True
     ):
         axes.fill(
             *np.array([[0, 0], 30 * unit[first], 30 * unit[second]]).T,
-            color=colour,
+            color=color,
             alpha=0.25,
             linewidth=0,
         )

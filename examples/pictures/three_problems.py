@@ -19,16 +19,16 @@ from stack_of_blocks import BLOCKS, GRAVITY, INERTIA, contact_problem, draw, tow
 
 
 def membrane(axes: plt.Axes) -> None:
-    """Draw the surface of a membrane over a ball; where it touches, its colour changes."""
+    """Draw the surface of a membrane over a ball; where it touches, its color changes."""
     scene = gallery.obstacle_2d(size=120)
     result = solve(scene.problem).require_solved()
     x, y = np.meshgrid(*scene.coordinates, indexing="ij")
     touches = (result.z == scene.problem.lower).reshape(120, 120)
-    colours = plt.get_cmap("Blues")(0.25 + 0.6 * (x + y - (x + y).min()) / np.ptp(x + y))
-    colours[touches] = plt.get_cmap("Oranges")(0.65)
+    colors = plt.get_cmap("Blues")(0.25 + 0.6 * (x + y - (x + y).min()) / np.ptp(x + y))
+    colors[touches] = plt.get_cmap("Oranges")(0.65)
     height = result.z.reshape(120, 120)
     axes.plot_surface(
-        x, y, height, facecolors=colours, rcount=60, ccount=60, linewidth=0, antialiased=False
+        x, y, height, facecolors=colors, rcount=60, ccount=60, linewidth=0, antialiased=False
     )
     axes.set_axis_off()
     axes.set_box_aspect((4, 4, 2.2), zoom=1.2)
@@ -73,7 +73,7 @@ def main(out: Path = Path()) -> None:
     pile(figure.add_subplot(places[2]))
     file = out / "three_problems.png"
     figure.savefig(file, dpi=110)
-    with Image.open(file) as picture:  # 128 colours are a third of the bytes
+    with Image.open(file) as picture:  # 128 colors are a third of the bytes
         small = picture.convert("RGB").quantize(128)
     small.save(file, optimize=True)
 

@@ -175,8 +175,8 @@ class Case:
                     result = solve(self.stated.program, max_iterations=STEPS["auto"])
                     return result, np.append(result.x, np.zeros(self.n - result.x.size))
                 problem, c = self.in_units(units)
-                wishes = {} if method == "auto" else {"prove_infeasibility": False}
-                result = solve(problem, method, max_iterations=STEPS.get(method), **wishes)
+                options = {} if method == "auto" else {"prove_infeasibility": False}
+                result = solve(problem, method, max_iterations=STEPS.get(method), **options)
             except (UnsuitableMatrix, UnsuitableProblem):
                 return None
         return result, np.ldexp(result.z, c)

@@ -48,11 +48,11 @@ def main() -> int:
             f"unknown benchmark {given.name!r}{meant or ';'} known: {', '.join(BENCHMARKS)}"
         )
     run = load(given.name)
-    wishes = {"files": given.files} if given.files else {}
-    if wishes and "files" not in inspect.signature(run).parameters:
+    options = {"files": given.files} if given.files else {}
+    if options and "files" not in inspect.signature(run).parameters:
         parser.error(f"{given.name} takes no files; leave out {given.files[0]}")
     try:
-        for line in run(quick=given.quick, **wishes):
+        for line in run(quick=given.quick, **options):
             print(line, flush=True)
     except LCPError as error:
         print(f"benchmarks: {error}", file=sys.stderr)

@@ -39,9 +39,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
 @cache
 def has_siconos() -> bool:
     """Return whether the system's Python has Siconos."""
-    asked = [SYSTEM_PYTHON, "-c", "import siconos.numerics, scipy"]
+    command = [SYSTEM_PYTHON, "-c", "import siconos.numerics, scipy"]
     try:
-        return subprocess.run(asked, capture_output=True, check=False).returncode == 0
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
     except OSError:
         return False
 

@@ -95,7 +95,7 @@ def factorised(lower: sp.csr_array, **panels: int) -> Callable[[Any], Any]:
 
 factorised_without_panels = partial(
     factorised, relax=1, panel_size=1
-)  # which halves the time of the factorisation
+)  # which halves the time of the factorization
 
 
 def substituted(lower: sp.csr_array) -> Callable[[Any], Any]:

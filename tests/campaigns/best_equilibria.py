@@ -212,27 +212,27 @@ def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
 
 def complaints(result: Any, known: Truth) -> list[str]:
     """Return the errors of a result compared with the truth."""
-    said = []
+    messages = []
     if (result.is_solved or result.has_no_solution) and known.status is not (
         Status.NO_SOLUTION if result.status is Status.INFEASIBLE else result.status
     ):
-        said.append(f"says {result.status}, is {known.status}")
+        messages.append(f"says {result.status}, is {known.status}")
     allowed = ACCURACY * max(1.0, abs(known.value)) if math.isfinite(known.value) else 0.0
     if result.x is not None and result.value < known.value - 2.0 * allowed:
-        said.append(f"value {result.value} below {known.value}")
+        messages.append(f"value {result.value} below {known.value}")
     if (
         result.is_solved
         and known.status is Status.SOLVED
         and result.value > known.value + 2.0 * allowed
     ):
-        said.append(f"value {result.value} above {known.value}")
+        messages.append(f"value {result.value} above {known.value}")
     if result.lower_bound > known.value + allowed:
-        said.append(f"bound {result.lower_bound} above {known.value}")
+        messages.append(f"bound {result.lower_bound} above {known.value}")
     if result.x is not None and not is_solution(result.problem, result.x):
-        said.append("x is no solution")
+        messages.append("x is no solution")
     if result.verify() == (result.bound_by == "SCIP"):  # whose bound nothing proves
-        said.append(f"verify() is {result.verify()}")
-    return said
+        messages.append(f"verify() is {result.verify()}")
+    return messages
 
 
 def damaged(result: Any) -> Iterator[tuple[str, Any]]:

@@ -20,7 +20,7 @@ from lcp_plugin import QPSolver
 
 RELATIVE = 1e-5  # an optimal value that differs by more is wrong
 SOFT = 1e-6  # tolerated violation of constraints by the references
-KINDS = ("free", "signed", "bounded", "parameterised")
+KINDS = ("free", "signed", "bounded", "parameterized")
 
 
 Draw = np.random.Generator
@@ -197,7 +197,7 @@ def variable(kind: str, draw: Draw) -> Any:
     if kind == "bounded":
         low = -draw.uniform(0.0, 3.0, n)
         return cp.Variable(n, bounds=[low, low + draw.uniform(0.5, 5.0, n)])
-    if kind == "parameterised":
+    if kind == "parameterized":
         scale, shift = cp.Parameter(n, value=draw.normal(size=n)), cp.Parameter(value=draw.normal())
         return cp.multiply(scale, cp.Variable(n)) + shift
     shape = draw.integers(0, 8)

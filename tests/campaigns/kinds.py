@@ -34,7 +34,6 @@ from . import (
     error_bounds,
     guarantees,
     least_squares,
-    matrix_verdicts,
     search,
     small_lcps,
 )
@@ -202,7 +201,7 @@ def optional(rng: Generator, name: str) -> Found:
             problem.n, rng.integers(-spread, spread + 1)))).problem  # fmt: skip
     truth = decide(problem).verdict
     tolerance = float(rng.choice([0.0, 1e-15, 1e-12, 1e-6, 1e-2]))
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "tolerance": tolerance,
         "z0": None
         if rng.random() < 0.5
@@ -212,27 +211,27 @@ def optional(rng: Generator, name: str) -> Found:
         "error_bound": bool(rng.random() < 0.5),
         "callback": (lambda sample, z: sample.iteration >= 20) if rng.random() < 0.2 else None,
     }
-    start = bits(asked["z0"])
+    start = bits(options["z0"])
     try:
-        result = solve(problem, name, **asked, **random_options(name, rng))
+        result = solve(problem, name, **options, **random_options(name, rng))
     except (UnsuitableMatrix, UnsuitableProblem):
         if name == "auto":
             yield Finding(CRASH, "auto refuses")
         return
-    if bits(asked["z0"]) != start:
+    if bits(options["z0"]) != start:
         yield Finding(MODIFIED, "z0")
     if result.status.name == "SOLVED" and problem.n and not is_within(problem, result.z, tolerance):
-        yield Finding(SOLVED, f"{truth}, {asked}")
+        yield Finding(SOLVED, f"{truth}, {options}")
     elif result.status.name == "SOLVED" and truth != SOLVABLE:
-        yield Finding(NEAR, f"{truth}, but not within the tolerance, {asked}")
+        yield Finding(NEAR, f"{truth}, but not within the tolerance, {options}")
     elif complaint := false_claim(problem, truth, result, tolerance):
-        yield Finding(CLAIM, f"{complaint}, {asked}")
+        yield Finding(CLAIM, f"{complaint}, {options}")
     if problem.n and result.error_bound is not None:
         exact = decide(problem).z  # the only solution: a bound is a proof of that
         if exact is None:
             yield Finding(BOUND, "a bound where there is no solution")
         elif violated(problem, result.z, exact, result.error_bound):
-            yield Finding(BOUND, f"{asked}")
+            yield Finding(BOUND, f"{options}")
 
 
 def planted(rng: Generator, kind: str) -> Found:
@@ -275,13 +274,6 @@ def large(rng: Generator, kind: str) -> Found:
         bound = error_bound(problem, near, sharp=bool(rng.random() < 0.5))
         if violated(problem, near, tuple(map(Fraction, z.tolist())), bound):
             yield Finding(BOUND, f"of {n} rows, or a row is classified wrongly")
-
-
-def verdicts(rng: Generator, kind: str) -> Found:
-    """The report on a matrix against exact arithmetic, or truth by construction."""
-    case = matrix_verdicts.draw(rng, kind)
-    for line in matrix_verdicts.check(case):
-        yield Finding(OPEN if "undecided" in line else VERDICT, line)
 
 
 def bounds(rng: Generator, kind: float | str) -> Found:
@@ -468,7 +460,6 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "optional": (optional, ("auto", *REGISTRY), 57),
     "planted": (planted, tuple(small_lcps.KINDS), 18),
     "large": (large, ("plain", "symmetric", "scaled"), 6),
-    "matrix": (verdicts, matrix_verdicts.KINDS, 80),
     "bound": (bounds, error_bounds.CLASSES, 25),
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),

@@ -200,7 +200,7 @@ def judged_lcp(problem: ExactLCP, status: Any, z: np.ndarray, radius: float, tex
 
 
 class ExactProgram:
-    """Minimise ½xᵀPx + cᵀx, G x ≤ h, A x = b, bounds, convex, in fractions."""
+    """Minimize ½xᵀPx + cᵀx, G x ≤ h, A x = b, bounds, convex, in fractions."""
 
     def __init__(
         self, P: Any, c: Any, G: Any, h: Any, A: Any, b: Any, lower: Any, upper: Any

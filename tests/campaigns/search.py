@@ -24,7 +24,7 @@ Inequality = tuple[tuple[Fraction, ...], Fraction, bool]
 def is_satisfiable(system: list[Inequality]) -> bool:
     """Whether inequalities have a common point: Gaussian steps on opposite pairs, then Fourier–Motzkin."""
     while system:
-        system = list(dict.fromkeys(map(normalised, system)))
+        system = list(dict.fromkeys(map(normalized, system)))
         if any(not any(a) and (c < 0 or (s and c == 0)) for a, c, s in system):
             return False
         system = [row for row in system if any(row[0])]
@@ -51,7 +51,7 @@ def is_satisfiable(system: list[Inequality]) -> bool:
     return True
 
 
-def normalised(row: Inequality) -> Inequality:
+def normalized(row: Inequality) -> Inequality:
     a, c, strict = row
     scale = next((abs(x) for x in a if x), Fraction(1))
     return tuple(x / scale for x in a), c / scale, strict

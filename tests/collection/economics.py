@@ -76,7 +76,7 @@ def _shipments(supply: Matrix, demand: Matrix) -> Matrix:
 
 
 def _capital() -> Iterator[Entry]:
-    """X maximises c·x − ½ xᵀQ x with outputs covering inputs plus the stock to be kept, discounted by γ."""
+    """X maximizes c·x − ½ xᵀQ x with outputs covering inputs plus the stock to be kept, discounted by γ."""
     inputs = np.array([[2.0, 1.0, 0.5], [1.0, 3.0, 1.0]])
     outputs = np.array([[1.0, 0.5, 0.0], [0.5, 1.5, 0.5]])
     for gamma in (1.0, 0.75, 0.5):

@@ -161,7 +161,7 @@ def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
 
 @pytest.mark.parametrize("size", [3, 40], ids=["in one compiled call", "step by step"])
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "newton"])
-def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
+def test_a_start_that_is_the_solution_is_named(size: int, algorithm: str) -> None:
     """If the start is the solution, explain() reports this, and otherwise not."""
     problem = gallery.obstacle_2d(size=size).problem
     answer = solve(problem, algorithm, tolerance=1e-10)

@@ -66,7 +66,7 @@ def test_frictional_contact_is_solved_by_pivots_alone(contacts: int) -> None:
 
 
 @pytest.mark.parametrize("is_dense", [True, False])
-def test_a_budget_row_is_pivoted_before_it_is_factorised(is_dense: bool) -> None:
+def test_a_budget_row_is_pivoted_before_it_is_factorized(is_dense: bool) -> None:
     """A portfolio holds few of its assets: pivots find them, for less than a factorization of M."""
     stated = Case("portfolio", {"assets": 200}).in_units("own")[0]
     problem = (

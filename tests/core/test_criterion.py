@@ -68,8 +68,8 @@ def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) 
 
 
 @pytest.mark.parametrize("name", CONSTRUCTED)
-def test_a_certificate_and_a_batch_refuse_the_wrong_point(name: str) -> None:
-    """The point fails a test, as in rational arithmetic, or a proof excludes it; a batch does not end there."""
+def test_a_certificate_rejects_the_wrong_point(name: str) -> None:
+    """The point fails a test, as in rational arithmetic, or a proof excludes it."""
     problem, wrong, right = constructed(name)
     M, q, lower = problem.csr, problem.q, problem.lower
     assert failures(problem, wrong) or right is None
@@ -78,11 +78,6 @@ def test_a_certificate_and_a_batch_refuse_the_wrong_point(name: str) -> None:
         assert not Certificate.of(one, wrong).meets(Settings())
         if right is not None:
             assert Certificate.of(one, right).meets(Settings())
-    batch = solve_batch(M.toarray(), [q, q], lower=lower, z0=[np.maximum(lower, 0.0), wrong])
-    for z, status in zip(batch.z, batch.status, strict=True):
-        assert (status is Status.SOLVED) == (right is not None)
-        if right is not None:
-            np.testing.assert_allclose(z, right, rtol=1e-5, atol=1e-3)
 
 
 @pytest.mark.parametrize("power", [-300, 0, 300])
@@ -457,7 +452,7 @@ def test_what_is_small_by_the_callers_word_is_right() -> None:
     assert result.is_solved
 
 
-def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
+def test_a_far_field_in_one_unit_is_solved() -> None:
     """Far from the load z is 1e-20 with errors of this size, which count relative to the load."""
     n = 60
     M = sp.diags_array(
@@ -515,7 +510,7 @@ def test_rounding_in_w_is_not_told():
 AT_REST = [[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0]  # no solution, by rounding
 
 
-def test_contact_at_rest_is_accepted_or_said_to_be_rounding() -> None:
+def test_contact_at_rest_is_accepted_or_at_the_rounding_level() -> None:
     """A contradiction of rounding size is PRECISION_LIMIT, and an absolute tolerance as large accepts it."""
     problem = LCP(*AT_REST)
     plain = solve(problem)

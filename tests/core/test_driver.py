@@ -369,7 +369,7 @@ def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
     )
 
 
-def test_what_a_pile_leaves_open_is_said_calmly() -> None:
+def test_what_a_pile_leaves_undecided_is_no_alarm() -> None:
     """If M is singular on the free rows, the explanation counts undetermined entries of z."""
     J = np.array([[1.0, 0.3], [0.7, 0.9], [0.4, 1.1]])  # three forces, two motions
     told = solve(LCP(J @ J.T, -J @ J.T @ [0.1, 0.7, 0.3]), "psor").explain()
@@ -391,7 +391,7 @@ def test_stiff_data_tell_the_truth() -> None:
     assert "stiff: the error may be" in fooled.explain()
 
 
-def test_stiffer_data_are_said_to_be() -> None:
+def test_stiffer_data_are_named() -> None:
     """Sweeps leave an inclusion at 0 instead of 3, which no residual shows: that is not SOLVED, and auto is right."""
     problem, exact = stiff_m_matrix(contrast=1e10)
     far = solve(problem, "pgs")
@@ -412,7 +412,7 @@ def test_a_nearly_singular_system_is_not_said_to_have_several_answers() -> None:
     assert "several answers" not in result.explain()
 
 
-def test_a_program_says_what_was_asked_of_its_residuals() -> None:
+def test_a_program_prints_the_tolerance_of_its_residuals() -> None:
     """Rows are tested to 10⁻⁹, the duality gap to the tolerance, and the explanation shows both."""
     program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[1.0])
     for tolerance, options in ((1e-6, {}), (1e-12, {"tolerance": 1e-12})):

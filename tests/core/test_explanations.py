@@ -122,7 +122,7 @@ def test_the_first_three_lines_answer_three_questions(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RESULTS)
-def test_its_sentences_are_short_and_none_is_said_twice(name: str) -> None:
+def test_its_sentences_are_short_and_none_is_repeated(name: str) -> None:
     """No clause has more than 25 words; the list of what ran, which is indented, may have equal lines."""
     told = RESULTS[name][0]().explain()
     assert max(len(clause.split()) for clause in re.split(r"[.;:]\s+|\n", told)) <= 25

@@ -178,7 +178,7 @@ MEMORY = """
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux"
 )
-def test_where_memory_ends_it_is_said() -> None:
+def test_a_lack_of_memory_is_an_error() -> None:
     """Under a memory limit a run ends with MemoryError, an LCPError or a result; others work."""
     done = in_a_process(
         MEMORY, MALLOC_MMAP_THRESHOLD_="65536"

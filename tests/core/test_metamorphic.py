@@ -96,7 +96,7 @@ def changes_to_lower_bounds(problem: LCP) -> bool:
     "relation", [name for name in EXACT if name not in ("split", "twice", "with a free row")]
 )
 def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation: str) -> None:
-    """H, H₊ and P survive permutation, positive scaling and a regular neighbour: never True here and False there."""
+    """H, H₊ and P survive permutation, positive scaling and a regular neighbor: never True here and False there."""
 
     @settings.get_profile("few")
     @given(st.integers(1, 5), SEEDS)

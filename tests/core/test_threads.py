@@ -69,7 +69,7 @@ def in_a_nonlinear_solve(algorithm: Any, **options: Any) -> Any:
 
 
 @pytest.mark.parametrize("run", [in_solve, in_a_nonlinear_solve], ids=lambda run: run.__name__)
-def test_threads_of_a_solve_are_what_was_asked_for(run: Callable[..., Any]) -> None:
+def test_a_solve_uses_the_stated_number_of_threads(run: Callable[..., Any]) -> None:
     """So many, all that may be used by default, and one again afterwards."""
     assert counted(run, threads=3) == 3
     assert counted(run) == checked_threads(None)

@@ -200,7 +200,7 @@ def test_auto_without_a_solver_has_its_own_name() -> None:
     assert result.algorithm == "auto"
 
 
-def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
+def test_an_engine_takes_the_options_of_solve() -> None:
     """Engines support a step limit, record and callback, ignore a start, and reject bad values."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)

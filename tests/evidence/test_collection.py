@@ -92,13 +92,13 @@ def test_search_decides_by_hand_made_cases() -> None:
 def test_false_claims_are_noticed(truth: str, status: str, z: list[float], complaint: str) -> None:
     """The judge of this file and of the campaigns objects to each kind of false claim, and to no honest one."""
     claim = SimpleNamespace(status=SimpleNamespace(name=status), z=np.array(z), infeasibility=None)
-    said = false_claim(LCP([[2.0, 1.0], [1.0, 2.0]], [-4.0, -2.0]), truth, claim, TOLERANCE)
-    assert complaint in said
-    assert bool(complaint) == bool(said)
+    message = false_claim(LCP([[2.0, 1.0], [1.0, 2.0]], [-4.0, -2.0]), truth, claim, TOLERANCE)
+    assert complaint in message
+    assert bool(complaint) == bool(message)
 
 
 def test_farkas_vectors_are_checked() -> None:
-    """A contradiction is accepted, its neighbours are not: wrong sign, unbounded column, margin of zero."""
+    """A contradiction is accepted, its neighbors are not: wrong sign, unbounded column, margin of zero."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     assert is_farkas(problem, [Fraction(1), Fraction(1)])
     assert not is_farkas(problem, [Fraction(1), Fraction(2)])

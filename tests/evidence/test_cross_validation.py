@@ -209,7 +209,7 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cross_validate(problem, right).agrees
 
 
-def test_an_answer_less_accurate_than_asked_is_no_mismatch() -> None:
+def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch() -> None:
     """A run that ended early is not comparable; a run with a loose tolerance agrees."""
     problem = gallery.parse("obstacle_2d:size=20").problem
     early = cross_validate(problem, solve(problem, max_iterations=2))

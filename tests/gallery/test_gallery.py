@@ -256,10 +256,10 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
     for name, (sub, sup) in blocks.items():
         scene = gallery.build(name, n=25, delta=3.0)
         line = sp.diags_array([sub, 4.0, sup], offsets=[-1, 0, 1], shape=(5, 5))
-        neighbours = sp.diags_array([sub, sup], offsets=[-1, 1], shape=(5, 5))
+        neighbors = sp.diags_array([sub, sup], offsets=[-1, 1], shape=(5, 5))
         expected = (
             sp.kron(sp.eye_array(5), line)
-            + sp.kron(neighbours, sp.eye_array(5))
+            + sp.kron(neighbors, sp.eye_array(5))
             + 3.0 * sp.eye_array(25)
         )
         assert np.array_equal(scene.problem.csr.toarray(), expected.toarray())

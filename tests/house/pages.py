@@ -186,7 +186,7 @@ def shown() -> list[str]:
 
 
 def small(picture: Path | io.BytesIO) -> bytes:
-    """Return a picture of 256 colours, narrowed until it fits."""
+    """Return a picture of 256 colors, narrowed until it fits."""
     image = Image.open(picture).convert("RGB")
     while True:
         written = io.BytesIO()

@@ -192,13 +192,13 @@ def test_no_subpackages_and_no_files_import_each_other() -> None:
 
 def test_the_package_offers_a_file_nothing_but_the_version() -> None:
     """Inside the package only the version is imported from the package itself."""
-    asked: set[str] = set()
+    names: set[str] = set()
     for file in FILES:
         depth, text = len(file.relative_to(PACKAGE).parts), file.read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(text)) if f"from {depth * '.'} import" in text else ():
             if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
-                asked |= {alias.name for alias in node.names}
-    assert asked - set(ARROWS) == {"__version__"}
+                names |= {alias.name for alias in node.names}
+    assert names - set(ARROWS) == {"__version__"}
 
 
 def test_the_storeys_of_the_readme_hold() -> None:
@@ -272,9 +272,9 @@ def test_star_import_needs_no_hypothesis() -> None:
         "            lambda: pydoc.locate('lcp_plugin.strategies')):\n"
         "    try:\n        ask()\n    except Exception as error:\n        print(str(error).split('ImportError: ')[-1])"
     )
-    solved, *asked = printed_by(code).splitlines()
+    solved, *errors = printed_by(code).splitlines()
     assert solved == "SOLVED"
-    assert asked == 3 * [
+    assert errors == 3 * [
         "lcp_plugin.strategies needs hypothesis; install it with: pip install '.[test]'"
     ]
 

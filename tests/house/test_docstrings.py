@@ -57,19 +57,19 @@ def parameters(thing: Any) -> dict[str, str]:
 def test_help_tells_what_goes_in_and_what_comes_out() -> None:
     """A summary; an entry for each parameter, with shape or unit where it has one; what is returned."""
     for name, thing in DESCRIBED.items():
-        told, said = sections(thing), entries(thing)
+        told, described = sections(thing), entries(thing)
         assert re.match(r"\S.*[.:,;\w]$", told[""].splitlines()[0]), name
         assert not re.search(r"\S +-{4,}", inspect.getdoc(thing) or ""), (
             f"{name}: a section's title in its text"
         )
         for parameter, annotation in parameters(thing).items():
-            assert parameter in said, f"{name}: {parameter} is not described"
+            assert parameter in described, f"{name}: {parameter} is not described"
             if re.search("FloatVector|ArrayLike|NDArray", annotation):
-                assert re.search(r"shape|length|As in", said[parameter]), (
+                assert re.search(r"shape|length|As in", described[parameter]), (
                     f"{name}: {parameter}: which shape?"
                 )
             if "seconds" in parameter:
-                unit = re.search(r"[Ss]econd|units", said[parameter].partition("\n")[2])
+                unit = re.search(r"[Ss]econd|units", described[parameter].partition("\n")[2])
                 assert unit, f"{name}: {parameter}: which unit?"
         returns = is_function(thing) and inspect.signature(inspect.unwrap(thing)).return_annotation
         if returns and returns not in (

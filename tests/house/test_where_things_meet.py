@@ -146,8 +146,8 @@ def confirm(answer: Any, sample: Sample) -> None:
             answer.require_solved()
 
 
-def solved(sample: Sample, **wishes: Any) -> Any:
-    return solve(sample.problem, **sample.start, **wishes)
+def solved(sample: Sample, **options: Any) -> Any:
+    return solve(sample.problem, **sample.start, **options)
 
 
 # --- Interfaces that accept a class
@@ -167,10 +167,10 @@ def by_batch(sample: Sample, folder: Path) -> None:
         batches.append(solve_batch(stack))
     if sample.kind == "FrictionalContact":
         one = sample.problem
-        worlds = FrictionalContact.worlds(
+        instances = FrictionalContact.worlds(
             one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension
         )
-        batches.append(solve_batch(worlds))
+        batches.append(solve_batch(instances))
         if batches[-1].all_solved:
             assert derivative(batches[-1]).vjp(np.ones(one.n)).q.shape == (2, one.n)
     for batch in batches:
@@ -497,25 +497,25 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
             assert command(way.split()[1], path).exit_code == 2
 
 
-def test_worlds_with_contact_work_or_are_refused_in_words(tmp_path: Path) -> None:
+def test_batches_of_contacts_work_or_are_refused_in_words(tmp_path: Path) -> None:
     """A batch in arrays is solved, differentiated, pickled and saved; every other way names solve_batch."""
-    worlds = FrictionalContact.worlds(
+    batch = FrictionalContact.worlds(
         np.stack([np.eye(3)] * 2), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5
     )
-    worlds.save(tmp_path / "w.npz")
-    for copy in (worlds, pickle.loads(pickle.dumps(worlds)), load_problem(tmp_path / "w.npz")):
+    batch.save(tmp_path / "w.npz")
+    for copy in (batch, pickle.loads(pickle.dumps(batch)), load_problem(tmp_path / "w.npz")):
         answers = solve_batch(copy).require_solved()
         assert str(answers) == answers.explain()
         np.testing.assert_allclose(answers.z, [[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], atol=CLOSE)
         assert derivative(answers).vjp(np.ones((2, 3))).M.shape == (2, 3, 3)
-    answers = pickle.loads(pickle.dumps(solve_batch(worlds)))
+    answers = pickle.loads(pickle.dumps(solve_batch(batch)))
     assert answers[1].is_solved
     words = [*REFUSALS.keys() - {"solve_batch", "derivative", "certify", "study"}]
     for refuse in (lambda p, _: solve(p), *(REFUSALS[way] for way in words)):
         with pytest.raises(LCPError, match=r"got FrictionalContactBatch|M must hold"):
-            refuse(worlds, lambda: answers)  # type: ignore[no-untyped-call]
+            refuse(batch, lambda: answers)  # type: ignore[no-untyped-call]
     with pytest.raises(LCPError, match="study needs an LCP"):
-        study(worlds, ["lemke"])
+        study(batch, ["lemke"])
     for way in COMMANDS[:-1]:
         found = command(way.split()[1], tmp_path / "w.npz")
         assert found.exit_code == 2
@@ -635,10 +635,10 @@ def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -
     """Solved problems are kept, stacks come first, the remaining are INTERRUPTED."""
     one, two, *_ = problems = one_of_each_kind()
 
-    def interrupted(problem: Any, **wishes: Any) -> Any:
-        if problem is two and not wishes:
+    def interrupted(problem: Any, **options: Any) -> Any:
+        if problem is two and not options:
             raise KeyboardInterrupt
-        return solve(problem, **wishes)
+        return solve(problem, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.batches.batch_run.solve", interrupted)
     answers = solve_batch(problems)
@@ -702,18 +702,18 @@ def test_a_start_is_refused_in_words_that_say_what_it_is_called() -> None:
             solve(by_name[name], z0=[np.nan, 1.0])
 
 
-def begun_in_python() -> Any:
+def start_in_python() -> Any:
     return solve(NonlinearProblem(lambda x: np.log(x) + 1.0), x0=[-1.0])
 
 
-def begun_in_cvxpy() -> Any:
+def start_in_cvxpy() -> Any:
     x = cp.Variable(value=[-1.0], shape=1)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.log(x) + 1 >= 0)])
     problem.solve(method="LCP")
     return problem.solver_stats.extra_stats
 
 
-def begun_in_pyomo(through_a_file: Path | None = None) -> Any:
+def start_in_pyomo(through_a_file: Path | None = None) -> Any:
     pyo, mpec = pytest.importorskip("pyomo.environ"), pytest.importorskip("pyomo.mpec")
     pytest.importorskip("lcp_plugin.pyomo")
     m = pyo.ConcreteModel()
@@ -729,13 +729,13 @@ def begun_in_pyomo(through_a_file: Path | None = None) -> Any:
 
 def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
     """Each interface starts at 1 instead of x = −1, solves log x + 1 = 0, and reports the start."""
-    for begun in (
-        begun_in_python,
-        begun_in_cvxpy,
-        begun_in_pyomo,
-        partial(begun_in_pyomo, tmp_path / "m.nl"),
+    for run_from_start in (
+        start_in_python,
+        start_in_cvxpy,
+        start_in_pyomo,
+        partial(start_in_pyomo, tmp_path / "m.nl"),
     ):
-        result = begun()
+        result = run_from_start()
         assert result.is_solved
         assert float(result.x[0]) == pytest.approx(np.exp(-1.0))
         assert (

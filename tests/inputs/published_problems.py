@@ -64,7 +64,7 @@ def beside(wrong: np.ndarray, size: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class PublishedProgram:
-    """Minimise ½ xᵀP x + qᵀx + r over l ≤ A x ≤ u, with its published least value, right to `digits` of it."""
+    """Minimize ½ xᵀP x + qᵀx + r over l ≤ A x ≤ u, with its published least value, right to `digits` of it."""
 
     P: Any
     q: np.ndarray

@@ -435,7 +435,7 @@ def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
         problem.solve(method="LCP", relaxation=1.7)
 
 
-def test_no_start_is_said_in_words() -> None:
+def test_a_missing_start_is_named() -> None:
     """If F is undefined at the values, at 0 and at 1, the error recommends another start."""
     x = cp.Variable()
     x.value = -1.0

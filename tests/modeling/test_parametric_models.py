@@ -25,8 +25,8 @@ def test_lasso_in_cvxpy_follows_its_penalty() -> None:
     assert path.value(x, [1.0, 2.0]).shape == (2, 6)
 
 
-def test_frontier_in_cvxpy_is_said_to_end_nowhere() -> None:
-    """Risk tolerance times return: from the least risk to the largest return, maximised."""
+def test_frontier_in_cvxpy_has_no_end() -> None:
+    """Risk tolerance times return: from the least risk to the largest return, maximized."""
     rng = np.random.default_rng(1)
     root, mean = rng.standard_normal((5, 5)), rng.random(5)
     x, tolerance = cp.Variable(5, nonneg=True), cp.Parameter()
@@ -87,7 +87,7 @@ def test_what_is_not_affine_is_refused_in_words() -> None:
         )
 
 
-def test_parameters_that_bend_or_may_not_move_are_said() -> None:
+def test_parameters_that_bend_or_may_not_move_are_named() -> None:
     """A parameter within a square, and a nonnegative one below zero, are refused in words."""
     y, h, positive = cp.Variable(2), cp.Parameter(value=1.0), cp.Parameter(nonneg=True)
     with pytest.raises(UnsupportedModel, match="make the nonlinear expression a parameter"):

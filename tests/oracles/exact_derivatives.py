@@ -155,7 +155,7 @@ class Piece:
         return ExactGradient(by_q, *bounds, [[a * b for b in self.z] for a in by_q])
 
     def one_sided(self, change: Change) -> Vector | None:
-        """Return the one-sided derivative of a solution: that of the neighbouring piece the change leads into."""
+        """Return the one-sided derivative of a solution: that of the neighboring piece the change leads into."""
         d = [
             self._towards(change, choice)
             for choice in itertools.product((False, True), repeat=len(self.degenerate))

@@ -92,7 +92,7 @@ def mirrored(problem: LCP, rng: Generator) -> Changed:
     )
 
 
-def with_a_neighbour(problem: LCP, rng: Generator) -> Changed:
+def with_a_neighbor(problem: LCP, rng: Generator) -> Changed:
     """One block more, solved by (2.5, 0), in between, before or behind."""
     n, place = problem.n, int(rng.integers(0, problem.n + 1))
     own = np.r_[0:place, place + 2 : n + 2]
@@ -144,7 +144,7 @@ EXACT: dict[str, Relation] = {
     "columns by powers of two": columns_by_powers_of_two,
     "shifted": shifted,
     "mirrored": mirrored,
-    "with a neighbour": with_a_neighbour,
+    "with a neighbor": with_a_neighbor,
     "twice": twice,
     "with a free row": with_a_free_row,
     "split": split,

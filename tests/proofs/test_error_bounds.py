@@ -212,8 +212,8 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
         exponents = unit_diagonal(problem.diagonal)
-        part, blur = bounds._symmetric_part(problem.csr, exponents)
-        value, scale = bounds._proven_bound(part, blur), np.exp2(exponents.row)
+        part, radius = bounds._symmetric_part(problem.csr, exponents)
+        value, scale = bounds._proven_bound(part, radius), np.exp2(exponents.row)
     else:
         bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)
@@ -286,7 +286,7 @@ CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_
 # --- The 2-norm bound ---------------------------------------------------------------------------------------
 
 
-def test_a_residual_without_blur_counts() -> None:
+def test_an_exact_residual_counts() -> None:
     """A z a little above the bound that w keeps it at: r is exact, nothing is blurred, and the bound is not zero."""
     problem = LCP(CIRCULANT, [100.0, 100.0, 100.0])
     bound = error_bound(problem, np.full(3, 0.5), sharp=False)

@@ -209,8 +209,8 @@ def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, numbe
     """The radius ρ|L+U| exceeds the 1 of the original Theorem 4.2; scaled examples are covered."""
     problem = gallery.build(f"paper_example_{example}", n=100).problem
     for name in ("npgs", "npsor"):
-        said = convergence_guarantee(problem, name, **UNSCALED).paper
-        assert said.startswith(f"not covered by the original Theorem 4.2 (ρ|L+U| = {number}")
+        message = convergence_guarantee(problem, name, **UNSCALED).paper
+        assert message.startswith(f"not covered by the original Theorem 4.2 (ρ|L+U| = {number}")
         assert convergence_guarantee(problem, name, scaling="diagonal").is_guaranteed
 
 
@@ -478,9 +478,9 @@ def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
 )
 def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
     """If all diagonal entries are negative, the remark names one and the proved class of −M."""
-    said = sign_remark(LCP(M, np.zeros(len(M))).matrix)
-    assert words in said
-    assert bool(said) == bool(words)
+    message = sign_remark(LCP(M, np.zeros(len(M))).matrix)
+    assert words in message
+    assert bool(message) == bool(words)
     if "M-matrix" in words:
         assert analyze(-np.array(M)).is_m_matrix
 

@@ -185,7 +185,7 @@ def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) 
 
 
 @pytest.mark.parametrize("name", ["auto", "newton", "interior_point", "lemke"])
-def test_infeasible_is_said_only_beyond_the_tolerance(name: str) -> None:
+def test_infeasible_only_beyond_the_tolerance(name: str) -> None:
     """The same contradiction of 5e-7: infeasible at a tolerance of 1e-8, solved at 1e-5, by every method."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
     infeasible = solve(problem, name)

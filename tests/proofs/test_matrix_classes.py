@@ -229,7 +229,7 @@ def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
 
 
 @pytest.mark.full
-def test_a_random_graph_is_not_factorised() -> None:
+def test_a_random_graph_is_not_factorized() -> None:
     """Fill of order n² is foreseen: undecided in seconds, decided where dominance does it."""
     M = random_graph(20_000, 8, 1.2)
     assert not factor_fits(M)

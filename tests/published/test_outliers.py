@@ -9,7 +9,6 @@ import pytest
 from campaigns.outliers import (
     FALSE,
     KINDS,
-    OPEN,
     REFUSED,
     RIGHT,
     ExactLCP,
@@ -18,9 +17,9 @@ from campaigns.outliers import (
     judged_program,
     run,
 )
+from inputs.constructed_points import CONSTRUCTED
 
 NO_BOUNDS = np.full(2, -np.inf), np.full(2, np.inf)
-HEAVY = [[1e-8, -1e-8, 0], [-1e-8, 1 + 1e-8, -1], [0, -1, 1 + 1e-8]]
 HALF_SPACES = [
     np.diag([2.0, 2.0]),
     [-300.0, -500.0],
@@ -40,28 +39,18 @@ def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
     assert sum(outcome.what == RIGHT for _, outcome in found) >= len(found) // 2
 
 
-@pytest.mark.parametrize(
-    ("M", "q", "z", "status", "verdict"),
-    [
-        ([[1, -2], [3, 1e-9]], [-3, -1], [3.0, 0.0], "SOLVED", RIGHT),
-        ([[1, -2], [3, 1e-9]], [-3, -1], [1.672, 0.0], "SOLVED", FALSE),
-        ([[1, -2], [3, 1e-9]], [-3, -1], [0.0, 0.0], "INFEASIBLE", FALSE),
-        ([[1, -2], [3, 1e-9]], [-3, -1], [0.0, 0.0], "STALLED", REFUSED),
-        ([[1e-9, 1], [-1, 0]], [-1, -1], [0.0, 1.1e16], "SOLVED", FALSE),
-        ([[1e-9, 1], [-1, 0]], [-1, -1], [0.0, 0.0], "INFEASIBLE", RIGHT),
-        ([[1e-9, 1], [-1, 0]], [-1, -1], [0.0, 0.0], "STALLED", OPEN),
-        (HEAVY, [-0.04905, 0, 0], [4905000.0, 0.0, 0.0], "SOLVED", FALSE),
-        (HEAVY, [-0.04905, 0, 0], [9810000.0, 4905000.0, 4905000.0], "SOLVED", RIGHT),
-        ([[1e-9, -1], [1, 1e-9]], [-1e-9, 0], [6.0, 5e-9], "SOLVED", FALSE),
-        ([[2e-6, 1], [-1, 1e-11]], [-1, -2e-11], [2e-12, 1.0], "SOLVED", FALSE),
-    ],
-)
-def test_the_judge_of_complementarity(M: list, q: list, z: list, status: str, verdict: str) -> None:
-    """What is known to be false is told so, what is right is not."""
-    assert (
-        judged_lcp(ExactLCP(np.array(M), np.array(q)), _Named(status), np.array(z), np.inf, "").what
-        == verdict
-    )
+@pytest.mark.parametrize("name", ["a tiny diagonal entry", "heavy on light", "components"])
+def test_the_judge_separates_a_solution_from_a_wrong_point(name: str) -> None:
+    """A wrong SOLVED and a wrong INFEASIBLE are FALSE, the solution is RIGHT, and no status at all is REFUSED."""
+    case = CONSTRUCTED[name]
+    problem = ExactLCP(case.M, case.q)
+    for z, status, expected in (
+        (case.right, "SOLVED", RIGHT),
+        (case.wrong, "SOLVED", FALSE),
+        (case.wrong, "INFEASIBLE", FALSE),
+        (case.wrong, "STALLED", REFUSED),
+    ):
+        assert judged_lcp(problem, _Named(status), np.array(z, float), np.inf, "").what == expected
 
 
 class _Named:

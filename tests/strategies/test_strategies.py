@@ -399,6 +399,18 @@ def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
     assert re.search(r"problem = LCP\(\[\[1.0\]\], \[(-1|0|1).0\]\)", report), report
 
 
+def test_the_judge_names_a_modified_input() -> None:
+    """A solver that writes into q fails, although its z is right."""
+
+    def writes_into_q(*data: np.ndarray) -> np.ndarray:
+        z = exact_diagonal(*data)
+        data[1][:] = 7.0
+        return z
+
+    report = verdict_on(writes_into_q, matrices=h_plus_matrices(density=0))
+    assert "modified its input q" in report
+
+
 def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     """A small residual does not hide a wrong z for a nearly singular matrix, unless allowed."""
     nearly = st.just(np.array([[1.0 + 2.0**-30, -1.0], [-1.0, 1.0]]))

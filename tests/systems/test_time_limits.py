@@ -34,11 +34,11 @@ def random_graph(n: int) -> LCP:
 
 
 def no_factor(*_: Any, **__: Any) -> None:
-    pytest.fail("a factorisation that would take minutes")
+    pytest.fail("a factorization that would take minutes")
 
 
 @pytest.mark.parametrize("name", ["newton", "interior_point"])
-def test_no_sparse_factor_is_begun_that_would_end_after_the_limit(
+def test_no_sparse_factorization_starts_that_would_end_after_the_limit(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a graph of 20 000 nodes with max_seconds=1 the run ends with MAX_SECONDS and a point, and no factor begins."""
@@ -53,8 +53,10 @@ def test_no_sparse_factor_is_begun_that_would_end_after_the_limit(
 @pytest.mark.parametrize("factorise", [
     factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip
-def test_no_factor_is_begun_that_would_end_after_the_limit(factorise: Callable[[Any], Any]) -> None:
-    """Where no time is left every factorisation says so; with time, or where the limit is not enforced, it is made."""
+def test_no_factorization_starts_that_would_end_after_the_limit(
+    factorise: Callable[[Any], Any],
+) -> None:
+    """Where no time is left every factorization says so; with time, or where the limit is not enforced, it is made."""
     M = np.eye(2000)
     with time_limit(1e-4, is_enforced=True), pytest.raises(OutOfTimeError):
         factorise(M)
@@ -87,8 +89,8 @@ def test_a_program_ends_where_its_factor_would_end_after_the_limit() -> None:
 @pytest.mark.skipif(
     not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread"
 )
-def test_ctrl_c_acts_after_the_factorisation_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """SIGINT in the middle of a factorisation gives INTERRUPTED, with the best iterate, after its end."""
+def test_ctrl_c_acts_after_the_factorization_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGINT in the middle of a factorization gives INTERRUPTED, with the best iterate, after its end."""
     main, ended = threading.main_thread().ident, []
     assert main is not None
 

@@ -155,7 +155,7 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(
+def test_the_error_names_the_fault_of_a_file(
     change: Callable[[Path], None], words: str, tmp_path: Path
 ) -> None:
     """A missing key, an empty group, another dimension: what the file holds, what it should."""

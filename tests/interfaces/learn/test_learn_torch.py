@@ -176,7 +176,7 @@ EYE, ONES = np.eye(2), np.ones(2)
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda t: (t(EYE), t(ONES).float()), r"q must be a tensor of float64, .*; write q.d"),
         (
@@ -189,9 +189,9 @@ EYE, ONES = np.eye(2), np.ones(2)
         (lambda t: (t(EYE), t(ONES), t(np.zeros(3))), "lower must be .* the length of q, 2"),
     ],
 )
-def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
+def test_what_is_refused(call: Callable[[Any], Any], message: str) -> None:
     """Other types, devices, layouts and shapes raise errors with the argument and the remedy."""
-    with pytest.raises(InvalidProblem, match=said):
+    with pytest.raises(InvalidProblem, match=message):
         lcp_layer(*call(lambda array: torch.tensor(array, dtype=torch.float64)))
 
 

@@ -69,7 +69,7 @@ WHOLE = content_of(
 
 
 @pytest.mark.parametrize(
-    ("content", "words", "code", "said"),
+    ("content", "words", "code", "message"),
     [
         (SOLVABLE, ["tolerance=1e-14"], 0, "solved"), (SOLVABLE, ["tolerance=0"], (0, 100), "residual"),
         (INFEASIBLE, [], 200, "infeasible"), (EMPTY, [], 200, "infeasible"), (UNBOUNDED, [], 300, "unbounded"),
@@ -80,14 +80,14 @@ WHOLE = content_of(
     ids=["solved", "at 0", "no signs", "empty", "unbounded", "iterations", "seconds", "integer"],
 )  # fmt: skip
 def test_codes_say_how_it_ended(
-    tmp_path: Path, content: NLContent, words: list[str], code: Any, said: str
+    tmp_path: Path, content: NLContent, words: list[str], code: Any, message: str
 ) -> None:
     """AMPL's ranges: 0 solved, 100 less precisely, 200 infeasible, 300 unbounded, 400 limit, 500 failure."""
     write_nl(content, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL", *words]) == 0
     found = read_sol(tmp_path / "m.sol")
     assert found.code in np.atleast_1d(code)
-    assert said in found.message.lower()
+    assert message in found.message.lower()
 
 
 def best(objective: Any, least: float = -np.inf, **changes: Any) -> NLContent:
@@ -135,7 +135,7 @@ def hard() -> NLContent:
 
 
 @pytest.mark.parametrize(
-    ("content", "words", "code", "said"),
+    ("content", "words", "code", "message"),
     [
         (best([0.0, 1.0]), [], 0, "optimal; objective 0, none "),
         (best([0.0, 1.0], is_maximized=np.ones(1, dtype=bool)), [], 300, "unbounded; "),
@@ -157,13 +157,13 @@ def hard() -> NLContent:
          "unknown", "nodes", "seconds", "harmless options", "proof", "algorithm", "absolute tolerance"],
 )  # fmt: skip
 def test_an_objective_beside_complementarities_is_answered(
-    tmp_path: Path, content: NLContent, words: list[str], code: int, said: str
+    tmp_path: Path, content: NLContent, words: list[str], code: int, message: str
 ) -> None:
     """Code and message of each end, values where there are any, and what does not fit is told in the .sol."""
     write_nl(content, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL", *words]) == 0
     found = read_sol(tmp_path / "m.sol")
-    assert (found.code, said in found.message) == (code, True), found.message
+    assert (found.code, message in found.message) == (code, True), found.message
     assert "inf" not in found.message.replace("infeasible", "")
     if code == 0:
         ties = (
@@ -248,7 +248,7 @@ def test_assignments_may_have_a_blank_for_the_equals_sign(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["wantsol=1"], r"\Alcp_plugin.*solved"),
         (["wantsol=9"], r"\A\Z"),
@@ -258,14 +258,14 @@ def test_assignments_may_have_a_blank_for_the_equals_sign(text: str) -> None:
     ],
 )
 def test_the_keywords_that_every_solver_has_are_obeyed(
-    tmp_path: Path, capsys: Any, words: list[str], said: str
+    tmp_path: Path, capsys: Any, words: list[str], message: str
 ) -> None:
     """wantsol, timing and version: the .sol is written, and only the printed text differs."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), *words]) == 0
     out, err = capsys.readouterr()
     assert (read_sol(tmp_path / "m.sol").code, err) == (0, "")
-    assert re.search(said, out.strip(), re.DOTALL)
+    assert re.search(message, out.strip(), re.DOTALL)
 
 
 def test_the_command_line_goes_before_the_environment(tmp_path: Path, capsys: Any) -> None:
@@ -277,16 +277,16 @@ def test_the_command_line_goes_before_the_environment(tmp_path: Path, capsys: An
     assert read_sol(tmp_path / "m.sol").code == 0
 
 
-def test_it_tells_what_it_is_asked(capsys: Any) -> None:
+def test_the_executable_prints_version_options_and_help(capsys: Any) -> None:
     """-v, -= and -? end with 0; every keyword is listed."""
-    for word, said in (
+    for word, message in (
         ("-v", "lcp_plugin "),
         ("--version", "lcp_plugin "),
         ("-?", "usage: "),
         ("-=", "tolerance "),
     ):
         assert ampl.main([word]) == 0
-        assert said in capsys.readouterr().out
+        assert message in capsys.readouterr().out
     assert ampl.main(["-="]) == 0
     *keywords, mark = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in keywords] == sorted(ampl.KEYWORDS)
@@ -356,5 +356,5 @@ def test_models_by_chance_are_answered_by_the_executable(
     for case in draws(25):
         rng = np.random.default_rng([seed, case])
         content, words = random_model(rng), drawn_words(rng)
-        said = judged(content, words, tmp_path / "m")
-        assert not said[:2].isupper(), (case, words, said)
+        message = judged(content, words, tmp_path / "m")
+        assert not message[:2].isupper(), (case, words, message)

@@ -199,16 +199,16 @@ def test_a_mutilated_file_is_refused_with_its_place_or_valid(
 
 def require_refused_or_valid(folder: Path, data: bytes) -> None:
     """Read data within ten times its size and the memory for an empty file."""
-    said = ""
+    message = ""
     tracemalloc.start()
     try:
         read(folder, data)
     except errors.UnreadableFile as error:
-        said = str(error)
+        message = str(error)
     finally:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    assert not said or re.search(r"(line \d+ \(.*\)|byte \d+): ", said)
+    assert not message or re.search(r"(line \d+ \(.*\)|byte \d+): ", message)
     assert peak <= 10 * len(data) + 300_000
 
 

@@ -347,7 +347,7 @@ def quadratic(kind: str) -> tuple[Tree, list[Tree]]:
 
 
 def program(kind: str, sign: float = 1.0, right: Any = (0.5, 0.25, 1.0)) -> NLContent:
-    """A strictly convex program, stated as a maximisation where the sign is −1."""
+    """A strictly convex program, stated as a maximization where the sign is −1."""
     tree, defined = quadratic(kind)
     return content_of(
         3,
@@ -456,7 +456,7 @@ def one_equation() -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("content", "words"), [pytest.param(*row[1:], id=row[0]) for row in refusals()]
 )
-def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
+def test_what_is_not_taken_is_named(content: NLContent, words: str) -> None:
     """Each error names the row or the variable, and the reason."""
     with pytest.raises(UnsupportedModel, match=words):
         model_of(content)

@@ -469,7 +469,7 @@ def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible(
     assert SOLVER.solve(m).solver.termination_condition.value == "infeasible"
 
 
-def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:
+def test_a_model_without_solution_has_a_proof_and_loads_nothing() -> None:
     """Infeasible and unbounded are proved, and the variables keep their values."""
     m = model(lambda m: pair(m, m.x >= 0, -m.x - 3 >= 0))
     m.x.set_value(0.5)
@@ -484,7 +484,7 @@ def test_what_has_no_solution_is_said_with_a_proof_and_loads_nothing() -> None:
     assert SOLVER.solve(m).solver.termination_condition.value == "unbounded"
 
 
-def test_the_run_is_printed_and_the_file_kept_where_asked_for(
+def test_tee_prints_the_run_and_keepfiles_keeps_the_file(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """tee=True prints the run; keepfiles=True leaves an .nl file that states the same model by itself."""
@@ -529,7 +529,7 @@ def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
 
 
 @pytest.mark.full
-def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None:
+def test_pyomo_is_loaded_by_its_interface_only_and_named_if_it_lacks() -> None:
     """``import lcp_plugin`` does not load Pyomo; without Pyomo the interface names the package."""
     code = (
         "import sys, lcp_plugin, lcp_plugin.interfaces.nl\nprint('pyomo' in sys.modules)\nsys.modules['pyomo'] = None\n"

@@ -127,7 +127,7 @@ def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
 
 
 @pytest.mark.full
-def test_without_an_m_matrix_nothing_false_is_said() -> None:
+def test_without_an_m_matrix_no_status_is_false() -> None:
     """Where a pivot is not positive, rounds go on without the direct way, or the run ends unsolved."""
     rng = np.random.default_rng(5)
     for _ in range(300):

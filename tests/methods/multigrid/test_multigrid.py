@@ -100,7 +100,7 @@ def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> 
 @pytest.mark.parametrize("kind", ["all", "half", "tenth"])
 @pytest.mark.parametrize("decades", [3, 6, 10])
 def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
-    """Contrasts up to 1e10 between neighbouring edges are SOLVED, and up to 1e6 the error is small as well."""
+    """Contrasts up to 1e10 between neighboring edges are SOLVED, and up to 1e6 the error is small as well."""
     problem = jumps_by_edge(kind, decades)
     result = solve(problem, "multigrid", max_iterations=60)
     assert result.status is Status.SOLVED

@@ -210,7 +210,7 @@ def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
     assert solution.w.tolist() == [0.0, 0.0]
 
 
-def test_auto_says_that_the_solution_is_beyond_the_doubles() -> None:
+def test_auto_names_a_solution_beyond_double_precision() -> None:
     """A run whose only solution exceeds the range of doubles ends STALLED, with a message."""
     result = solve(BEYOND_DOUBLES)
     assert result.status is Status.STALLED

@@ -83,7 +83,7 @@ def test_a_bad_problem_costs_that_one_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ((np.eye(3), None), "q is missing"),
         ((np.ones((2, 3)), np.ones(3)), r"M must have shape \(B, n, n\)"),
@@ -93,9 +93,9 @@ def test_a_bad_problem_costs_that_one_alone() -> None:
         ((["M"], np.ones(3)), "real numbers|M must"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused(arguments: Any, said: str) -> None:
+def test_shapes_that_do_not_fit_are_refused(arguments: Any, message: str) -> None:
     """Before anything is solved, with what was given and what is needed."""
-    with pytest.raises(InvalidProblem, match=said):
+    with pytest.raises(InvalidProblem, match=message):
         solve_batch(*arguments)
 
 

@@ -253,7 +253,7 @@ def test_mistakes_are_named(message: str) -> None:
         WRONG[message]()
 
 
-def test_what_concerns_all_programs_is_said_before_the_first() -> None:
+def test_an_error_of_all_programs_is_raised_before_the_first() -> None:
     """Options that a batch of programs does not take, unknown algorithms, a P for all that is not convex."""
     programs = QuadraticProgramBatch(*ONE)
     ask: Any = partial(solve_batch, programs)

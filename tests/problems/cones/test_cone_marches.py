@@ -55,7 +55,7 @@ def test_free_rows_carry_a_body_s_velocity_from_step_to_step() -> None:
     )  # what is left of 2 N s when 1 N s has stopped it
 
 
-def test_what_no_march_over_cones_does_is_said() -> None:
+def test_what_no_march_over_cones_does_is_named() -> None:
     """Options, sizes, derivatives."""
     with pytest.raises(InvalidOption, match="solve takes no error_bound for a FrictionalContact"):
         march(PAD, pulled(0.1), SLIP, error_bound=True)

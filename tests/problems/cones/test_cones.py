@@ -656,8 +656,8 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
             if result.is_solved:
                 assert np.isfinite(result.z).all()
                 assert exact_relative_residual(problem, result.z) <= 1e-8
-        worlds = solve_batch(FrictionalContact.worlds(W[None], b[None], 0.5), max_iterations=300)
-        for result in worlds:
+        batch = solve_batch(FrictionalContact.worlds(W[None], b[None], 0.5), max_iterations=300)
+        for result in batch:
             assert not result.is_solved or exact_relative_residual(result.problem, result.z) <= 1e-8
 
 

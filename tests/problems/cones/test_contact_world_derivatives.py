@@ -28,8 +28,8 @@ def drawn(
     return J @ J.swapaxes(1, 2) + compliance * np.eye(3 * k), b, rng.uniform(0.1, 0.9, (count, k))
 
 
-def derived(*data: Any, **wishes: Any) -> ContactBatchDerivative:
-    return derivative(solve_batch(FrictionalContact.worlds(*data), **wishes))
+def derived(*data: Any, **options: Any) -> ContactBatchDerivative:
+    return derivative(solve_batch(FrictionalContact.worlds(*data), **options))
 
 
 def close(a: Any, b: Any, tolerance: float) -> bool:
@@ -55,7 +55,7 @@ def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
     assert np.abs(found.dw(found.jvp(dq=W @ r), dq=W @ r)[sticks]).max() < 1e-10
 
 
-def test_worlds_of_different_size() -> None:
+def test_instances_of_different_size() -> None:
     """Data and changes of absent contacts have no effect on instances of different size."""
     rng = np.random.default_rng(2)
     W, b, mu = drawn(15, rng)

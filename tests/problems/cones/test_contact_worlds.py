@@ -23,12 +23,12 @@ def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("is_warm", [False, True])
-def test_worlds_are_answered_as_each_by_itself(is_warm: bool) -> None:
+def test_instances_have_the_results_of_each_by_itself(is_warm: bool) -> None:
     """As solve to rounding, the same bits on any number of threads; residuals hold with 60 digits."""
     W, b, friction = arrays(100)
     z0 = solve_batch(FrictionalContact.worlds(W, 1.01 * b, friction)).z if is_warm else None
-    worlds = FrictionalContact.worlds(W, b, friction)
-    batch, other = (solve_batch(worlds, z0=z0, threads=threads) for threads in (1, 2))
+    instances = FrictionalContact.worlds(W, b, friction)
+    batch, other = (solve_batch(instances, z0=z0, threads=threads) for threads in (1, 2))
     assert batch.all_solved
     assert batch.z.tobytes() == other.z.tobytes()
     for i in range(0, 100, 7):
@@ -48,7 +48,7 @@ def test_worlds_are_answered_as_each_by_itself(is_warm: bool) -> None:
     assert "100 worlds: 100 SOLVED" in batch.explain()
 
 
-def test_worlds_have_as_many_contacts_as_they_have() -> None:
+def test_instances_have_as_many_contacts_as_they_have() -> None:
     """Behind a world's last contact anything may stand; its result has its own contacts only."""
     W, b, friction = arrays(12, seed=2)
     counts = np.arange(12) % 5
@@ -113,33 +113,33 @@ def test_wrong_arrays_are_refused_in_words(name: str) -> None:
         make()
 
 
-def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
+def test_what_no_batch_of_contacts_takes_is_refused_in_words() -> None:
     """A start of another shape, vectors beside the worlds, one solve."""
-    worlds = FrictionalContact.worlds(*ONE)
+    batch = FrictionalContact.worlds(*ONE)
     with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
-        solve_batch(worlds, z0=np.zeros(6))
+        solve_batch(batch, z0=np.zeros(6))
     with pytest.raises(InvalidOption, match=r"FrictionalContact.worlds\(W, b, friction\)"):
-        solve_batch(worlds, np.zeros(3))
-    assert repr(worlds) == "FrictionalContact(1 instances of up to 1 contacts in space)"
-    assert len(list(worlds)) == len(solve_batch(worlds)) == 1
+        solve_batch(batch, np.zeros(3))
+    assert repr(batch) == "FrictionalContact(1 instances of up to 1 contacts in space)"
+    assert len(list(batch)) == len(solve_batch(batch)) == 1
     assert (
         len(solve_batch(FrictionalContact.worlds(np.zeros((0, 3, 3)), np.zeros((0, 3)), 0.5))) == 0
     )
 
 
 @pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
-def test_worlds_are_taken_one_by_one(index: Any) -> None:
+def test_instances_are_taken_one_by_one(index: Any) -> None:
     """An index that is no integer is refused, with what to write."""
-    worlds: Any = FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
+    batch: Any = FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
     with pytest.raises(TypeError, match=r"batch\[i\], i an integer"):
-        worlds[index]
+        batch[index]
 
 
 def test_a_default_that_is_stated_is_no_other_way() -> None:
     """absolute_tolerance=0.0 and an equal string for the algorithm change no bit."""
-    worlds = FrictionalContact.worlds(*arrays(10))
-    stated = solve_batch(worlds, absolute_tolerance=0.0, algorithm="".join(["au", "to"]))
-    assert stated.z.tobytes() == solve_batch(worlds).z.tobytes()
+    batch = FrictionalContact.worlds(*arrays(10))
+    stated = solve_batch(batch, absolute_tolerance=0.0, algorithm="".join(["au", "to"]))
+    assert stated.z.tobytes() == solve_batch(batch).z.tobytes()
 
 
 def test_a_batch_may_have_one_item() -> None:

@@ -317,7 +317,7 @@ def ralph1() -> cp.Problem:
 
 
 def scaled(a: float, b: float, c: float, d: float) -> cp.Problem:
-    """Minimise (a x₁ − b)² + (c x₂ − d)² over 0 ≤ x₁ ⟂ x₂ ≥ 0."""
+    """Minimize (a x₁ − b)² + (c x₂ − d)² over 0 ≤ x₁ ⟂ x₂ ≥ 0."""
     x, y = cp.Variable(), cp.Variable()
     return least((a * x - b) ** 2 + (c * y - d) ** 2, complements(x >= 0, y >= 0))
 

@@ -70,7 +70,7 @@ def test_a_bilinear_leader_is_solved_by_scip() -> None:
     assert problem.solver_stats.extra_stats.proof is None
 
 
-def test_what_falls_for_ever_without_being_convex_is_said() -> None:
+def test_an_unbounded_objective_that_is_not_convex_is_named() -> None:
     """Income x² + x y with 0 ≤ y ⟂ 2 + y − p ≥ 0, p = 10 − x − y, x not bounded: no value is called optimal."""
     x, y, price = cp.Variable(nonneg=True), cp.Variable(), cp.Variable()
     rows = [complements(y >= 0, 2 + y - price >= 0), price == 10 - x - y]
@@ -166,12 +166,12 @@ def test_prints_of_an_engine_do_not_reach_the_terminal(
 
     monkeypatch.setattr(scip._Model, "_state", loud)
 
-    def said(*_: object) -> bool:
+    def message(*_: object) -> bool:
         os.write(2, b"from a callback")
         return False
 
     problem, _ = monopolist()
-    problem.solve(method="LCP", callback=said)
+    problem.solve(method="LCP", callback=message)
     seen = capfd.readouterr()
     assert "ERROR" not in seen.out + seen.err
     assert "from a callback" in seen.err

@@ -25,7 +25,7 @@ def bard() -> pe.ConcreteModel:
 
 
 def test_pyomo_finds_the_published_optimum() -> None:
-    """An objective beside complementarities is minimised over all of their solutions."""
+    """An objective beside complementarities is minimized over all of their solutions."""
     m = bard()
     solver = pe.SolverFactory("lcp_plugin")
     for prove in (True, False):
@@ -37,7 +37,7 @@ def test_pyomo_finds_the_published_optimum() -> None:
 
 
 def test_a_file_and_its_maximum(tmp_path: Path) -> None:
-    """The file that Pyomo writes after mpec.nl gives the same; −f maximised has minus the value."""
+    """The file that Pyomo writes after mpec.nl gives the same; −f maximized has minus the value."""
     for sense in (pe.minimize, pe.maximize):
         m = bard()
         m.cost.set_value(m.cost.expr if sense == pe.minimize else -m.cost.expr)
@@ -61,7 +61,7 @@ def test_bounds_beside_a_pair_are_plain_ones() -> None:
 
 
 def test_what_is_not_convex_is_found() -> None:
-    """A convex objective maximised over a polygon is largest in a corner; a smooth pair excludes what it should."""
+    """A convex objective maximized over a polygon is largest in a corner; a smooth pair excludes what it should."""
     m = bard()
     m.cost.sense = pe.maximize
     solver = pe.SolverFactory("lcp_plugin")
@@ -95,7 +95,7 @@ def test_a_yes_or_no_beside_pairs() -> None:
         solver.solve(m)
 
 
-def test_what_is_not_taken_is_said() -> None:
+def test_what_is_not_taken_is_named() -> None:
     """Functions that SCIP does not know, proofs of what is not convex, and options of other runs, in words."""
     solver = pe.SolverFactory("lcp_plugin")
     m = bard()

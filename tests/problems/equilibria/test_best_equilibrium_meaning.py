@@ -102,10 +102,10 @@ def test_an_equality_opposite_bounds_is_a_pair_between_them(
     more = [complements(y, y - 1), y <= x[0] + 5] if beside == "a pair and a row" else []
     objective = cp.sum_squares(x) if beside == "an objective" else 0
     problem = cp.Problem(cp.Minimize(objective), [pair, *more])
-    with pytest.warns(ModelWarning, match="at a bound it need not hold") as said:
+    with pytest.warns(ModelWarning, match="at a bound it need not hold") as caught:
         problem.solve(method="LCP")
     assert problem.status == cp.OPTIMAL
-    assert len(said) == 1
+    assert len(caught) == 1
     assert pair.violation() < 1e-7
     np.testing.assert_allclose([x.value, pair.dual_value], [[z, z], [w, w]], atol=1e-7)
 

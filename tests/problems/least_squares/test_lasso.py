@@ -125,8 +125,8 @@ def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, A
     )
     assert np.abs(result.x - moved).max() <= 1e-7 * np.abs(A.T @ b).max()
     assert 5 <= np.count_nonzero(result.x) <= 100
-    asked = 1e-7 if form is aslinearoperator else 1e-8  # no face of an operator is solved for
-    assert result.gap <= asked * result.cost
+    tolerance = 1e-7 if form is aslinearoperator else 1e-8  # no face of an operator is solved for
+    assert result.gap <= tolerance * result.cost
 
 
 def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:

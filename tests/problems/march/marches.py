@@ -51,7 +51,7 @@ def heston(
 ) -> tuple[Steps, FloatVector, FloatVector]:
     """Return an American put under stochastic variance, and its prices and variances, the fastest index that of price.
 
-    Upwind where central differences would give a positive neighbour; the cross derivative by nine points. Dirichlet at
+    Upwind where central differences would give a positive neighbor; the cross derivative by nine points. Dirichlet at
     the least and the largest price, Neumann at the largest variance, the equation itself at variance 0.
     """
     strike, rate, kappa, mean, sigma, rho = HESTON.values()
@@ -64,7 +64,7 @@ def heston(
     index = np.arange(prices * variances).reshape(variances, prices)
 
     def add(where: FloatVector, j: int, i: int, value: FloatVector) -> None:
-        """Add entries that couple rows to the neighbour j variances and i prices away."""
+        """Add entries that couple rows to the neighbor j variances and i prices away."""
         jj, ii = np.nonzero(where)
         j_to, i_to = jj + j, ii + i
         j_to = np.where(j_to >= variances, variances - 1, j_to)  # Neumann

@@ -380,11 +380,11 @@ def test_time_that_runs_out_keeps_the_steps_before() -> None:
 
 def test_ctrl_c_keeps_the_steps_before() -> None:
     """An interruption by a callback in the fourth step leaves three, all of them SOLVED."""
-    steps, begun = SMALL["basket"](), []
+    steps, calls = SMALL["basket"](), []
 
     def interrupts(sample: Any, z: Any) -> None:
-        begun.append(sample.iteration == 0)
-        if sum(begun) == 4:
+        calls.append(sample.iteration == 0)
+        if sum(calls) == 4:
             raise KeyboardInterrupt
 
     done = marched_beginnings(steps, callback=interrupts)

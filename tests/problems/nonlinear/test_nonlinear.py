@@ -268,7 +268,7 @@ def test_columns_of_one_group_may_leave_the_domain_on_different_sides() -> None:
 # --- how a run ends ----------------------------------------------------------------------------------------------
 
 
-def test_no_solution_is_said_honestly() -> None:
+def test_an_equation_without_a_root_is_stalled() -> None:
     """An equation without a root ends STALLED with advice, never INFEASIBLE and never SOLVED."""
     result = solve_nonlinear(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), [3.0])
     assert result.status is Status.STALLED

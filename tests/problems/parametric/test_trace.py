@@ -165,7 +165,7 @@ def test_no_solution_at_the_start() -> None:
     assert path.breakpoints.size == 0
 
 
-def test_a_solution_that_jumps_is_said_to() -> None:
+def test_a_solution_that_jumps_is_named() -> None:
     """If M is not monotone a path may turn back: the solution jumps, and is right beyond."""
     path = trace(LCP([[-1]], [2], upper=1), {"q": [-1]}, 0, 3)
     assert path.jumps == pytest.approx([2.0])
@@ -320,7 +320,7 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
     assert refused == planted
 
 
-def test_solved_is_said_of_the_whole_way_alone() -> None:
+def test_solved_is_the_status_of_the_whole_way_only() -> None:
     """A path that did not reach stop is not SOLVED, and the explanation reports where it ended."""
     path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
     cut = Path(path.line)

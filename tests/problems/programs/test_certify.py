@@ -54,18 +54,18 @@ def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
         rng = np.random.default_rng([seed, 20])
         case = certify_campaign.case(kind, rng, 7)
         for multipliers in (None, case.solution):
-            said = certify(case.program, case.x, multipliers)
-            assert said.verdict == "proved", said
-            assert not certify_campaign.faults(case, case.x, said)
+            result = certify(case.program, case.x, multipliers)
+            assert result.verdict == "proved", result
+            assert not certify_campaign.faults(case, case.x, result)
         for name, (x, multipliers) in certify_campaign.planted(case, rng).items():
-            said = certify(case.program, x, multipliers)
-            assert not certify_campaign.faults(case, x, said), (name, said)
+            result = certify(case.program, x, multipliers)
+            assert not certify_campaign.faults(case, x, result), (name, result)
             may_be_proved = (
                 name not in certify_campaign.MULTIPLIERS
                 and certify_campaign.is_near_optimal(case, x)
             )
-            assert said.verdict != "proved" or may_be_proved, (name, said)
-            off += [said.verdict] if name == "off by 1e-2" else []
+            assert result.verdict != "proved" or may_be_proved, (name, result)
+            off += [result.verdict] if name == "off by 1e-2" else []
     assert off.count("disproved") >= 4
 
 
@@ -75,19 +75,19 @@ def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
     """Lower ≤ the exact minimum ≤ upper, of programs with exact answers of any kind."""
     program, answer = drawn
     x = np.array([float(value) for value in answer.x])
-    said = certify(program, x)
-    assert said.verdict != "disproved"
-    assert said.lower is None or Fraction(said.lower) <= answer.objective
-    assert said.upper is None or Fraction(said.upper) >= answer.objective
+    result = certify(program, x)
+    assert result.verdict != "disproved"
+    assert result.lower is None or Fraction(result.lower) <= answer.objective
+    assert result.upper is None or Fraction(result.upper) >= answer.objective
 
 
-def test_what_proves_is_said() -> None:
+def test_an_optimal_verdict_has_its_reason() -> None:
     """The reason of an optimal verdict states the bound and the argument of the proof."""
-    said = certify(SIMPLE, [0.5, 1.5])
+    result = certify(SIMPLE, [0.5, 1.5])
     assert re.fullmatch(
         r"no feasible x has an objective lower than this one's by more than \S+, which the multipliers prove by weak "
         r"duality: P is positive definite",
-        said.reason,
+        result.reason,
     )
 
 
@@ -98,11 +98,11 @@ def test_what_proves_is_said() -> None:
         ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
     ],
 )
-def test_what_disproves_is_said(x: list[float], reason: str) -> None:
+def test_a_disproved_verdict_has_its_reason(x: list[float], reason: str) -> None:
     """A violated constraint; a better feasible point."""
-    said = certify(SIMPLE, x)
-    assert said.verdict == "disproved"
-    assert said.reason.startswith(reason)
+    result = certify(SIMPLE, x)
+    assert result.verdict == "disproved"
+    assert result.reason.startswith(reason)
 
 
 def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
@@ -112,9 +112,9 @@ def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
         certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"
     )  # relative to |c x| + xᵀP x
     leaning = QuadraticProgram(None, [-1.0, 0.0], G=[[1.0, 1.0]], h=[1e6], A=[[0.0, 1.0]], b=[1e6])
-    said = certify(leaning, [0.5, 1e6], tolerance=1e-6)  # a violation of 5e-7 of the row's terms
-    assert said.verdict == "disproved"
-    assert "no feasible x is below" in said.reason
+    result = certify(leaning, [0.5, 1e6], tolerance=1e-6)  # a violation of 5e-7 of the row's terms
+    assert result.verdict == "disproved"
+    assert "no feasible x is below" in result.reason
 
 
 TINY = float(np.cos(np.pi / 2))
@@ -136,18 +136,18 @@ def test_one_odd_coefficient_proves_no_point(
 ) -> None:
     """A coefficient of cos(π/2) or 1e-5 makes nothing small: only the optimum, known in closed form, is proved."""
     assert certify(program, wrong).verdict == "disproved"
-    said = certify(program, right)
-    assert said.verdict == "proved"
-    assert said.lower == pytest.approx(optimum, rel=1e-12)
-    assert said.upper == pytest.approx(optimum, rel=1e-12)
+    result = certify(program, right)
+    assert result.verdict == "proved"
+    assert result.lower == pytest.approx(optimum, rel=1e-12)
+    assert result.upper == pytest.approx(optimum, rel=1e-12)
 
 
 def test_an_error_that_the_objective_does_not_see_is_told_by_the_distance() -> None:
     """An x off by 1e-4 has an objective optimal to 1e-8: it is proved, and the distance bounds how far it is."""
-    said = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
-    assert said.verdict == "proved"
-    assert said.distance is not None
-    assert 1e-4 < said.distance < 3e-4
+    result = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
+    assert result.verdict == "proved"
+    assert result.distance is not None
+    assert 1e-4 < result.distance < 3e-4
 
 
 def test_multipliers_are_a_pair_or_a_solution() -> None:
@@ -160,10 +160,10 @@ def test_multipliers_are_a_pair_or_a_solution() -> None:
 def test_wrong_multipliers_of_a_right_x_are_told() -> None:
     """A wrong sign, or a remaining gradient, is reported; the lower and upper bounds stay valid."""
     for wrong in ([-1.0], [0.5]):
-        said = certify(SIMPLE, [0.5, 1.5], (wrong, []))
-        assert said.verdict == "unproved"
-        assert "of the gradient" in said.reason
-        assert said.lower == pytest.approx(-4.5, abs=1e-12)
+        result = certify(SIMPLE, [0.5, 1.5], (wrong, []))
+        assert result.verdict == "unproved"
+        assert "of the gradient" in result.reason
+        assert result.lower == pytest.approx(-4.5, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -193,9 +193,9 @@ def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> No
     )
     assert certify(program, [0.5, 1.5], ([1.0, 0.0, 0.0], [])).verdict == "proved"
     inequality, lower, upper = wrong
-    said = certify(program, QPSolution(program, [0.5, 1.5], inequality, [], lower, upper))
-    assert said.verdict == "unproved"
-    assert "of slack" in said.reason
+    result = certify(program, QPSolution(program, [0.5, 1.5], inequality, [], lower, upper))
+    assert result.verdict == "unproved"
+    assert "of slack" in result.reason
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
@@ -227,9 +227,9 @@ def test_an_objective_that_overflows_is_not_proved() -> None:
 def test_a_row_that_overflows_is_not_met() -> None:
     """A row that overflows gives no proof of feasibility and no upper bound."""
     program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1e308, 1e308]], h=[0.0])
-    said = certify(program, [1.0, 1.0])
-    assert said.verdict != "proved"
-    assert said.upper is None or said.upper >= 0.0
+    result = certify(program, [1.0, 1.0])
+    assert result.verdict != "proved"
+    assert result.upper is None or result.upper >= 0.0
 
 
 def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
@@ -335,9 +335,9 @@ def test_a_distance_bounds_the_error_of_x(kind: str, moved: float) -> None:
         rng = np.random.default_rng([seed, 58])
         case = certify_campaign.case(kind, rng, 7)
         x = case.x + moved * rng.normal(size=case.x.size)
-        said = certify(case.program, x)
-        assert not certify_campaign.faults(case, x, said), said
-        small += said.distance is not None and said.distance <= 1e-4 + 1e4 * moved
+        result = certify(case.program, x)
+        assert not certify_campaign.faults(case, x, result), result
+        small += result.distance is not None and result.distance <= 1e-4 + 1e4 * moved
     assert small >= 7
 
 
@@ -371,18 +371,18 @@ def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None
     problem = models()[name]
     problem.solve(solver=solver)
     value, values = problem.value, [variable.value for variable in problem.variables()]
-    said = certify(problem)
-    assert said.verdict == "proved", said
-    assert said.lower is not None
-    assert said.upper is not None
-    assert said.lower - 1e-12 <= value + 1e-6
-    assert said.upper + 1e-6 >= value
-    assert said.upper - said.lower < 1e-9
+    result = certify(problem)
+    assert result.verdict == "proved", result
+    assert result.lower is not None
+    assert result.upper is not None
+    assert result.lower - 1e-12 <= value + 1e-6
+    assert result.upper + 1e-6 >= value
+    assert result.upper - result.lower < 1e-9
     assert problem.value == value
     assert problem.status == "optimal"
     for before, variable in zip(values, problem.variables(), strict=True):
         np.testing.assert_array_equal(before, variable.value)
-    assert (said.distance is not None) == (name in ("portfolio", "least squares", "symmetric"))
+    assert (result.distance is not None) == (name in ("portfolio", "least squares", "symmetric"))
 
 
 def test_wrong_values_of_cvxpy_variables() -> None:
@@ -411,9 +411,9 @@ def test_every_optimal_value_is_proved(value: float) -> None:
     problem = cp.Problem(cp.Minimize(cp.pos(x) + cp.pos(1.0 - x)), [x <= 5.0])
     problem.solve(solver="CLARABEL")
     x.save_value(np.array(value))
-    said = certify(problem)
-    assert said.verdict == "proved", said
-    assert said.distance is None
+    result = certify(problem)
+    assert result.verdict == "proved", result
+    assert result.distance is None
     x.save_value(np.array(1.0 + 1e-4))
     assert certify(problem).verdict == "disproved"
 
@@ -425,8 +425,8 @@ def test_claims_of_cvxpy_solvers() -> None:
     unbounded = cp.Problem(cp.Maximize(cp.sum(x)), [x >= 1])
     for problem, claim in ((infeasible, "infeasible"), (unbounded, "unbounded")):
         problem.solve(solver="CLARABEL")
-        said = certify(problem)
-        assert (said.claim, said.verdict) == (claim, "proved")
+        result = certify(problem)
+        assert (result.claim, result.verdict) == (claim, "proved")
     fine = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1])
     fine.solve(solver="CLARABEL")
     for status in ("infeasible", "unbounded"):
@@ -567,7 +567,11 @@ def test_a_fit_without_an_error_is_proved(n: int) -> None:
 
 def test_a_certification_survives_pickle() -> None:
     """Verdict, bounds and distance of a pickled certification are the same."""
-    said = certify(SIMPLE, [0.5, 1.5])
-    again = pickle.loads(pickle.dumps(said))
-    assert again.verdict == said.verdict == "proved"
-    assert (again.lower, again.upper, again.distance) == (said.lower, said.upper, said.distance)
+    result = certify(SIMPLE, [0.5, 1.5])
+    again = pickle.loads(pickle.dumps(result))
+    assert again.verdict == result.verdict == "proved"
+    assert (again.lower, again.upper, again.distance) == (
+        result.lower,
+        result.upper,
+        result.distance,
+    )

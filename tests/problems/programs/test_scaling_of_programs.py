@@ -37,7 +37,7 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(
 
 
 def test_a_small_slope_is_followed_to_its_bound() -> None:
-    """Minimising −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
+    """Minimizing −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
     assert solve(QuadraticProgram(None, [-1e-9], upper=1.0)).x.tolist() == [1.0]
     answers = solve_batch(QuadraticProgramBatch(np.zeros((1, 1)), [[-1e-9], [-1e-6]], upper=1.0))
     assert answers.x.tolist() == [[1.0], [1.0]]
@@ -99,7 +99,7 @@ def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvatur
 
 
 @pytest.mark.parametrize(
-    ("P", "c", "h", "said"),
+    ("P", "c", "h", "message"),
     [
         (np.eye(2), [1.0, 1.0], 1e200, Status.SOLVED),
         (np.eye(2), [1.0, 1.0], 0.0, Status.SOLVED),
@@ -110,11 +110,11 @@ def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvatur
     ],
 )
 def test_numbers_beyond_the_range_of_doubles_are_no_answer(
-    P: Any, c: list[float], h: float, said: Status
+    P: Any, c: list[float], h: float, message: Status
 ) -> None:
     """−1e-200 x ≤ h: a status and finite x; not SOLVED with a multiplier or an objective of 1e400; never a warning."""
     program = QuadraticProgram(P, c, G=[[0.0, -1e-200]], h=[h])
-    if said is None:
+    if message is None:
         with contextlib.suppress(InvalidProblem):
             assert not solve(program).is_solved
         far = solve(QuadraticProgram(P, c, G=[[0.0, -1.0]], h=[1e200 * h]))
@@ -122,7 +122,7 @@ def test_numbers_beyond_the_range_of_doubles_are_no_answer(
         assert np.isfinite(far.x).all()
         return
     result = solve(program)
-    assert result.status is said
+    assert result.status is message
     assert np.isfinite(result.x).all()
 
 

@@ -230,7 +230,7 @@ def test_batches_of_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda one: one.vjp(np.ones((3, 4))), r"g must have shape .*here \(5, 4\) or \(4,\), got"),
         (lambda one: one.vjp(np.full((5, 4), np.nan)), r"g must be finite, but g\[0, 0\] = nan"),
@@ -240,9 +240,9 @@ def test_batches_of_nothing() -> None:
         (lambda one: one.jvp(dlower="no"), "dlower must have shape"),
     ],
 )
-def test_what_is_refused(call: Any, said: str) -> None:
+def test_what_is_refused(call: Any, message: str) -> None:
     """Other shapes and numbers that are not finite raise errors that name the argument."""
-    with pytest.raises(InvalidProblem, match=said):
+    with pytest.raises(InvalidProblem, match=message):
         call(of(planted(5, 4, 10)))
 
 

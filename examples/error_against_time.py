@@ -44,7 +44,9 @@ def main(out: Path = Path()) -> None:
     algorithms = ["npgs", "npsor", "pgs", "psor", "gfp", "newton", "multigrid", "auto"]
     found = study({"heated plate in a flow": problem}, algorithms, repeats=2, tolerance=1e-10)
     print(found)
-    fastest = min((row for row in found.rows if row.is_solved), key=lambda row: row.seconds)
+    fastest = min(
+        (row for row in found.rows if row.is_solved and row.is_curve), key=lambda row: row.seconds
+    )
     print(f"fastest here: {fastest.method}, {fastest.seconds:.3g} s")
 
     z = solve(problem, fastest.method, tolerance=1e-10).require_solved().z

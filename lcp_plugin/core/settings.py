@@ -87,6 +87,8 @@ class Settings:
         Whether to print the run.
     prove_infeasibility : bool
         Whether to search for a proof that no solution exists.
+    polish : bool
+        Whether a final linear solve on the active set may replace the last iterate of an LCP.
 
     Raises
     ------
@@ -103,6 +105,7 @@ class Settings:
     threads: Any = field(default=None, repr=False, compare=False)
     verbose: Any = False
     prove_infeasibility: Any = True
+    polish: Any = True
 
     def __post_init__(self) -> None:
         given = self.__dict__
@@ -202,6 +205,7 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "threads": checked_threads,
     "verbose": _flag,
     "prove_infeasibility": _flag,
+    "polish": _flag,
 }
 NONE_MEANS = {"max_iterations": 100_000, "max_seconds": math.inf}
 
@@ -292,6 +296,7 @@ class LCPOptions(Residuals, AlgorithmOptions, total=False):
     z0: ArrayLike | None
     error_bound: bool
     prove_infeasibility: bool
+    polish: bool
 
 
 class BatchOptions(Limits, total=False):

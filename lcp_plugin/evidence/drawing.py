@@ -38,6 +38,7 @@ COLORS = {
     "factorizing and pivoting": "#6A4C93",
     "auto": "#222222",
     "reference": "#56B4E9",
+    "polish": "#777777",
     "other": "#8C1D40",
 }
 STYLE: Any = {

@@ -27,6 +27,7 @@ from ..gallery.scene import Scene
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
+SINGLE_POINTS = ("reference", "polish")  # families
 SAMPLING_RATIO = 1.08  # ratio of the iterations of two samples
 FAMILIES = {
     **dict.fromkeys(("npj", "npgs", "npsor", "npaor", "npsplitting"), "projected-type (NP)"),
@@ -54,7 +55,8 @@ class Measurement:
     n, nonzeros : int
         0 if the problem could not be built.
     method, family : str
-        Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver.
+        Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver; "polish" for
+        the linear solve on the active set that `solve` makes after the last iterate of the method.
     status : str
         Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the method rejects the
         problem; ERROR if it raised another error.
@@ -64,7 +66,7 @@ class Measurement:
         Relative residual requested.
     points : ndarray, shape (k, 7)
         Iteration, work (passes over M), seconds (median over the repeats) with quartiles, error and relative residual.
-        The first point is the set-up, the last one the result.
+        The first point is the set-up, the last one the last iterate. A reference and a polish have one point.
     note : str
         Message of the error, or choice of options.
 
@@ -88,6 +90,11 @@ class Measurement:
     tolerance: float
     points: FloatVector = field(default_factory=lambda: np.zeros((0, len(POINT))))
     note: str = ""
+
+    @property
+    def is_curve(self) -> bool:
+        """True for the iterates of a method, False for the single point of a reference or a polish."""
+        return self.family not in SINGLE_POINTS
 
     @property
     def is_solved(self) -> bool:
@@ -176,11 +183,12 @@ def run(
 def measure_method(
     scene: Scene, method: Method, measure: Measure, repeats: int, **limits: Any
 ) -> tuple[str, FloatVector]:
-    """Return the status and the points of a method; a first run of three steps compiles its kernels.
+    """Return the status and the iterates of a method; a first run of three steps compiles its kernels.
 
     Errors come from the first run, seconds are the median and quartiles of all at iterations that all have reached.
     """
     solve(fresh(scene.problem), method.algorithm, z0=scene.start, max_iterations=3)
+    limits |= {"polish": False}
     result, first = run(scene.problem, method.algorithm, measure, scene.start, **limits)
     every = [first] + [
         run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)[1]
@@ -194,6 +202,17 @@ def measure_method(
             low, middle, high = np.percentile([run[place] for run in times], (25.0, 50.0, 75.0))
             points.append((*one[:2], middle, low, high, *one[3:]))
     return result.status.name, np.array(points)
+
+
+def measure_polish(
+    scene: Scene, method: Method, measure: Measure, **limits: Any
+) -> tuple[str, FloatVector] | None:
+    """Return the status and the point of a run that ends with a polish; None if it makes none."""
+    result, _ = run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)
+    if not result.is_polished:
+        return None
+    point = (result.iterations, result.work, *[result.seconds] * 3, *measure(result.z))
+    return result.status.name, np.array([point])
 
 
 def _unmeasured(z: FloatVector) -> tuple[float, float]:

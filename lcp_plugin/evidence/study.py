@@ -49,6 +49,7 @@ from .measurement import (
     error_measure,
     fresh,
     measure_method,
+    measure_polish,
     methods_of,
 )
 
@@ -67,6 +68,12 @@ ERROR_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
+ENDED = (
+    "SOLVED",
+    "PRECISION_LIMIT",
+    "STALLED",
+    "DIVERGED",
+)  # statuses after which a polish may be made
 LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution counts one pass
 
 NO_POINTS = np.zeros((0, len(POINT)))
@@ -199,7 +206,7 @@ class Study:
         doi:10.1007/s101070100263.
         """
         _check_view(by, LEAST)
-        labels = [label for label, family in self.methods.items() if family != "reference"]
+        labels = [*dict.fromkeys(row.method for row in self.rows if row.is_curve)]
         ratios = []
         for rows in self._groups(lambda row: (row.problem, row.size)).values():
             costs = {row.method: max(row.last(by), LEAST[by]) for row in rows if row.is_solved}
@@ -231,9 +238,10 @@ class Study:
         """
         _check_view(view, VIEWS)
         _check_view(against, ("seconds", "work", "iterations"), "against must be")
-        is_curves, timed = view == "curves", against == "seconds"
+        is_curves = view == "curves"
         shown = [row for row in self.rows if len(row.points) and (is_curves or row.is_solved)]
-        shown = [row for row in shown if row.family != "reference" or (is_curves and timed)]
+        points = ["polish", *(["reference"] if against == "seconds" else [])]
+        shown = [row for row in shown if row.is_curve or (is_curves and row.family in points)]
         if not shown:
             raise InvalidOption(
                 "nothing to draw: no run has a result; print() lists how each run ended"
@@ -327,12 +335,12 @@ def _title(problem: str) -> str:
 
 
 def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: Any) -> None:
-    """Draw error curves of one problem with quartiles of seconds; references are single points."""
+    """Draw error curves of one problem with quartiles of seconds; references and polishes are single points."""
     kind = rows[0].error_kind
     axes.set(
         xscale="log", yscale="log", xlabel=VALUES[against], ylabel=ERROR_LABELS.get(kind, kind)
     )
-    runs = [row for row in rows if row.family != "reference"]
+    runs = [row for row in rows if row.is_curve]
     low, high = _range(runs or rows)
     for row in runs:
         y = np.clip(np.nan_to_num(row.column("error"), nan=high, posinf=high), low, high)
@@ -345,9 +353,10 @@ def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: An
         least = LEAST.get(against, 1.0)
         x = np.maximum(row.column("iteration" if against == "iterations" else against), least)
         draw_curve(axes, x, y, row.method, look, is_solved=row.is_solved)
-    for row in (row for row in rows if row.family == "reference"):
+    for row in (row for row in rows if not row.is_curve):
         look = looks[row.method] | {"linestyle": "none", "markersize": 5}
-        axes.plot([row.seconds], [max(row.error, low)], label=row.method, zorder=5, **look)
+        place = row.last("iteration" if against == "iterations" else against)
+        axes.plot([place], [max(row.error, low)], label=row.method, zorder=5, **look)
     if kind == RESIDUAL:
         draw_tolerance(axes, rows[0].tolerance)
     axes.set_ylim(low / 1.5, high)
@@ -445,8 +454,9 @@ def study(
     Returns
     -------
     Study
-        Measurements, after Ctrl-C the finished ones. A rejected problem or size, and a method that raises, are
-        rows with the status REFUSED or ERROR and the reason.
+        Measurements, after Ctrl-C the finished ones. The rows of a method hold its iterates. If
+        :func:`lcp_plugin.solve` would replace the last one by a polish, that point is a row of its own. A rejected
+        problem or size, and a method that raises, are rows with the status REFUSED or ERROR and the reason.
 
     Raises
     ------
@@ -590,6 +600,9 @@ def _measurements(
         try:
             status, points = measure_method(scene, method, measure, repeats, **limits)
             yield _row(blank, method, status, points, method.note)
+            polish = measure_polish(scene, method, measure, **limits) if status in ENDED else None
+            if polish is not None:
+                yield _row(blank, Method(f"{method.label}, polished", "", "polish"), *polish)
         except (UnsuitableMatrix, UnsuitableProblem) as error:
             yield _row(blank, method, "REFUSED", note=str(error))
         except Exception as error:  # an algorithm of the user may raise anything

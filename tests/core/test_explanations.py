@@ -15,6 +15,7 @@ from lcp_plugin import (
     BoundedLeastSquares,
     EquilibriumProgram,
     FrictionalContact,
+    InvalidOption,
     NonlinearProblem,
     QuadraticProgram,
     Status,
@@ -128,3 +129,21 @@ def test_its_sentences_are_short_and_none_is_repeated(name: str) -> None:
     assert max(len(clause.split()) for clause in re.split(r"[.;:]\s+|\n", told)) <= 25
     clauses = re.split(r"[.;:]\s+|\n", re.sub(r"\n  .*", "", told))
     assert len({*clauses}) == len(clauses)
+
+
+def test_explain_of_a_polished_point_names_the_polish() -> None:
+    """A last linear solve on the active set is a line of explain(); without it, the point is the last iterate."""
+    polished, iterate = (solve(OBSTACLE, "npsor", polish=one) for one in (True, False))
+    line = "  polish: a linear solve on the active set of the last iterate gives z"
+    assert polished.is_polished
+    assert line in polished.explain().splitlines()
+    assert not iterate.is_polished
+    assert "polish" not in iterate.explain()
+    assert polished.residual < 1e-12 < iterate.residual <= 1e-8
+
+
+def test_polish_is_an_option_of_lcps_only() -> None:
+    """Other classes raise InvalidOption for `polish=False`."""
+    for problem in (QuadraticProgram(np.eye(2), [1.0, 1.0]), FIT, BLOCK):
+        with pytest.raises(InvalidOption, match="solve takes no polish"):
+            solve(problem, polish=False)

@@ -152,16 +152,30 @@ def test_reruns_agree_in_everything_but_seconds() -> None:
 
 
 def test_a_row_is_the_run_that_solve_makes() -> None:
-    """The last point has the iterations, work, residual and true error of `solve`; problems of all kinds mix."""
+    """The last point has the iterations, work, residual and true error of the last iterate of `solve`."""
     known = scene(64)
     found = study({"half": known, "own": LCP(*chain(9))}, ["psor", Richardson()], repeats=2)
     problems = [known.problem, known.problem, LCP(*chain(9)), LCP(*chain(9))]
     for row, problem in zip(found.rows, problems, strict=True):
-        result = solve(problem, "psor" if row.method == "psor" else Richardson())
+        result = solve(problem, "psor" if row.method == "psor" else Richardson(), polish=False)
         assert (row.iterations, row.work, row.status) == (result.iterations, result.work, "SOLVED")
         assert row.last("residual") == result.certificate.relative_residual
-    assert found.rows[0].error == np.abs(solve(known.problem, "psor").z - known.exact).max()
+    last = solve(known.problem, "psor", polish=False).z
+    assert found.rows[0].error == np.abs(last - known.exact).max()
     assert found.rows[0].column("error")[0] == np.abs(known.exact).max()  # z° = 0
+
+
+def test_iterates_and_their_polish_are_two_rows() -> None:
+    """A method of small steps ends at its last iterate; the polish that `solve` adds is a row with one point."""
+    problem = LCP(*chain(60))
+    found = study(problem, {"mine": Richardson()}, repeats=1)
+    iterates, polish = found.rows
+    last, polished = (solve(problem, Richardson(), polish=one) for one in (False, True))
+    assert (last.is_polished, polished.is_polished) == (False, True)
+    assert iterates.last("residual") == last.residual > 1e-10 > polished.residual
+    assert (polish.method, polish.family) == ("mine, polished", "polish")
+    assert [len(polish.points), polish.last("residual")] == [1, polished.residual]
+    assert [*found.profile()] == ["mine"]
 
 
 def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
@@ -289,7 +303,7 @@ def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
     assert "true error" in axes.get_ylabel()
     names = {text.get_text() for text in figure.legends[0].get_texts()}
     assert names == {row.method for row in found.rows}
-    assert len(names) == 12
+    assert len([row for row in found.rows if row.is_curve]) == 12
     assert hides_nothing(figure)
     assert axes.get_position().height > 0.4
     found.save(tmp_path / "curves.svg", against="work")

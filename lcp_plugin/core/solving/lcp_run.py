@@ -69,6 +69,7 @@ class LCPRun(Run):
             start = np.where(self.test.solved_rows, problem.nearest_to_zero, start)
         self.start, self.start_residual = start, math.inf
         self.unmeasured: FloatVector | None = None  # the latest iterate
+        self.is_polished = False
 
     @property
     def z(self) -> FloatVector:
@@ -184,6 +185,7 @@ class LCPRun(Run):
             status,
             algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
             infeasibility=self.proof,
+            is_polished=self.is_polished,
             _asked=self.chosen,
             _wants_bound=settings.error_bound and bool(chain),
             _advice={} if is_solved else self._advice(certificate),
@@ -228,7 +230,7 @@ class LCPRun(Run):
             most = 0.1 * self.progress.work - 20.0
         elif end not in (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED):
             return certificate
-        if self.polish is None or most <= 0.0:
+        if self.polish is None or not self.settings.polish or most <= 0.0:
             return certificate
         found = self.polish(self.problem, certificate.z, min(most, self.progress.work + 20.0))
         if found is None:
@@ -236,7 +238,9 @@ class LCPRun(Run):
         self.progress.work += found.work
         last.count(Step(found.z, work=found.work), iterations=0)
         polished = np.clip(found.z, self.problem.lower, self.problem.upper)
-        return self.test.better_of(certificate, self.test.certificate_of(polished))
+        better = self.test.better_of(certificate, self.test.certificate_of(polished))
+        self.is_polished = better is not certificate
+        return better
 
     def _status(self, certificate: Certificate, end: TerminationReason) -> Status:
         """Return the status from the certificate or a proof, or else from the reason for the end of the run."""

@@ -94,6 +94,9 @@ class Result(BaseResult):
         Empty unless ``record=True``.
     stages : tuple of StageRecord
         The methods that ran, in order; more than one for ``auto``.
+    is_polished : bool
+        True if z is the solution of the linear system on the active set of the last iterate; ``polish=False`` returns
+        the iterate.
     infeasibility : NoSolutionProof or None
         A proof that the problem in double precision has no solution; ``verify()`` checks it on the problem's data. Its
         ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION if
@@ -115,6 +118,7 @@ class Result(BaseResult):
     infeasibility: Any = field(default=None, repr=False)
     absolute_tolerance: float = 0.0
     begun: str = ""
+    is_polished: bool = False
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
     _wants_bound: bool = field(default=False, repr=False)
     _advice: Mapping[Status, str] = field(
@@ -232,6 +236,8 @@ class Result(BaseResult):
         from ...proofs.misleading import what_may_mislead
 
         lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
+        if self.is_polished:
+            lines.append("  polish: a linear solve on the active set of the last iterate gives z")
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
         if self.infeasibility is not None and not self.has_no_solution:

@@ -28,7 +28,7 @@ from ...core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
-from ...core.settings import OF_SOLVE, Settings, Status, checked_callback
+from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status, checked_callback
 from ...core.solving.base_result import NEXT, BaseResult
 from ...core.solving.progress import Progress
 from ...core.solving.result import Sample, StageRecord, stage_lines
@@ -443,8 +443,8 @@ def solve_program(
     """
     clock = Clock()
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
-    for name in ("error_bound", "absolute_tolerance"):
-        if wishes.pop(name, None):
+    for name in ("error_bound", "absolute_tolerance", "polish"):
+        if name in wishes and wishes.pop(name) not in (None, DEFAULTS[name]):
             raise InvalidOption(f"solve takes no {name} for a QuadraticProgram")
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}
     callback, start = checked_callback(wishes.pop("callback", None)), wishes.pop("z0", None)

@@ -126,8 +126,9 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         If no solution is found, search for a proof that none exists. False saves this work: such a run then ends
         STALLED.
     polish : bool
-        Whether a linear solve on the active set of the last iterate may replace it: if its predicted work is at most a
-        tenth of the run's, or if "auto" has not solved the problem. False returns the iterate.
+        Whether a last sweep of the np methods and a linear solve on the active set may replace the last iterate. The
+        linear solve is made if its predicted work is at most a tenth of the run's, or if "auto" has not solved the
+        problem. False returns the iterate.
     threads : int, optional
         Number of threads of this solve; by default all that the process may use. The result is the same bit for bit
         for any number. ``OMP_NUM_THREADS`` sets the threads of BLAS.

@@ -342,7 +342,15 @@ def run_on(
     with threads_for(settings.threads):
         chosen = method or "auto"
         run = LCPRun(
-            problem, chosen, settings, callback, clock, start, header=_header, polish=_polish
+            problem,
+            chosen,
+            settings,
+            callback,
+            clock,
+            start,
+            header=_header,
+            polish=_polish,
+            is_guaranteed=partial(_is_contraction, problem, method),
         )
         goal = run.test.goal
         result: Result = run.solve(
@@ -355,6 +363,16 @@ def _polish(problem: LCP, z: FloatVector, most: float) -> Any:
     from .methods.newton import polish_active_set
 
     return polish_active_set(problem, z, most)
+
+
+def _is_contraction(problem: LCP, method: Algorithm | None) -> bool:
+    """Return whether a theorem proves that the iteration of a named method converges on M."""
+    from .proofs.guarantees import convergence_guarantee
+
+    if method is None:
+        return False
+    guarantee = convergence_guarantee(problem, method)
+    return guarantee.is_guaranteed and guarantee.facts is not None
 
 
 def _header(matrix: Matrix) -> tuple[str, str]:

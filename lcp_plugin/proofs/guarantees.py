@@ -34,23 +34,25 @@ in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
 if |e⁺_j| ≤ c v_j for all rows j before i, then |e⁺_i| ≤ c v_i. All |L|v and |U|v here are rows of M divided by the
 scale of the residual, so that no unit of a row can overflow them.
 
-The spectral radius of the matrix that bounds an iteration's errors, the number that papers print.
+The spectral radius of the matrices that bound the errors of an iteration.
 
-Each iteration of these families satisfies |z_{k+1} − z*| ≤ T |z_k − z*| in every component, with a nonnegative T:
+Each step of these families satisfies |z_{k+1} − z*| ≤ |P⁻¹| R |z_k − z*| in every component, with R ≥ 0:
 
-    projected type        T = |P⁻¹| (|𝓜 − M + I + D| + |M − I|),  P = 𝓜 + 2I + D   (the paper's Theorem 4.1)
-    projected relaxation  T = (I − |βL|)⁻¹ (|1 − ω| I + |ω − β| |L| + |ω U|),  of M scaled to unit diagonal
-    modulus               T = |(𝓜 + Ω)⁻¹| (|𝓜 − M| + |Ω − M|), for x
+    projected type        P = 𝓜 + 2I + D, row i of R is row i of |𝓜 + D| or of |P − 2M|, or between them
+    projected relaxation  P = I − |βL|, R = |1 − ω| I + |ω − β| |L| + |ω U|, of M scaled to unit diagonal
+    modulus               P = 𝓜 + Ω, R = |𝓜 − M| + |Ω − M|, for x
 
-ρ(T) < 1 makes the iteration converge from every start. ρ of the iteration matrix itself may be less. ρ(T) is a
-float, not a proof. The proof is `rate`, whose bound is tighter than the paper's T if rows are not scaled.
+A row of the projected type moves between its two rows with the projection. Its spectral radius is the largest of all
+choices of rows; the T of the paper's Theorem 4.1 sums the parts of both rows, so that ρ(T) is larger, often above 1.
+A radius below 1 makes the iteration converge from every start, and it is at most `rate`, up to rounding. ρ of the
+iteration matrix itself may be less. The radius is a float, not a proof; the proof is `rate`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -277,22 +279,21 @@ def longest_row(matrix: Matrix) -> int:
 
 
 DENSE_UP_TO = (
-    1000  # unknowns: two seconds; beyond, products with a T so far from normal give few digits
+    1000  # unknowns: two seconds; beyond, products of a matrix far from normal give few digits
 )
+POWER_STEPS = 200  # that choose the rows
 
 
 def spectral_radius(problem: LCP, facts: IterationFacts) -> float | None:
-    """Return ρ(T) of an iteration; None of a symmetric sweep, and of more than 1000 unknowns."""
+    """Return the radius of an iteration; None of a symmetric sweep, and of more than 1000 unknowns."""
     if problem.n > DENSE_UP_TO or (
         facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING
     ):
         return None
     T = bound_of_errors(problem, facts)
-    return (
-        None
-        if T is None or not np.isfinite(T).all()
-        else float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
-    )
+    if T is None or not np.isfinite(T).all():
+        return None
+    return float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
 
 
 def jacobi_spectral_radius(problem: LCP) -> float:
@@ -305,7 +306,7 @@ def jacobi_spectral_radius(problem: LCP) -> float:
 
 
 def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
-    """Return T, shape (n, n), dense; None if P is singular."""
+    """Return |P⁻¹| R with the rows of R whose radius is the largest, shape (n, n), dense; None if P is singular."""
     (alpha, beta), eye = numbers(facts), np.eye(problem.n)
     is_relaxation = facts.family == PROJECTED_RELAXATION
     scaling = 1.0 / problem.diagonal if is_relaxation else facts.scaling
@@ -321,16 +322,23 @@ def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
     rest = splitting - M
     if is_relaxation:
         P = eye - abs(beta * below)
-        right = abs(1.0 - alpha) * eye + abs((alpha - beta) * below) + abs(alpha * above)
+        rights = [abs(1.0 - alpha) * eye + abs((alpha - beta) * below) + abs(alpha * above)]
     elif facts.family == MODULUS:
         omega = np.diag(np.asarray(facts.omega))
-        P, right = splitting + omega, abs(rest) + abs(omega - M)
+        P, rights = splitting + omega, [abs(rest) + abs(omega - M)]
     else:
-        P, right = splitting + 2.0 * eye + D, abs(rest + eye + D) + abs(M - eye)
+        P = splitting + 2.0 * eye + D
+        rights = [abs(splitting + D), abs(P - 2.0 * M)]
     try:
-        return np.abs(np.linalg.inv(P)) @ right
+        inverse = np.abs(np.linalg.inv(P))
     except np.linalg.LinAlgError:
         return None
+    v = np.ones(problem.n)
+    for _ in range(POWER_STEPS if len(rights) > 1 else 0):
+        grown = inverse @ np.max([R @ v for R in rights], axis=0)
+        v = 0.5 * (v + grown / grown.max(initial=1e-300))
+    row = np.argmax([R @ v for R in rights], axis=0)
+    return inverse @ np.choose(row[:, np.newaxis], rights)
 
 
 PAPER = "Kumar, Deepmala, Das"
@@ -385,10 +393,11 @@ class Guarantee:
 
     @cached_property
     def spectral_radius(self) -> float | None:
-        """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without proof, computed on first access.
+        """Largest ρ(T) of the matrices T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without proof.
 
-        ρ of the iteration matrix itself may be less. None if the method is not a splitting, for a symmetric sweep,
-        and for more than 1000 unknowns.
+        It is at most `rate` and below 1 if the row theorems apply; the paper's Theorem 4.1 has a larger T. ρ of the
+        iteration matrix itself may be less. None if the method is not a splitting, for a symmetric sweep, and for more
+        than 1000 unknowns. Computed on first access.
         """
         if self.facts is None or self.problem is None:
             return None
@@ -568,9 +577,6 @@ def _inverse_bound(
     return bound
 
 
-DENSE_SPLITTING = 500
-
-
 @np.errstate(all="ignore")
 def convergence_guarantee(
     problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
@@ -609,7 +615,7 @@ def convergence_guarantee(
     >>> guarantee.verdict, round(guarantee.rate, 3)
     ('guaranteed', 0.648)
     >>> round(guarantee.spectral_radius, 3), round(guarantee.jacobi_radius, 3)
-    (0.662, 0.25)
+    (0.599, 0.25)
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("convergence_guarantee", problem))
@@ -631,7 +637,8 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is not None:
-        return replace(_full(problem, facts), facts=facts, problem=problem)
+        options = {field.name for field in fields(algorithm)}
+        return replace(_full(problem, facts, options), facts=facts, problem=problem)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
     return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
@@ -645,7 +652,7 @@ def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
     return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
 
 
-def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
+def _full(problem: LCP, facts: IterationFacts, options: Container[str]) -> Guarantee:
     paper = _paper_says(problem, facts)
     proof = _row_proof(problem, facts)
     if proof is not None:
@@ -653,14 +660,14 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
         rate, v = (None, None) if is_automatic else proof
         speaks_of = "x" if facts.family == MODULUS else "z"
         return Guarantee(GUARANTEED, theorem_of(facts), rate, v, paper=paper, speaks_of=speaks_of)
-    if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
+    if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_UP_TO:
         found = _by_theorem_4_1(problem, facts)
         if found is not None:
             return found
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
-    remedy = _remedy(problem, facts)
+    remedy = _remedy(problem, facts, options)
     return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
 
 
@@ -716,8 +723,8 @@ def _paper_says(problem: LCP, facts: IterationFacts) -> str:
 
 
 def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
-    if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_SPLITTING:
-        return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_SPLITTING}"
+    if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_UP_TO:
+        return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_UP_TO}"
     if _is_h_plus(problem):
         return "M is an H₊-matrix, but with these options no theorem here applies beyond rounding"
     if facts.family == PROJECTED_RELAXATION:
@@ -725,14 +732,17 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     return "M is not proven to be an H₊-matrix"
 
 
-def _remedy(problem: LCP, facts: IterationFacts) -> str:
-    """Return the remedy: the change that gives a guarantee."""
+def _remedy(problem: LCP, facts: IterationFacts, options: Container[str]) -> str:
+    """Return the change of these options, or of the algorithm, that gives a guarantee."""
     if _is_h_plus(problem):
-        if facts.family in (PROJECTED_RELAXATION, MODULUS):
-            return (
-                "relaxation ≤ 1 (and 0 ≤ acceleration ≤ relaxation, omega=1.0 if these are options)"
-            )
-        return 'scaling="auto" and 0 ≤ acceleration ≤ relaxation'
+        if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+            return 'splitting="lower" and scaling="auto"'
+        changes = {"relaxation": "relaxation ≤ 1", "omega": "omega=1.0"}
+        if facts.family not in (PROJECTED_RELAXATION, MODULUS):
+            changes = {"scaling": 'scaling="auto"'}
+        changes["acceleration"] = "0 ≤ acceleration ≤ relaxation"
+        words = " and ".join(text for name, text in changes.items() if name in options)
+        return words or 'algorithm="psor"'
     report = analyze(problem)
     if report.is_symmetric and report.is_positive_definite:
         return 'algorithm="psor": M is symmetric positive definite'

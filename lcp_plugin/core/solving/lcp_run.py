@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,8 @@ class LCPRun(Run):
         Within the bounds.
     header : callable, optional
         The lines on M that ``verbose=True`` prints.
+    is_guaranteed : callable, optional
+        Returns whether a theorem proves that the chosen method converges on M.
     polish : callable, optional
         Returns the solution of the linear system on the active set of z, and its work, from (problem, z, most work).
     """
@@ -59,9 +62,11 @@ class LCPRun(Run):
         start: FloatVector,
         header: Header | None = None,
         polish: Polish | None = None,
+        is_guaranteed: Callable[[], bool] = bool,
     ) -> None:
         self.problem, self.chosen = problem, chosen
         self.test, self.polish = TerminationTest(problem, settings), polish
+        self.is_guaranteed = cache(is_guaranteed)
         with clock.pause():
             log = RunLog(problem, header) if settings.verbose else None
         super().__init__(Progress(settings, callback, clock, log))
@@ -144,7 +149,9 @@ class LCPRun(Run):
         # A method that is not monotone may rise, but not to ∞.
         is_lost = algorithm.is_monotone and stage.rises >= 10
         is_lost = is_lost or not math.isfinite(found.residual)
-        if is_lost and not found.residual <= 1e8 * max(1.0, self.start_residual):
+        is_lost = is_lost and not found.residual <= 1e8 * max(1.0, self.start_residual)
+        # A contraction in a weighted norm may multiply the residual before it falls.
+        if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed()):
             return TerminationReason.DIVERGED
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
@@ -153,7 +160,8 @@ class LCPRun(Run):
             return TerminationReason.AT_FLOOR
         is_watched = algorithm.is_monotone or algorithm.is_watched
         if is_watched and stage.is_stalled(self.problem.n, test.goal, left):
-            return TerminationReason.STALLED
+            too_few = self.is_guaranteed()
+            return TerminationReason.STEP_LIMIT if too_few else TerminationReason.STALLED
         return None
 
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
@@ -196,6 +204,10 @@ class LCPRun(Run):
         said = advice_of_run(self.problem, self.chosen, self.settings)
         if self.test.is_rejected(certificate):
             said |= dict.fromkeys(WITHOUT_END, self.problem.origin.rejection)
+        if self.progress.end is None:  # a step limit that is not reached
+            begin, end = "iteration limit reached", said[Status.MAX_ITERATIONS]
+            why = "a theorem proves convergence, but the rate of the run is too small for max_iterations"
+            said[Status.MAX_ITERATIONS] = end.replace(begin, why)
         return said
 
     def _final(self, z: FloatVector, end: TerminationReason) -> Certificate:
@@ -209,6 +221,8 @@ class LCPRun(Run):
         stages = self.progress.stages
         last = stages[-1] if stages else None
         if last is None:
+            return certificate
+        if not settings.polish:
             return certificate
         is_cut_short = end in (TerminationReason.INTERRUPTED, TerminationReason.TIME_LIMIT)
         if not is_cut_short and np.isfinite(z).all():
@@ -230,7 +244,7 @@ class LCPRun(Run):
             most = 0.1 * self.progress.work - 20.0
         elif end not in (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED):
             return certificate
-        if self.polish is None or not self.settings.polish or most <= 0.0:
+        if self.polish is None or most <= 0.0:
             return certificate
         found = self.polish(self.problem, certificate.z, min(most, self.progress.work + 20.0))
         if found is None:

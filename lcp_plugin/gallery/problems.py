@@ -1,4 +1,4 @@
-"""Membranes: over obstacles, of uneven stuff, in a wind; and when to stop a drifting diffusion.
+"""Test problems: membranes over an obstacle, and in a wind.
 
 A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
 
@@ -29,19 +29,16 @@ from .stencil import (
     interior,
     nodes,
     stencil_matrix,
-    stiff_cells,
     upwind,
 )
 
-CONTACT_RADIUS = {2: 0.6979651482233735, 3: 0.7892441190408083}
-"""By dimension, the root r* in (0, 1) of r² (1 − log(r/2)) = 1 and of 2 r² − r³/2 = 1."""
+CONTACT_RADIUS = 0.6979651482233735
+"""The root r* in (0, 1) of r² (1 − log(r/2)) = 1."""
 
 CONE_BEGINS = 0.9
 """From this radius on the sphere is continued by its tangent cone, so that ψ is finite everywhere."""
 
 HALF_SIDE = 2.0
-
-MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
 
 
 @scene_builder
@@ -69,26 +66,24 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     Kinderlehrer, Stampacchia, *An Introduction to Variational Inequalities and Their Applications*, SIAM
     2000, doi:10.1137/1.9780898719451.
     """
-    return _sphere_scene(2, size, shifted)
-
-
-@scene_builder
-def obstacle_3d(*, size: int = 30, shifted: bool = False) -> Scene:
-    """Membrane over a sphere on [−2, 2]³, with analytic solution and free boundary.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size³, mesh width 4/(size + 1).
-    shifted
-        False: the unknown is u with lower = ψ. True: it is u − ψ with lower = 0, the plain LCP.
-
-    Notes
-    -----
-    As `obstacle_2d` with the radial solution u = A (1/r − 1/2): u and u′ continuous with ψ at r* give
-    A = r*³/√(1 − r*²) and 2 r*² − r*³/2 = 1. Rows are the rows of the seven-point stencil (6, −1).
-    """
-    return _sphere_scene(3, size, shifted)
+    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
+    r = np.hypot(*np.ix_(axis, axis))
+    solution, radius, legs = sphere_solution(r), r[interior(2)], (-1.0, -1.0)
+    M = stencil_matrix(radius.shape, 4.0, legs, legs)
+    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
+    continuum = solution[interior(2)].ravel()
+    if shifted:
+        q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
+    return Scene(
+        problem=LCP(M, q, lower=lower),
+        continuum=continuum,
+        active_share=float(np.mean(radius < CONTACT_RADIUS)),
+        coordinates=(axis[1:-1], axis[1:-1]),
+        axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the obstacle",
+        **SYMMETRIC,
+    )
 
 
 def sphere_obstacle(r: Field) -> Field:
@@ -98,143 +93,16 @@ def sphere_obstacle(r: Field) -> Field:
     return sphere + slope * np.maximum(r - CONE_BEGINS, 0.0)
 
 
-def sphere_solution(r: Field, dimension: int) -> Field:
-    """Return the analytic u(r) in dimension 2 or 3; any shape."""
-    contact = CONTACT_RADIUS[dimension]
-    strength = contact**dimension / math.sqrt(1.0 - contact**2)
-    outside = np.maximum(r, contact)
-    free = -np.log(outside / 2.0) if dimension == 2 else 1.0 / outside - 0.5
-    return np.where(r < contact, sphere_obstacle(r), strength * free)
+def sphere_solution(r: Field) -> Field:
+    """Return the analytic u(r); any shape."""
+    strength = CONTACT_RADIUS**2 / math.sqrt(1.0 - CONTACT_RADIUS**2)
+    free = -np.log(np.maximum(r, CONTACT_RADIUS) / 2.0)
+    return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
 
 
-def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
-    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
-    r = np.sqrt(sum(x**2 for x in np.ix_(*[axis] * dimension)))
-    solution, radius = sphere_solution(r, dimension), r[interior(dimension)]
-    legs = (-1.0,) * dimension
-    M = stencil_matrix(radius.shape, 2.0 * dimension, legs, legs)
-    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
-    continuum = solution[interior(dimension)].ravel()
-    if shifted:
-        q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
-    return Scene(
-        problem=LCP(M, q, lower=lower),
-        continuum=continuum,
-        active_share=float(np.mean(radius < CONTACT_RADIUS[dimension])),
-        coordinates=(axis[1:-1],) * dimension,
-        axis_labels=("x", "y", "z")[:dimension],
-        **SYMMETRIC | MEMBRANE,
-    )
+# --- Wind -------------------------------------------------------------------------------------------------------
 
-
-@scene_builder
-def obstacle_bumps(*, size: int = 100, bumps: int = 8, load: float = -5.0, seed: int = 0) -> Scene:
-    """Membrane under a load over several bumps on the unit square, zero on the boundary.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
-    bumps
-        Number of paraboloids of random height, width and place; ψ is their maximum.
-    load
-        f in −Δu ≥ f; negative values press the membrane onto the bumps.
-    seed
-        Seed of the generator that draws the bumps.
-
-    Notes
-    -----
-    Several contact sets with free boundaries of different curvature, and no closed form. Each paraboloid is
-    positive only inside the square, so ψ ≤ 0 on the boundary. Rows are scaled by h².
-    """
-    axis = nodes(0.0, 1.0, size)[1:-1]
-    x, y = np.ix_(axis, axis)
-    generator = np.random.default_rng(seed)
-    obstacle = np.full((size, size), -np.inf)
-    for _ in range(bumps):
-        width, height = generator.uniform(0.08, 0.25), generator.uniform(0.1, 0.5)
-        at_x, at_y = generator.uniform(width, 1.0 - width, size=2)
-        bump = height * (1.0 - ((x - at_x) ** 2 + (y - at_y) ** 2) / width**2)
-        np.maximum(obstacle, bump, out=obstacle)
-
-    legs = (-1.0, -1.0)
-    M = stencil_matrix((size, size), 4.0, legs, legs)
-    mesh_width = 1.0 / (size + 1)
-    return Scene(
-        problem=LCP(M, np.full(size**2, -load * mesh_width**2), lower=obstacle.ravel()),
-        coordinates=(axis, axis),
-        axis_labels=("x", "y"),
-        **SYMMETRIC | MEMBRANE,
-    )
-
-
-# --- Uneven stuff and wind --------------------------------------------------------------------------------------
-
-BLOCKS = 10
 PULL = 10.0
-
-
-@scene_builder
-def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) -> Scene:
-    """Membrane above the ground whose stiffness jumps at random between 10 × 10 blocks.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
-    contrast
-        The logarithm of the stiffness is uniform over a range of this ratio.
-    seed
-        Seed of the generator that draws the blocks.
-
-    Notes
-    -----
-    −∇·(k ∇u) ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy. k is constant on each cell of
-    the mesh; an edge takes the mean of the two cells it separates. Rows are scaled by h². The error of z can be much
-    larger than its residual: about contrast times.
-    """
-    require(contrast >= 1.0, f"contrast must be a number ≥ 1, got {contrast}")
-    stiffness = 10.0 ** (
-        np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast)
-    )
-    block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
-    cells = stiffness[np.ix_(block, block)]
-    M = balanced_matrix((size, size), stiff_cells(cells))
-    return _pulled_membrane(M, size, **SYMMETRIC)
-
-
-@scene_builder
-def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float = 30.0) -> Scene:
-    """Membrane above the ground, stiff along fibres that cross the grid at an angle; M has positive couplings.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
-    ratio
-        Stiffness across the fibres, divided by that along them.
-    degrees
-        Angle between the fibres and the first axis.
-
-    Notes
-    -----
-    −∇·(K ∇u) ≥ f as in `coefficient_jumps`, K with the eigenvalues 1 and `ratio`, by bilinear finite elements: a
-    nine-point stencil, symmetric and positive definite, but no M-matrix.
-    """
-    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    first, second = cosine**2 + ratio * sine**2, sine**2 + ratio * cosine**2
-    mixed = (1.0 - ratio) * cosine * sine
-    mass, slope, stiffness = (
-        sp.diags_array(legs, offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64)
-        for legs in ([1 / 6, 4 / 6, 1 / 6], [-0.5, 0.0, 0.5], [-1.0, 2.0, -1.0])
-    )
-    M = sp.csr_array(
-        first * sp.kron(stiffness, mass)
-        + second * sp.kron(mass, stiffness)
-        - 2.0 * mixed * sp.kron(slope, slope)
-    )
-    M.eliminate_zeros()
-    return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=size == 1)
 
 
 @scene_builder
@@ -254,7 +122,8 @@ def convection_diffusion(
 
     Notes
     -----
-    −ε Δu + b·∇u ≥ f as in `coefficient_jumps`, first-order upwind. Rows are scaled by h²/max(ε, h).
+    −ε Δu + b·∇u ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy, by first-order upwind
+    differences. Rows are scaled by h²/max(ε, h).
     """
     h = 1.0 / (size + 1)
     scale = 1.0 / max(diffusion, h)
@@ -262,10 +131,11 @@ def convection_diffusion(
     M = balanced_matrix(
         (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
     )
-    return _pulled_membrane(M, size, scale, is_symmetric=size == 1, is_h_plus=True)
+    return pulled_membrane(M, size, scale, is_symmetric=size == 1, is_h_plus=True)
 
 
-def _pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any) -> Scene:
+def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any) -> Scene:
+    """Return the test problem of a membrane above the ground that the force f pulls up and down."""
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
@@ -278,67 +148,6 @@ def _pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: An
         active_means="on the ground",
         **facts,
     )
-
-
-@scene_builder
-def optimal_stopping(
-    *,
-    size: int = 100,
-    diffusion: float = 1e-2,
-    wind_x: float = 1.0,
-    wind_y: float = 0.5,
-    swirl: float = 0.0,
-    discount: float = 1.0,
-    gain: float = 0.0,
-) -> Scene:
-    """Optimal stopping of a drifting diffusion on the unit square: upwind differences, nonsymmetric M-matrix.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
-    diffusion
-        ε > 0, length²/time; small values give sharp layers and a strongly nonsymmetric matrix.
-    wind_x, wind_y, swirl
-        b(x, y) = (wind_x − swirl·(y − ½), wind_y + swirl·(x − ½)), length/time. The process drifts with −b.
-    discount
-        Rate r ≥ 0, 1/time.
-    gain
-        Running gain f per unit of time until the process is stopped.
-
-    Notes
-    -----
-    The value u is the largest expected discounted gain plus reward ψ at the moment of stopping, leaving the
-    square included: −ε Δu + b·∇u + r u ≥ f, u ≥ ψ, complementary, u = ψ on the boundary. ψ is a hill and a
-    lower one. First-order upwind differences keep every off-diagonal entry ≤ 0 at any ratio of b to ε, so M
-    is an M-matrix. Rows are scaled by h². With all of the wind zero M is symmetric.
-
-    References
-    ----------
-    Kushner, Dupuis, *Numerical Methods for Stochastic Control Problems in Continuous Time*, Springer 2001,
-    doi:10.1007/978-1-4613-0007-6.
-    """
-    axis = nodes(0.0, 1.0, size)
-    x, y = np.ix_(axis, axis)
-    reward = _hill(x, y, 0.65, 0.6, 0.15) + 0.5 * _hill(x, y, 0.3, 0.25, 0.1)
-    h = 1.0 / (size + 1)
-    wind = (wind_x - swirl * (y[:, 1:-1] - 0.5), wind_y + swirl * (x[1:-1] - 0.5))
-    legs = upwind(diffusion, [h * b for b in wind])
-    M = balanced_matrix((size, size), legs, h**2 * discount)
-    q = dirichlet_terms(reward, *legs) - h**2 * gain
-    return Scene(
-        problem=LCP(M, q, lower=reward[interior(2)].ravel()),
-        is_symmetric=wind_x == wind_y == swirl == 0.0,
-        is_h_plus=True,
-        coordinates=(axis[1:-1], axis[1:-1]),
-        axis_labels=("x", "y"),
-        unknown="value",
-        active_means="stop at once",
-    )
-
-
-def _hill(x: Field, y: Field, at_x: float, at_y: float, width: float) -> Field:
-    return np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / (2.0 * width**2))
 
 
 @scene_builder

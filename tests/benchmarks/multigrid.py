@@ -11,11 +11,12 @@ from typing import Any
 
 import pyamg
 import scipy.sparse as sp
+from inputs.membranes import parse
 
 from lcp_plugin.api import solve
 from lcp_plugin.core.solving.result import Result
 from lcp_plugin.evidence.measurement import fresh
-from lcp_plugin.gallery import Scene, parse
+from lcp_plugin.gallery import Scene
 
 from .timing import quickest
 

@@ -32,7 +32,7 @@ BOX = LCP(
 PNG = b"\x89PNG\r\n\x1a\n"
 
 # Every test problem at a size that takes no time, and some also at sizes with a degenerate figure.
-SMALL_SCENES = [*SMALL, "american_put:size=1", "obstacle_2d:size=1", "obstacle_3d:size=1"]
+SMALL_SCENES = [*SMALL, "american_put:size=1", "obstacle_2d:size=1"]
 
 
 @pytest.fixture(autouse=True)

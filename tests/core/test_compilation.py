@@ -73,7 +73,7 @@ def test_shell_completes_scenes_and_algorithms() -> None:
     """The shell offers what the command knows."""
     code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"
     for words, offered in (
-        ("lcp-plugin solve obstacle", "obstacle_2d obstacle_3d obstacle_bumps"),
+        ("lcp-plugin solve obstacle", "obstacle_2d"),
         ("lcp-plugin solve x -a nps", "npsor npsplitting"),
     ):
         position = str(len(words.split()) - 1)

@@ -51,7 +51,7 @@ def mixed(n: int = 90) -> LCP:
 
 
 def scenes() -> list[LCP]:
-    sizes = {"obstacle_2d": 20, "obstacle_3d": 6, "convection_diffusion": 20}
+    sizes = {"obstacle_2d": 20, "journal_bearing": 12, "convection_diffusion": 20}
     return [mixed(), *(gallery.build(name, size=size).problem for name, size in sizes.items())]
 
 

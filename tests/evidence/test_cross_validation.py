@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs import membranes
 
-from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, gallery, solve
+from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, solve
 from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 
@@ -120,7 +121,7 @@ def test_a_solution_that_is_not_unique_is_named() -> None:
 )
 def test_scenes_agree(target: str, kind: str) -> None:
     """Scenes with a convex program agree with it: the plain one where M is symmetric, else the gap program."""
-    check = cross_validate(gallery.parse(target).problem, tolerance=1e-11)
+    check = cross_validate(membranes.parse(target).problem, tolerance=1e-11)
     assert check.agrees, check
     assert check.formulation.startswith(f"{kind} (")
     assert check.difference_z < 1e-8
@@ -138,7 +139,7 @@ def test_every_installed_reference_agrees(reference: str) -> None:
                "SCS": {"eps_abs": 1e-10, "eps_rel": 1e-10}}.get(reference, {})  # fmt: skip
     for target in ("obstacle_2d:size=6", "optimal_stopping:size=5"):
         check = cross_validate(
-            gallery.parse(target).problem, reference=reference.lower(), **options
+            membranes.parse(target).problem, reference=reference.lower(), **options
         )
         assert check.agrees, check
         assert check.reference == reference
@@ -184,7 +185,7 @@ def test_units_do_not_matter(exponent: int) -> None:
 @pytest.mark.parametrize("target", ["obstacle_2d:size=8", "optimal_stopping:size=6"])
 def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
     """A SOLVED result with one wrong component is a mismatch."""
-    problem = gallery.parse(target).problem
+    problem = membranes.parse(target).problem
     wrong = altered(solve(problem, tolerance=1e-9), problem.n // 2, by)
     check = cross_validate(problem, wrong)
     assert check.verdict == "mismatch", check
@@ -194,7 +195,7 @@ def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
 
 def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
-    problem = gallery.parse("obstacle_2d:size=8").problem
+    problem = membranes.parse("obstacle_2d:size=8").problem
     right, wrong = (
         solve(problem, tolerance=1e-15),
         altered(solve(problem, tolerance=1e-9), 20, 1e-3),
@@ -211,7 +212,7 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch() -> None:
     """A run that ended early is not comparable; a run with a loose tolerance agrees."""
-    problem = gallery.parse("obstacle_2d:size=20").problem
+    problem = membranes.parse("obstacle_2d:size=20").problem
     early = cross_validate(problem, solve(problem, max_iterations=2))
     assert early.verdict == "not comparable"
     assert "our solution is not accurate, MAX_ITERATIONS" in early.reason
@@ -225,7 +226,7 @@ def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # cvxpy warns that the solution may be inaccurate
         check = cross_validate(
-            gallery.parse("obstacle_2d:size=8").problem, reference="SCS", **rough
+            membranes.parse("obstacle_2d:size=8").problem, reference="SCS", **rough
         )
     assert check.verdict == "not comparable", check
     assert "the solution of SCS does not reach 1e-07: relative residuals" in check.reason
@@ -256,7 +257,7 @@ def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, ki
 
 def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
     """A false SOLVED is a mismatch because of its residual."""
-    problem = gallery.parse("random_h_plus:n=30").problem
+    problem = membranes.parse("random_h_plus:n=30").problem
     result = solve(problem, tolerance=1e-9)
     assert cross_validate(problem, result).verdict == "not comparable"
     assert cross_validate(problem, altered(result, 3, 100.0)).verdict == "mismatch"
@@ -274,7 +275,7 @@ def test_two_solutions_are_no_mismatch() -> None:
 
 def test_a_reference_that_raises_is_not_comparable() -> None:
     """If the reference rejects an option, the reason contains its message."""
-    problem = gallery.parse("obstacle_2d:size=6").problem
+    problem = membranes.parse("obstacle_2d:size=6").problem
     check = cross_validate(problem, reference="OSQP", no_such_option=1)
     assert (check.verdict, check.theirs) == ("not comparable", None)
     assert "no_such_option" in check.reason
@@ -283,7 +284,7 @@ def test_a_reference_that_raises_is_not_comparable() -> None:
 
 def test_a_solver_is_not_compared_with_itself() -> None:
     """Method interior_point uses PIQP, and is therefore compared only with other solvers."""
-    problem = gallery.parse("obstacle_2d:size=6").problem
+    problem = membranes.parse("obstacle_2d:size=6").problem
     check = cross_validate(problem, reference="piqp", algorithm="interior_point")
     assert check.verdict == "not comparable"
     assert "PIQP computed our solution too" in check.reason
@@ -306,7 +307,7 @@ def test_arguments_that_cannot_be_used() -> None:
 
 def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     """The explanation begins with the verdict and lists both sides; the solvers print nothing."""
-    check = cross_validate(gallery.parse("obstacle_2d:size=3").problem)
+    check = cross_validate(membranes.parse("obstacle_2d:size=3").problem)
     out, err = capfd.readouterr()
     assert (out, err) == ("", "")
     lines = check.explain().splitlines()

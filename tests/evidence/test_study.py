@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
+from inputs import membranes
 from legends import hides_nothing
 
 from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
@@ -180,7 +181,7 @@ def test_iterates_and_their_polish_are_two_rows() -> None:
 
 def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
     """The error is the true one if z* is known, a bound that is never too small for H₊, else the residual."""
-    bumps = gallery.build("obstacle_bumps", size=12)
+    bumps = membranes.build("obstacle_bumps", size=12)
     exact = solve(bumps.problem, "multigrid", tolerance=1e-13).z
     row = measured(bumps, "npsor")
     assert row.error_kind == "rigorous bound"
@@ -194,7 +195,7 @@ def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
     assert all(bound >= found[int(k)] - 1e-12 for k, bound in bounds.items())
     assert bounds[5.0] < (1.0 + 1e-9) * found[5]
     assert measured(scene(), "pgs").error_kind == "true error"
-    other = error_against_time(gallery.build("rotated_anisotropy", size=8), ["pgs"], repeats=1)
+    other = error_against_time(membranes.build("rotated_anisotropy", size=8), ["pgs"], repeats=1)
     assert other.rows[0].error_kind == "residual"
     assert "M is not declared to be an H₊-matrix" in other.notes[0]
 
@@ -251,7 +252,7 @@ def test_references_are_rows_of_symmetric_problems() -> None:
     assert (clarabel.family, clarabel.status, len(clarabel.points)) == ("reference", "OPTIMAL", 1)
     assert 0.0 < clarabel.error < 1e-2  # half of the active rows are degenerate
     assert clarabel.seconds > 0.0
-    windy = gallery.build("optimal_stopping", size=4)
+    windy = membranes.build("optimal_stopping", size=4)
     found = error_against_time(windy, ["pgs"], ("CLARABEL",), repeats=1)
     assert [row.method for row in found.rows] == ["pgs"]
     assert any("no convex solver, M[" in note for note in found.notes)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from inputs import scenes
+from inputs import membranes, scenes
 from oracles.truth import ExactData
 from scipy.sparse.linalg import spsolve
 
@@ -39,21 +39,14 @@ SMALL = [
     "half_active:n=81,delta=0,block=2,degenerate=false",
     "market_equilibrium:goods=6,activities=9",
     "market_equilibrium:goods=5,activities=3,running=1,seed=2",
-    "coefficient_jumps:size=3,contrast=1,seed=2",
     "convection_diffusion:size=6,diffusion=0,wind_angle=3.6",
     "journal_bearing:size=10,eccentricity=0.99,half_length=0.5",
     "obstacle_2d:size=12,shifted=true",
-    "obstacle_3d:size=6",
-    "obstacle_bumps:size=12,bumps=3,seed=4",
-    "optimal_stopping:size=11,diffusion=1e-8,swirl=-7,discount=0",
-    "optimal_stopping:size=11,wind_x=0,wind_y=0",
     "paper_example_1:n=49,delta=0",
     "paper_example_2:n=49",
     "random_h_plus:n=40",
     "random_h_plus:n=40,entries_per_row=60,row_scale=100,column_scale=100,active_share=0.8,seed=3",
     "random_h_plus:n=2,active_share=0",
-    "rotated_anisotropy:size=11",
-    "rotated_anisotropy:size=6,ratio=0.01",
 ]
 
 PLANTED = [
@@ -63,12 +56,10 @@ PLANTED = [
 ]
 OF_GRIDS = (
     "american",
-    "coefficient",
     "convection",
     "half",
     "journal",
     "obstacle",
-    "optimal",
     "paper",
 )
 M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
@@ -280,24 +271,18 @@ def test_half_active_is_half_active_and_degenerate_on_request() -> None:
         assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == count
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
+def test_sphere_solution_meets_the_obstacle_smoothly() -> None:
     """Value and slope agree at r*, the equation for r* holds, u > ψ beyond, and ψ is concave."""
-    contact = CONTACT_RADIUS[dimension]
-    equation = (
-        contact**2 * (1.0 - np.log(contact / 2.0))
-        if dimension == 2
-        else 2 * contact**2 - contact**3 / 2
-    )
-    assert equation == pytest.approx(1.0, abs=4e-16)
+    contact = CONTACT_RADIUS
+    assert contact**2 * (1.0 - np.log(contact / 2.0)) == pytest.approx(1.0, abs=4e-16)
 
     around = contact + np.array([-1e-4, -5e-5, 0.0, 5e-5, 1e-4])
-    u = sphere_solution(around, dimension)
+    u = sphere_solution(around)
     assert u[2] == pytest.approx(np.sqrt(1.0 - contact**2), abs=1e-15)
     assert u[2] - u[1] == pytest.approx(u[3] - u[2], rel=1e-3)
 
     beyond = np.linspace(contact, 4.0, 2001)[1:]
-    assert np.all(sphere_solution(beyond, dimension) > sphere_obstacle(beyond))
+    assert np.all(sphere_solution(beyond) > sphere_obstacle(beyond))
     everywhere = np.linspace(0.0, 4.0, 2001)
     assert np.diff(sphere_obstacle(everywhere), 2).max() < 1e-13
     assert contact < CONE_BEGINS
@@ -305,20 +290,25 @@ def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("name", "sizes"), [("obstacle_2d", (15, 30, 60)), ("obstacle_3d", (8, 18))]
+    ("name", "contact", "sizes"),
+    [
+        ("obstacle_2d", CONTACT_RADIUS, (15, 30, 60)),
+        ("obstacle_3d", membranes.CONTACT_RADIUS, (8, 18)),
+    ],
 )
-def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int, ...]) -> None:
+def test_obstacle_converges_to_the_analytic_solution(
+    name: str, contact: float, sizes: tuple[int, ...]
+) -> None:
     """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""
-    dimension = int(name[-2])
     errors = []
     for size in sizes:
-        scene = gallery.build(name, size=size)
+        scene = membranes.build(name, size=size)
         z = active_set(scene.problem)
         errors.append(np.abs(z - scene.continuum).max())
         r = np.sqrt(sum(x**2 for x in np.ix_(*scene.coordinates))).ravel()
         touching, mesh_width = z <= scene.problem.lower, 4.0 / (size + 1)
-        assert r[touching].max() < CONTACT_RADIUS[dimension] + mesh_width
-        assert r[~touching].min() > CONTACT_RADIUS[dimension] - mesh_width
+        assert r[touching].max() < contact + mesh_width
+        assert r[~touching].min() > contact - mesh_width
         assert np.mean(touching) == pytest.approx(scene.active_share, abs=mesh_width / 2)
     assert all(fine < coarse / 1.5 for coarse, fine in pairwise(errors))
     assert errors[-1] < 1.0 / sizes[-1] ** 1.5
@@ -327,7 +317,7 @@ def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int
 def test_stopping_operator_is_exact_on_linear_functions() -> None:
     """Inside the square the scaled rows give h² (b·∇u + r u) for u = 2x − 3y, upwind or not."""
     size, wind_x, wind_y, swirl, discount = 9, 0.4, -0.3, 5.0, 2.0
-    scene = gallery.build(
+    scene = membranes.build(
         "optimal_stopping", size=size, wind_x=wind_x, wind_y=wind_y, swirl=swirl, discount=discount
     )
     x, y = np.ix_(*scene.coordinates)

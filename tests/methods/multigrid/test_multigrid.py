@@ -10,6 +10,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import example, given
 from hypothesis import strategies as st
+from inputs import membranes
 from inputs.planted import planted_lcp
 from scipy.sparse.linalg import spsolve
 
@@ -64,7 +65,7 @@ def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
 @pytest.mark.parametrize("text", SCENES)
 def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
     """The z of the default tolerance is within 1e-6 of the direct solution, in 40 iterations."""
-    problem = gallery.parse(text).problem
+    problem = membranes.parse(text).problem
     result = solve(problem, "multigrid", max_iterations=40)
     assert result.status is Status.SOLVED
     assert_same(problem, result)
@@ -74,7 +75,7 @@ def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
 @pytest.mark.parametrize("text", [SCENES[0], SCENES[4], SCENES[7], SCENES[9]])
 def test_every_smoother_arrives(smoother: str, text: str) -> None:
     """Any projected sweep can be the smoother."""
-    problem = gallery.parse(text).problem
+    problem = membranes.parse(text).problem
     result = solve(problem, "multigrid", smoother=smoother, relaxation=1.2, max_iterations=60)
     assert result.status is Status.SOLVED
     assert_same(problem, result)
@@ -94,7 +95,7 @@ def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> 
     M = balanced_matrix(
         (size, size), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]])
     )
-    return LCP(M, gallery.build("coefficient_jumps", size=size).problem.q)
+    return LCP(M, membranes.build("coefficient_jumps", size=size).problem.q)
 
 
 @pytest.mark.parametrize("kind", ["all", "half", "tenth"])
@@ -308,7 +309,7 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
         ("obstacle_bumps", {}),
     ]:
         cycles = [
-            solve(gallery.build(name, size=size, **facts).problem, "multigrid").iterations
+            solve(membranes.build(name, size=size, **facts).problem, "multigrid").iterations
             for size in (45, 180)
         ]
         assert cycles[1] <= cycles[0] + 6, (name, cycles)
@@ -428,7 +429,7 @@ def test_broken_corrections_do_not_keep_it_from_the_solution(
     monkeypatch: pytest.MonkeyPatch, way: str, scene: str
 ) -> None:
     """The run is SOLVED at the same z even if each V-cycle's correction is replaced by nonsense."""
-    problem = gallery.parse(scene).problem
+    problem = membranes.parse(scene).problem
     expected = solve(problem, "multigrid", tolerance=1e-11).z
     break_corrections(monkeypatch, way)
     result = solve(problem, "multigrid")

@@ -67,8 +67,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
+from tempfile import mkdtemp
 from typing import Any
 
 try:
@@ -84,26 +85,27 @@ except ImportError as error:
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
 from .core.settings import Status, parse_options
-from .interfaces.nl.writing import write_nl  # noqa: F401 - offered beside the solver
-from .interfaces.pyomo.answers import PyomoAnswer, answered, imported
+from .interfaces.nl.writing import write_nl
+from .interfaces.pyomo import PyomoAnswer, answered, imported
 
-NAME, HYPHENATED = (
-    "lcp_plugin",
-    "lcp-plugin",
-)  # by another name Pyomo looks for an executable that is called so
+NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
 ENDS = {
-    Status.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
-    Status.UNBOUNDED: (SolverStatus.warning, TerminationCondition.unbounded),
-    Status.MAX_ITERATIONS: (SolverStatus.warning, TerminationCondition.maxIterations),
-    Status.MAX_SECONDS: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
-    Status.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
-    Status.PRECISION_LIMIT: (SolverStatus.warning, TerminationCondition.other),
-    Status.STALLED: (SolverStatus.warning, TerminationCondition.noSolution),
-    Status.DIVERGED: (SolverStatus.warning, TerminationCondition.noSolution),
-    Status.INFEASIBLE: (SolverStatus.warning, TerminationCondition.infeasible),
-    Status.NO_SOLUTION: (SolverStatus.warning, TerminationCondition.infeasible),
+    Status.SOLVED: TerminationCondition.optimal,
+    Status.UNBOUNDED: TerminationCondition.unbounded,
+    Status.MAX_ITERATIONS: TerminationCondition.maxIterations,
+    Status.MAX_SECONDS: TerminationCondition.maxTimeLimit,
+    Status.INTERRUPTED: TerminationCondition.userInterrupt,
+    Status.PRECISION_LIMIT: TerminationCondition.other,
+    Status.STALLED: TerminationCondition.noSolution,
+    Status.DIVERGED: TerminationCondition.noSolution,
+    Status.INFEASIBLE: TerminationCondition.infeasible,
+    Status.NO_SOLUTION: TerminationCondition.infeasible,
 }
+STATES = {
+    TerminationCondition.optimal: SolverStatus.ok,
+    TerminationCondition.userInterrupt: SolverStatus.aborted,
+}  # of other ends a warning
 
 
 @SolverFactory.register(HYPHENATED, doc=DOC)
@@ -117,9 +119,7 @@ class LCPPlugin:
     def __init__(self, **given: Any) -> None:
         self.options = Bunch(**(given.pop("options", None) or {}))
         self.result: Any = None
-        _refuse(
-            {key: value for key, value in given.items() if value is not None and key != "solver_io"}
-        )
+        _refuse({key: value for key, value in given.items() if key != "solver_io"})
 
     def __enter__(self) -> LCPPlugin:
         return self
@@ -196,17 +196,16 @@ class LCPPlugin:
         UnsupportedModel, InvalidOption
             If the model or an option is not supported.
         """
-        _refuse(
-            {
-                key: value
-                for key, value in unknown.items()
-                if value is not None and value is not False
-            }
-        )
+        _refuse({key: value for key, value in unknown.items() if value is not False})
         chosen = {**self.options, **(options or {}), "verbose": bool(tee)}
         if timelimit is not None:
             chosen["max_seconds"] = timelimit
-        answer = answered_in_a_folder(model, chosen, keepfiles, symbolic_solver_labels)
+        answer = answered(model, chosen)
+        if keepfiles:
+            path = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd())) / "model.nl"
+            has_names, content = symbolic_solver_labels, answer.statement.in_a_file
+            write_nl(content if has_names else replace(content, names=None, row_names=None), path)
+            print(f"the .nl file is {path}")
         self.result = answer.found.result
         results = _results_of(answer)
         if load_solutions:
@@ -218,32 +217,9 @@ class LCPPlugin:
         return results
 
 
-def answered_in_a_folder(
-    model: Any, options: dict[str, Any], keepfiles: bool, labels: bool
-) -> PyomoAnswer:
-    """Return the solution of a model, through a file that is kept only on request."""
-    if keepfiles:
-        folder = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd()))
-        answer = answered(model, options, folder / "model.nl")
-        answer.keep(folder / "model.nl", labels)
-        print(f"the .nl file is {folder / 'model.nl'}")
-        return answer
-    with TemporaryDirectory(prefix=NAME) as temporary:
-        return answered(model, options, Path(temporary) / "model.nl")
-
-
-def _refuse(unknown: dict[str, Any]) -> None:
-    if unknown:
-        word = next(iter(unknown))
-        known = (
-            "tee",
-            "load_solutions",
-            "timelimit",
-            "options",
-            "keepfiles",
-            "symbolic_solver_labels",
-            "warmstart",
-        )
+def _refuse(given: dict[str, Any]) -> None:
+    if unknown := [name for name, value in given.items() if value is not None]:
+        word, known = unknown[0], tuple(LCPPlugin.solve.__kwdefaults__ or ())
         raise InvalidOption(
             f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
             'run go into options={"tolerance": 1e-10} or solver.options'
@@ -254,11 +230,10 @@ def _results_of(answer: PyomoAnswer) -> Any:
     """Return Pyomo's account of an answer."""
     found, content = answer.found, answer.statement.content
     results = SolverResults()
-    status, condition = ENDS[found.status]
-    if answer.is_violated:
-        status, condition = SolverStatus.warning, TerminationCondition.other
+    condition = TerminationCondition.other if answer.is_violated else ENDS[found.status]
     results.solver.name, results.solver.message = NAME, found.message
-    results.solver.status, results.solver.termination_condition = status, condition
+    results.solver.status = STATES.get(condition, SolverStatus.warning)
+    results.solver.termination_condition = condition
     results.solver.time = found.result.seconds
     problem = results.problem
     problem.number_of_constraints, problem.number_of_variables = (

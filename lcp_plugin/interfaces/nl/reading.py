@@ -174,6 +174,7 @@ OPERATOR_NAMES: dict[int, dict[int, str]] = {
 }
 ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
 SUFFIX_IS_REAL = 4  # a bit of the first number of an S segment
+PLUS = 0  # the number of the operator
 PARTNER = 5  # the kind of a complementarity row
 MOST_OPTIONS = 9
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
@@ -221,6 +222,18 @@ class Trees:
             values,
             np.zeros(k, dtype=np.int64),
             np.arange(k + 1),
+        )
+
+    def plus(self, constants: FloatVector) -> Trees:
+        """Return the trees with a number added to each, shape (k,)."""
+        is_added = constants != 0.0
+        at, k = np.repeat(self.starts[:-1][is_added], 2), int(is_added.sum())
+        values = np.column_stack([np.full(k, PLUS), constants[is_added]]).ravel()
+        return Trees(
+            np.insert(self.kinds, at, [Token.OPERATOR, Token.NUMBER] * k),
+            np.insert(self.values, at, values),
+            np.insert(self.counts, at, [2, 0] * k),
+            self.starts + 2 * np.append(0, np.cumsum(is_added)),
         )
 
     @property

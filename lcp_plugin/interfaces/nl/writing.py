@@ -13,10 +13,10 @@ from ...core.errors import InvalidProblem
 from ...core.lcp import LCP
 from ...problems.programs.program import QuadraticProgram
 from ..files import checked_path, write_whole
-from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
+from .reading import ARITY, NARY, PARTNER, PIECEWISE, PLUS, WITH_TOLERANCE, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}
-PLUS, TIMES, SUM = 0, 2, 54  # numbers of operators
+TIMES, SUM = 2, 54  # numbers of operators
 
 
 def write_nl(problem: Any, path: str | PathLike[str]) -> None:
@@ -58,7 +58,7 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
 def _content_of(problem: Any) -> NLContent:
     """Return the content of a file of the problem."""
     if hasattr(problem, "component_data_objects"):
-        from ..pyomo.answers import content_of
+        from ..pyomo import content_of
 
         return content_of(problem)
     if isinstance(problem, LCP):

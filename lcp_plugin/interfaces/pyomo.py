@@ -1,0 +1,508 @@
+"""Pyomo models as the content of an ``.nl`` file, whose rows Pyomo writes; answers are put back into the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+from pyomo import core
+from pyomo.common.collections import ComponentMap
+from pyomo.common.errors import InvalidValueError
+from pyomo.core.expr import SumExpression, identify_variables
+from pyomo.core.expr.numvalue import is_potentially_variable
+from pyomo.core.staleflag import StaleFlagManager
+from pyomo.mpec import Complementarity
+from pyomo.network import Port
+from pyomo.repn.plugins.nl_writer import NLWriter
+from pyomo.repn.util import categorize_valid_components
+
+from ..core.errors import InvalidProblem, UnsupportedModel
+from ..core.representation import format_count
+from ..core.settings import Status
+from .nl.model import NLAnswer, ProgramModel, model_of, values_and_slopes
+from .nl.reading import NLContent, read_content
+
+KINDS = "Block Constraint Expression ExternalFunction Objective Param RangeSet Set Suffix Var"
+KNOWN = {Complementarity, Port} | {getattr(core, kind) for kind in KINDS.split()}
+INTEGERS = (
+    "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as complementarities"
+)
+INSTEAD = {
+    **dict.fromkeys(("Disjunct", "Disjunction", "SOSConstraint", "LogicalConstraint"), INTEGERS),
+    "BooleanVar": INTEGERS,
+    "Arc": "expand it: TransformationFactory('network.expand_arcs')",
+    "DerivativeVar": "discretise it, TransformationFactory('dae.collocation'), and add complementarities afterwards",
+}
+DISCRETISED = "DerivativeVar"  # these never report as active
+SOME = 5  # names that a message lists
+IN_ORDER = core.SortComponents.deterministic
+
+
+# --- Pairs -------------------------------------------------------------------------------------------------------
+
+
+class PairSide(NamedTuple):
+    """Side of a pair, lower ≤ body ≤ upper; an absent bound is infinite, an equation has equal bounds."""
+
+    lower: float
+    body: Any
+    upper: float
+
+    @property
+    def bounds(self) -> int:
+        """The number of finite bounds."""
+        return math.isfinite(self.lower) + math.isfinite(self.upper)
+
+    @property
+    def is_equation(self) -> bool:
+        """True for body == number; a range with equal bounds holds its body, and leaves the row any sign."""
+        return self.lower == self.upper
+
+    @property
+    def variable(self) -> Any:
+        """The variable that the body is, or None; a fixed one is a number."""
+        is_variable = hasattr(self.body, "is_variable_type") and self.body.is_variable_type()
+        return self.body if is_variable and not self.body.fixed else None
+
+    @property
+    def slack(self) -> Any:
+        """The expression that is ≥ 0 at the one finite bound: body − lower or upper − body."""
+        if math.isfinite(self.upper):
+            return difference(self.upper, self.body)
+        return difference(self.body, self.lower) if self.lower else self.body
+
+
+class Pair(NamedTuple):
+    """A pair with two finite bounds in total; `held` decides the sign of `row`.
+
+    Attributes
+    ----------
+    stated : ComplementarityData
+    held : PairSide
+    row : expression
+        ≥ 0 if the held body is at its lower bound, ≤ 0 at its upper bound, 0 between.
+    """
+
+    stated: Any
+    held: PairSide
+    row: Any
+
+
+def sides_of(stated: Any) -> list[PairSide]:
+    """Return both sides of a ComplementarityData, checked.
+
+    Raises
+    ------
+    UnsupportedModel
+        If the pair has not exactly two finite bounds, or a bound that is not constant.
+    """
+    if getattr(stated, "_args", None) is None:
+        raise UnsupportedModel(
+            f"{stated.name} has no sides; give it complements(x >= 0, F >= 0), or deactivate it"
+        )
+    sides = [_side(argument, stated) for argument in stated._args]
+    equations, bounds = [side.is_equation for side in sides], [side.bounds for side in sides]
+    if any(equations):
+        if bounds[equations.index(True) - 1]:
+            raise UnsupportedModel(
+                f"{stated.name} has an equation on one side and a bound on the other; if F = 0 only where x > 0, "
+                "write complements(x >= 0, F >= 0); if F is always 0, write a Constraint and bound the variable"
+            )
+    elif sum(bounds) != 2:
+        raise UnsupportedModel(
+            f"{stated.name} has {format_count(sum(bounds), 'finite bound')} on its two sides together, and needs two: "
+            "complements(x >= 0, F >= 0), or complements(inequality(lower, x, upper), F)"
+        )
+    return sides
+
+
+def _side(argument: Any, stated: Any) -> PairSide:
+    if argument is None or isinstance(argument, (bool, str)):
+        raise UnsupportedModel(
+            f"a side of {stated.name} is {argument!r}; it needs an expression of variables"
+        )
+    if np.any(getattr(argument, "_strict", False)):
+        raise UnsupportedModel(f"a side of {stated.name} is strict, {argument}; write <= or >=")
+    lower, body, *upper = stated._canonical_expression(argument)  # two parts of an equation
+    ends = [lower, *upper] if upper else [lower, lower]
+    for end in ends:
+        if not (end is None or cannot_vary(end)):
+            raise UnsupportedModel(
+                f"a bound of {stated.name} is {end}, which varies; state the difference: "
+                "complements(body - bound >= 0, …)"
+            )
+    none = (-math.inf, math.inf)
+    low, high = (
+        side if end is None else core.value(end) for side, end in zip(none, ends, strict=True)
+    )
+    return PairSide(float(low), body, float(high))
+
+
+def difference(first: Any, second: Any) -> Any:
+    """Return first − second as a sum of its own: Pyomo's ``+`` may append to the list of a sum that the user holds."""
+    return SumExpression([first, -second])
+
+
+def cannot_vary(expression: Any) -> bool:
+    """Return whether nothing in an expression is free."""
+    return next(iter(identify_variables(expression, include_fixed=False)), None) is None
+
+
+def paired(stated: Any, sides: Sequence[PairSide], is_taken: Callable[[Any], bool]) -> Pair:
+    """Return a pair. Held is the ranged side, else a variable that is not taken, else a fixed side.
+
+    Parameters
+    ----------
+    stated : ComplementarityData
+    sides : sequence of PairSide
+        Both sides, neither an equality.
+    is_taken : callable
+        Returns whether a variable already belongs to another row.
+    """
+    for held, free in (sides, sides[::-1]):
+        if free.bounds == 0:
+            return Pair(stated, held, free.body)
+    first, second = sides
+    open_sides = [one for one in sides if one.variable is not None and not is_taken(one.variable)]
+    held = open_sides[0] if open_sides else second if cannot_vary(second.body) else first
+    slack = (second if held is first else first).slack
+    return Pair(stated, held, slack if math.isfinite(held.lower) else -slack)
+
+
+# --- Models ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PyomoStatement:
+    """A Pyomo model as arrays, with the map back to its components.
+
+    Attributes
+    ----------
+    content : NLContent
+    variables : list of VarData
+        In the order of the content.
+    rows : list
+        Component that each row states: a ConstraintData, an equality given as ComplementarityData, or a Pair. For
+        an added unknown, its name: the row is its equation.
+    added : frozenset of int
+        Numbers of the added unknowns.
+    """
+
+    content: NLContent
+    variables: list[Any]
+    rows: list[Any]
+    added: frozenset[int]
+
+    @property
+    def in_a_file(self) -> NLContent:
+        """The content for readers of ``.nl`` files: a pair's variable has all its finite bounds."""
+        content = self.content
+        if content.is_maximized.size:
+            return content
+        bits = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
+        bits = np.where(content.partners >= 0, bits[content.partners], content.partner_bounds)
+        return replace(content, partner_bounds=bits)
+
+
+def stated(model: Any) -> PyomoStatement:
+    """Return the content of a Pyomo model or of one of its blocks, without changing the model.
+
+    Raises
+    ------
+    UnsupportedModel
+        Naming the component that is not taken.
+    """
+    if not (hasattr(model, "block_data_objects") and hasattr(model, "is_constructed")):
+        raise UnsupportedModel(
+            f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model"
+        )
+    if not model.is_constructed():
+        raise UnsupportedModel(
+            "the model is abstract and holds no data yet; solve model.create_instance(…)"
+        )
+    _require_known(model)
+    active = partial(model.component_data_objects, active=True, descend_into=True, sort=IN_ORDER)
+    conditions, constraints = [*active(Complementarity)], [*active(core.Constraint)]
+    objectives = [*active(core.Objective)]
+    sides = [sides_of(condition) for condition in conditions]
+    has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
+    has_pairs |= any(hasattr(row, "_complementarity") for row in constraints)
+    if has_pairs:
+        objectives = [one for one in objectives if not cannot_vary(one.expr)]
+    if len(objectives) > 1:
+        raise UnsupportedModel(
+            f"the model has {len(objectives)} active objectives; deactivate all but one"
+        )
+    is_whole = any(not one.is_continuous() for one in active(core.Var))
+    draft = _Draft(constraints, objectives, is_search=bool(objectives) or is_whole)
+    draft.pair(conditions, sides)
+    return draft.written(has_pairs)
+
+
+def _require_known(model: Any) -> None:
+    unknown = categorize_valid_components(model, active=True, sort=IN_ORDER, valid=KNOWN)[1]
+    for kind in model.collect_ctypes(active=True):
+        if kind.__name__ == DISCRETISED:
+            unknown[kind] = list(model.component_objects(kind))
+    for kind, components in sorted(unknown.items(), key=lambda each: each[0].__name__):
+        names = ", ".join(component.name for component in components[:SOME])
+        instead = INSTEAD.get(
+            kind.__name__, "deactivate it, or state it as constraints and complementarities"
+        )
+        raise UnsupportedModel(
+            f"{kind.__name__} is not taken, and the model has {names}; {instead}"
+        )
+
+
+class _Draft:
+    """Rows of a model, in a temporary model that shares the user's variables.
+
+    Parameters
+    ----------
+    constraints, objectives : list
+        Of the user's model.
+    is_search : bool
+        Whether all solutions of the pairs are searched, so that bounds and inequalities are constraints.
+    """
+
+    def __init__(self, constraints: list[Any], objectives: list[Any], *, is_search: bool) -> None:
+        self.is_search = is_search
+        self.model = model = core.ConcreteModel()
+        model.rows = core.ConstraintList()
+        model.added, model.zero = core.VarList(), core.Var(initialize=0.0)
+        model.zero.fix()
+        if constraints:
+            model.given = core.Reference(constraints, ctype=core.Constraint)
+        if objectives:
+            model.objective = core.Reference(objectives, ctype=core.Objective)
+        self.states: dict[int, Any] = {}  # by the row's id
+        self.partners: dict[int, tuple[Any, Pair]] = {}  # variable and pair, by the variable's id
+        self.named: dict[int, str] = {}  # unknowns that were added
+
+    def pair(self, conditions: Sequence[Any], sides: Sequence[Sequence[PairSide]]) -> None:
+        """Take the complementarities, first those that leave no choice of a partner."""
+        choices = [sum(side.variable is not None for side in pair) for pair in sides]
+        for k in sorted(range(len(choices)), key=lambda k: choices[k] != 1):
+            if equation := next((side for side in sides[k] if side.is_equation), None):
+                self.state(equation.body, conditions[k], equation.lower, equation.lower)
+            else:
+                self.hold(paired(conditions[k], sides[k], lambda one: id(one) in self.partners))
+
+    def hold(self, pair: Pair) -> None:
+        """Take a pair: its variable, or an unknown that is added, goes with its row."""
+        if not self.is_search and cannot_vary(pair.held.body):
+            self.look_at(pair)
+            return
+        variable = pair.held.variable
+        if variable is None or id(variable) in self.partners:
+            variable = self.model.added.add()
+            self.named[id(variable)] = name = f"the unknown for {pair.stated.name}"
+            variable.set_value(core.value(pair.held.body, exception=False), skip_validation=True)
+            self.state(difference(variable, pair.held.body), name, 0.0, 0.0)
+        elif not self._own_bounds_count(variable, pair):
+            self.state(variable, f"the bounds of {variable.name}", variable.lb, variable.ub)
+        self.partners[id(variable)] = variable, pair
+        self.state(pair.row, pair, 0.0, None)
+
+    def look_at(self, pair: Pair) -> None:
+        """Take the row of a fixed pair as inequalities: of one sign at a bound, of both between the bounds."""
+        lower, body, upper = pair.held
+        held, name = float(core.value(body)), pair.stated.name
+        if lower <= held < upper:
+            self.state(pair.row, name, 0.0, None)
+        if lower < held <= upper:
+            self.state(pair.row, name, None, 0.0)
+        if not lower <= held <= upper:
+            self.state(body, name, lower, upper)
+
+    def state(self, body: Any, what: Any, lower: float | None, upper: float | None) -> None:
+        """Add a row lower ≤ body ≤ upper."""
+        body = body if is_potentially_variable(body) else difference(body, self.model.zero)
+        self.states[id(self.model.rows.add((lower, body, upper)))] = what
+
+    def written(self, has_pairs: bool) -> PyomoStatement:
+        """Return the statement, through a file written by Pyomo."""
+        content, information = self._through([])
+        written = {id(variable) for variable in information.variables}
+        absent = [variable for variable, _ in self.partners.values() if id(variable) not in written]
+        if absent:
+            content, information = self._through(absent)
+        variables = list(information.variables)
+        rows = [self.states.get(id(row), row) for row in information.constraints]
+        if not variables:
+            raise UnsupportedModel(
+                "no active constraint, objective or complementarity has a free variable"
+            )
+        names = [self.named.get(id(variable)) or variable.name for variable in variables]
+        row_names = [
+            row if isinstance(row, str) else getattr(row, "stated", row).name for row in rows
+        ]
+        content = replace(content, names=names, row_names=row_names)
+        if has_pairs:
+            content = self._paired(content, variables, rows)
+        added = (j for j, variable in enumerate(variables) if id(variable) in self.named)
+        return PyomoStatement(content, variables, rows, frozenset(added))
+
+    def _through(self, exported: list[Any]) -> tuple[NLContent, Any]:
+        """Write and read the rows; return the content, and the information of the writer."""
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "model.nl"
+            with path.open("w", newline="", encoding="utf-8") as file:
+                try:
+                    information = NLWriter().write(
+                        self.model,
+                        file,
+                        linear_presolve=False,
+                        scale_model=False,
+                        skip_trivial_constraints=False,
+                        export_nonlinear_variables=exported or None,
+                    )
+                except InvalidValueError as error:
+                    raise InvalidProblem(
+                        f"numbers of a model must be finite: {' '.join(str(error).split())}"
+                    ) from error
+            return read_content(path), information
+
+    def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
+        """Return the content with the pairs, and their bounds of variables."""
+        number_of = {id(variable): j for j, variable in enumerate(variables)}
+        names = "partners", "partner_bounds", "row_lower", "row_upper", "lower", "upper"
+        new = {name: getattr(content, name).copy() for name in names}
+        partners, bits, row_lower, row_upper, lower, upper = new.values()
+        constants = np.zeros(len(rows))
+        if (
+            self.is_search
+        ):  # a pair of Pyomo's own transformation has no other bounds than it states
+            transformed = np.flatnonzero(partners >= 0)
+            own, stated_bits = partners[transformed], bits[transformed]
+            lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf
+        place = {id(row): i for i, row in enumerate(rows)}
+        for variable, pair in self.partners.values():
+            i, j, held = place[id(pair)], number_of[id(variable)], pair.held
+            constants[i] = -row_lower[i]
+            row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
+            lower[j], upper[j] = held.lower, held.upper
+            if not self.is_search and self._own_bounds_count(variable, pair):
+                own_lower, own_upper = _own_bounds(variable)
+                lower[j], upper[j] = max(held.lower, own_lower), min(held.upper, own_upper)
+            is_lower, is_upper = lower[j] == held.lower, upper[j] == held.upper
+            bits[i] = (is_lower and math.isfinite(held.lower)) + 2 * (
+                is_upper and math.isfinite(held.upper)
+            )
+        return replace(content, **new, trees=content.trees.plus(constants))
+
+    def _own_bounds_count(self, variable: Any, pair: Pair) -> bool:
+        """Return whether the bounds of a pair's variable need no row.
+
+        In a search, only bounds that the pair implies need none. Otherwise bounds count as if the pair stated them,
+        unless they exclude its bounds.
+        """
+        (lower, upper), held = _own_bounds(variable), pair.held
+        if self.is_search:
+            return lower <= held.lower and held.upper <= upper
+        return max(lower, held.lower) <= min(upper, held.upper)
+
+
+def _own_bounds(variable: Any) -> tuple[float, float]:
+    lower, upper = variable.bounds
+    return -math.inf if lower is None else lower, math.inf if upper is None else upper
+
+
+# --- Answers -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PyomoAnswer:
+    """The answer to a Pyomo model; values, duals and reduced costs by component."""
+
+    statement: PyomoStatement
+    found: NLAnswer
+    is_program: bool
+
+    @property
+    def is_violated(self) -> bool:
+        """True if the pairs are solved and a side condition is violated."""
+        return self.found.result.is_solved and not self.found.is_solved
+
+    @property
+    def has_point(self) -> bool:
+        """True if there is something to load."""
+        no_point = Status.INFEASIBLE, Status.NO_SOLUTION
+        return self.found.x is not None and self.found.status not in no_point
+
+    @cached_property
+    def values(self) -> ComponentMap:
+        """The values of the model's variables."""
+        return self._of_variables([] if self.found.x is None else self.found.x.tolist())
+
+    @cached_property
+    def duals(self) -> ComponentMap:
+        """The values of the rows of pairs, and the multipliers of constraints."""
+        duals = [] if self.found.duals is None else self.found.duals.tolist()
+        rows = zip(self.statement.rows, duals, strict=False)
+        return ComponentMap((row.stated if isinstance(row, Pair) else row, w) for row, w in rows)
+
+    @cached_property
+    def reduced_costs(self) -> ComponentMap:
+        """The multipliers of the variables' bounds: the rows of their pairs, or slopes of the Lagrangian."""
+        content, x, duals = self.statement.content, self.found.x, self.found.duals
+        if x is None or duals is None:
+            return ComponentMap()
+        is_pair, costs = content.partners >= 0, np.full(x.size, np.nan)
+        costs[content.partners[is_pair]] = duals[is_pair]
+        if self.is_program:  # a variable with equal bounds is a constant there
+            weights = np.append(-duals, np.ones(content.is_maximized.size))
+            costs = values_and_slopes(content, x, np.arange(weights.size))[1].T @ weights
+        return self._of_variables(costs.tolist())
+
+    def _of_variables(self, numbers: list[float]) -> ComponentMap:
+        """Return the finite numbers by the model's own variables."""
+        added, named = self.statement.added, zip(self.statement.variables, numbers, strict=False)
+        own = (pair for j, pair in enumerate(named) if j not in added and math.isfinite(pair[1]))
+        return ComponentMap(own)
+
+    def load(self, model: Any) -> None:
+        """Put values and suffixes into the model."""
+        if not self.has_point:
+            return
+        StaleFlagManager.mark_all_as_stale()
+        for variable, value in self.values.items():
+            variable.set_value(value, skip_validation=True)
+        StaleFlagManager.mark_all_as_stale(delayed=True)
+        for name in ("dual", "rc"):
+            if (suffix := imported(model, name)) is not None:
+                suffix.clear()
+                suffix.update(self.duals if name == "dual" else self.reduced_costs)
+
+
+def content_of(model: Any) -> NLContent:
+    """Return the content of a Pyomo model, as it is passed to the solver."""
+    return stated(model).in_a_file
+
+
+def answered(model: Any, options: dict[str, Any]) -> PyomoAnswer:
+    """Return the solution of a Pyomo model, which is not changed, by options of :func:`lcp_plugin.solve`."""
+    statement = stated(model)
+    content, added = statement.content, sorted(statement.added)[:SOME]
+    try:
+        problem = model_of(content)
+    except UnsupportedModel as error:
+        if not (added and content.row_lower.size > content.lower.size):
+            raise
+        names = ", ".join(map(content.variable, added))
+        raise UnsupportedModel(
+            f"{error}; one of the equations is for {names}: its pair holds no variable, or one that another pair holds"
+        ) from error
+    return PyomoAnswer(statement, problem.solve(**options), isinstance(problem, ProgramModel))
+
+
+def imported(model: Any, name: str) -> Any:
+    """Return the suffix of that name nearest to the root that imports values, or None."""
+    found = model.component_objects(core.Suffix, active=True, descend_into=True, sort=IN_ORDER)
+    return next((one for one in found if one.local_name == name and one.import_enabled()), None)

@@ -1,1 +1,0 @@
-"""Pyomo: models with complementarities, programs and equilibria, and their answers."""

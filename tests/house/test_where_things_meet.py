@@ -534,6 +534,7 @@ WISHES: dict[str, Any] = {
     "threads": 1,
     "verbose": True,
     "prove_infeasibility": False,
+    "polish": False,
     "z0": np.ones(2),
     "x0": np.ones(2),
     "callback": lambda *given: None,

@@ -26,7 +26,7 @@ from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import SmoothPart
 
-FOUND_NONE = "SCIP, in floating point, finds no solution; this is not proved"
+FOUND_NONE = "SCIP, in floating point, reports infeasible, which could not be confirmed"
 
 
 # --- Models: a toll on the first of two roads, 10 cars, costs 1 + f₀ + t and 5 + ½ f₁; 13.5 at t = 4.5, f₀ = 3 ---

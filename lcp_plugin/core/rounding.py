@@ -1,14 +1,13 @@
-"""Sums of products with rigorous bounds of their rounding errors.
+"""Sums of products in twice the digits, with rigorous bounds of their rounding errors.
 
-Each row is summed by the method of Ogita, Rump and Oishi. Every product and every sum is split without error into a
-rounded value and its rounding error (for a product, one fused multiply–add), and the errors are summed separately. A
-second layer treats the sum of errors in the same way, so that the loss is computed, not estimated: it is zero if the
-sum is exact, and of third order otherwise.
+Every product is split without error into a rounded value and its rounding error, and the terms of a row into parts that
+add up without error in any order and small rests (Rump, Ogita, Oishi). Only sums of the rests of rests are rounded, so
+that the bound is of third order, and zero if the sum is exact.
 
 References
 ----------
-T. Ogita, S. M. Rump, S. Oishi, *Accurate sum and dot product*, SIAM J. Sci. Comput. 26 (2005),
-doi:10.1137/030601818.
+S. M. Rump, T. Ogita, S. Oishi, *Accurate floating-point summation I*, SIAM J. Sci. Comput. 31 (2008),
+doi:10.1137/050645671.
 """
 
 from __future__ import annotations
@@ -19,8 +18,10 @@ import numpy as np
 
 from .checks import FloatVector
 from .errors import InvalidProblem
-from .kernels.floats import UNIT
+from .kernels.floats import TINY, UNIT
 
+BLOCK = 2**15  # entries whose temporary vectors stay in a processor's cache
+MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 Sums = tuple[FloatVector, FloatVector, FloatVector]
 
 
@@ -72,13 +73,11 @@ def compensated_product(
     return round_sums(*compensated_pair(M, x, q))
 
 
-def compensated_pair(
-    M: Any, x: FloatVector, q: FloatVector | None = None, *, kernel: Any = None
-) -> Sums:
+def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
-    `high` is the rounded value and `low` its rounding error; the radius is of order u² |M||x| at most. Parameters and
-    errors as for :func:`compensated_product`. Pass another `kernel` to sum other rows than the rows of M.
+    `high` is the rounded value and `low` its rounding error; the radius is of order u³. Parameters and errors as for
+    :func:`compensated_product`.
 
     Examples
     --------
@@ -87,21 +86,104 @@ def compensated_pair(
     >>> float(high[0]), float(low[0]), float(radius[0])
     (1.0, 1e-20, 0.0)
     """
-    from .kernels.enclosures import row_sums  # numba, which not every run needs
-
     rows, columns = M.shape
-    x = np.ascontiguousarray(x, dtype=np.float64)
-    offset = np.zeros(rows) if q is None else np.ascontiguousarray(q, dtype=np.float64)
+    offset = np.zeros(rows) if q is None else q
     if x.shape != (columns,) or offset.shape != (rows,):
         raise InvalidProblem(
             f"a product with a {rows}×{columns} matrix needs x of shape ({columns},) and q of shape ({rows},); "
             f"got {x.shape} and {offset.shape}"
         )
-    high, low, radius = np.empty(rows), np.empty(rows), np.empty(rows)
-    (kernel or row_sums)(
-        *read_only_views(M.indptr, M.indices, M.data, x, offset), high, low, radius
-    )
+    sums, first = np.empty((3, rows)), 0
+    while first < rows:  # so many rows that their entries stay in the cache
+        end = int(np.searchsorted(M.indptr, M.indptr[first] + BLOCK, "right")) - 1
+        end = min(max(end, first + 1), first + BLOCK)
+        entries, part = slice(M.indptr[first], M.indptr[end]), slice(first, end)
+        starts = M.indptr[first : end + 1] - M.indptr[first]
+        with np.errstate(all="ignore"):
+            sums[:, part] = _row_sums(M.data[entries], x[M.indices[entries]], starts, offset[part])
+        first = end
+    high, low, radius = sums
     return high, low, radius
+
+
+def _row_sums(a: FloatVector, b: FloatVector, starts: Any, offset: FloatVector) -> Any:
+    """Return (high, low, radius) of the sums of a_k b_k of each row with its offset; `starts` as in a CSR array."""
+    # a_k b_k = h_k + e_k exactly, without underflow. With σ a power of two, σ ≥ (m + 2) max|t_k| for m terms t_k, all
+    # p_k = (σ + t_k) − σ are multiples of u σ and their sums at most σ in size: Σ p_k is exact in any order, and so is
+    # each t_k − p_k, of size u σ at most (Rump, Ogita, Oishi, Lemma 3.3). First the h_k are split, then the rests
+    # together with the e_k. The rests of these, 2m terms r_k, are summed with an error of γ(2m) Σ|r_k| at most; the
+    # computed Σ|r_k| is too small by the same factor at most, so that (4m + 8) u Σ|r_k| is a bound. The sums and the
+    # offset are added with all rounding errors; two of these have no place in `low` and are in the radius.
+    counts = np.diff(starts)
+    filled = counts > 0
+    counts, starts = counts[filled], starts[:-1][filled]
+    first, second, third, size, lost = np.zeros((5, filled.size))
+    if starts.size:
+        product, error, underflow = _products(a, b)
+        first[filled], (rest,) = _split(starts, counts, product)
+        second[filled], rests = _split(starts, counts, rest, error)
+        third[filled] = np.add.reduceat(rests[0] + rests[1], starts)
+        sizes = np.add.reduceat(np.abs(rests[0]) + np.abs(rests[1]), starts)
+        size[filled] = (4.0 * counts + 8.0) * UNIT * sizes
+        if underflow is not None:
+            lost[filled] = np.add.reduceat(underflow, starts)
+    high, low = split_sum(first, offset)
+    high, more = split_sum(high, second)
+    low, one = split_sum(low, more)
+    low, other = split_sum(low, third)
+    high, low = split_sum(high, low)
+    radius = size + np.abs(one) + np.abs(other) + lost
+    radius = np.where(radius > 0.0, (1.0 + 8.0 * UNIT) * radius + 4.0 * TINY, 0.0)
+    is_number = np.isfinite(high + low + radius)
+    return high, np.where(is_number, low, 0.0), np.where(is_number, radius, np.inf)
+
+
+def _split(starts: Any, counts: Any, *terms: FloatVector) -> tuple[FloatVector, list[FloatVector]]:
+    """Return exact sums of leading parts of the terms of each row, and the rests of the terms."""
+    top = np.maximum.reduceat(np.max(np.abs(terms), axis=0), starts)
+    unit = np.ldexp(1.0, np.frexp(top)[1] + np.frexp(len(terms) * counts + 2.0)[1])
+    unit = np.repeat(unit, counts)
+    parts = [(unit + term) - unit for term in terms]
+    rests = [term - part for term, part in zip(terms, parts, strict=True)]
+    return np.add.reduceat(sum(parts[1:], parts[0]), starts), rests
+
+
+def _products(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, Any]:
+    """Return a b rounded, its rounding errors, and bounds of the underflow in these, or None."""
+    product, error = product_and_error(a, b)
+    small = np.flatnonzero((np.abs(product) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0))
+    if not small.size:
+        return product, error, None
+    less, more = np.where(np.abs(a) < np.abs(b), (a, b), (b, a))[:, small]
+    scaled, rest = product_and_error(less / MAY_UNDERFLOW, more)  # the same product in another unit
+    rest += scaled - product[small] / MAY_UNDERFLOW
+    error[small] = rest * MAY_UNDERFLOW
+    lost = np.zeros(a.shape)
+    lost[small] = np.where((rest == 0.0) & (np.abs(scaled) > MAY_UNDERFLOW), 0.0, 4.0 * TINY)
+    return product, error, lost
+
+
+def product_and_error(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return a b rounded, and its rounding error (Dekker), if no product of halves underflows."""
+    (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
+    product = a * b
+    return product, a_low * b_low - (
+        ((product - a_high * b_high) - a_low * b_high) - a_high * b_low
+    )
+
+
+def _halves(a: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return two numbers of 26 digits whose sum is a."""
+    bits = np.ascontiguousarray(a).view(np.int64)
+    high = ((bits + 2**26) & -(2**27)).view(np.float64)
+    return high, a - high
+
+
+def split_sum(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return a + b rounded, and its rounding error (Knuth)."""
+    s = a + b
+    t = s - a
+    return s, (a - (s - t)) + (b - t)
 
 
 def lower_end(value: FloatVector, radius: FloatVector) -> FloatVector:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import cache
 from typing import Any
 
+import numpy as np
+import scipy.sparse as sp
+
 from ..core.checks import FloatVector
-from ..core.rounding import compensated_pair, round_sums
-
-
-@cache
-def _comparison_row_sums() -> Any:
-    from ..core.kernels.enclosures import summing_rows  # numba, which not every run needs
-
-    return summing_rows(True)
+from ..core.matrix import row_numbers
+from ..core.rounding import compensated_product
 
 
 def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -43,7 +39,10 @@ def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector
     >>> value, radius
     (array([1., 0.]), array([0., 0.]))
     """
-    return round_sums(*compensated_pair(M, v, kernel=_comparison_row_sums()))
+    signs = np.where(row_numbers(M) == M.indices, 1.0, -1.0)
+    return compensated_product(
+        sp.csr_array((signs * np.abs(M.data), M.indices, M.indptr), M.shape), v
+    )
 
 
 def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:

@@ -16,17 +16,13 @@ from typing import Any
 from ..deadline import compilation, pause_for_compilation
 
 with pause_for_compilation():  # most of a second
-    from numba import float64, njit, uintp
+    from numba import njit, uintp
     from numba.core import event
-    from numba.extending import lower_builtin, type_callable
 
 __all__ = [
-    "float64",
     "helper",
     "inline",
     "kernel",
-    "lower_builtin",
-    "type_callable",
     "uintp",
 ]
 OPTIONS: dict[str, Any] = {

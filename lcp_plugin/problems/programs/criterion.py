@@ -51,6 +51,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.matrix import largest_products
+from ...core.rounding import compensated_pair
 from ...core.settings import checked_tolerance
 
 if TYPE_CHECKING:
@@ -179,10 +180,10 @@ class PrimalDualPoint:
         terms = self.bend + self.cost + of_columns @ self.of_y
         self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, _ = sums_without_rounding(self.matrices.sparse_P, x, np.zeros(x.size))
+            self.product, _, _ = compensated_pair(self.matrices.sparse_P, x)
             both = np.concatenate([x, y])
-            self.left, self.doubt = sums_without_rounding(self.matrices.gradient, both, program.c)
-            excess, _ = sums_without_rounding(self.matrices.rows, x, -sides)
+            self.left, _, self.doubt = compensated_pair(self.matrices.gradient, both, program.c)
+            excess, _, _ = compensated_pair(self.matrices.rows, x, -sides)
             self.hidden: Any = 0.0
             row_doubt: Any = 0.0
         else:
@@ -352,7 +353,7 @@ class PrimalDualPoint:
     def _is_rounding(self, of_y: FloatVector) -> Any:
         """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
         y_alone = np.concatenate([np.zeros(self.x.size), self.y])
-        pull, doubt = sums_without_rounding(self.matrices.gradient, y_alone, self.program.c)
+        pull, _, doubt = compensated_pair(self.matrices.gradient, y_alone, self.program.c)
         at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
         at_rest = at_rest[self.matrices.components.of_unknown]
         most = np.where(at_rest, np.abs(pull) + doubt, np.abs(self.left) + self.doubt)
@@ -436,59 +437,6 @@ class ProgramComponents(NamedTuple):
 def ratio(errors: FloatVector, sizes: FloatVector) -> FloatVector:
     """Return the quotients, 0 / 0 = 0."""
     return np.where(errors > 0.0, errors / np.maximum(sizes, TINY), errors)
-
-
-def sums_without_rounding(
-    A: sp.csr_array, x: FloatVector, offset: FloatVector
-) -> tuple[FloatVector, FloatVector]:
-    """Return A x + offset, as rounded from about twice the digits, and bounds of the errors before that rounding.
-
-    Each product is split into its rounded value and its error (Dekker). Each value is split into a part that adds up
-    without error in any order and a remainder (Rump, Ogita, Oishi, *Accurate floating-point summation*, SIAM J. Sci.
-    Comput. 31 (2008), doi:10.1137/050645671). Only sums of remainders have errors.
-
-    Examples
-    --------
-    >>> A = sp.csr_array(np.array([[1e16, 1.0, -1e16], [0.1, 0.2, -0.3]]))
-    >>> value, radius = sums_without_rounding(A, np.ones(3), np.zeros(2))
-    >>> float(value[0]), bool(radius[0] < 1e-15), bool(radius[1] < 1e-30)
-    (1.0, True, True)
-    """
-    counts = np.diff(A.indptr)
-    filled = np.flatnonzero(counts)
-    begins = A.indptr[:-1][filled]
-    high, low, size = np.zeros((3, A.shape[0]))
-    if filled.size:
-        product, error = product_and_error(A.data, x[A.indices])
-        top = np.maximum.reduceat(np.abs(product), begins)
-        unit = np.ldexp(1.0, np.frexp(top)[1] + np.frexp(counts[filled] + 2.0)[1])
-        unit = np.repeat(unit, counts[filled])
-        part = (unit + product) - unit
-        high[filled] = np.add.reduceat(part, begins)
-        rest = product - part
-        low[filled] = np.add.reduceat(rest + error, begins)
-        size[filled] = np.add.reduceat(np.abs(rest) + np.abs(error), begins)
-    total = high + offset
-    back = total - high
-    lost = (high - (total - back)) + (offset - back)
-    size[size > 0.0] += np.abs(lost[size > 0.0])
-    return total + (lost + low), (counts + 3.0) * UNIT * size
-
-
-def product_and_error(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return a b rounded, and the rounding error of it."""
-    (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
-    product = a * b
-    return product, a_low * b_low - (
-        ((product - a_high * b_high) - a_low * b_high) - a_high * b_low
-    )
-
-
-def _halves(a: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return two numbers of 26 digits whose sum is a."""
-    scaled = (2.0**27 + 1.0) * a
-    high = scaled - (scaled - a)
-    return high, a - high
 
 
 MEANINGS = {

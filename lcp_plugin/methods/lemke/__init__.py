@@ -24,6 +24,7 @@ from ..newton import classify, is_near, solve_active_set
 from .pivoting_path import CanonicalBox, canonical_box
 
 CAREFUL_BLOCK = 5
+ENTRIES_PER_STEP = 5e5  # touched: a point of a path is measured after a millisecond of pivots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +179,8 @@ class Lemke(Algorithm):
                         return True
                     outcome = LOST
                     break
-                yield box.recover(path.z), path.touched()
+                if path.entries - path.reported >= ENTRIES_PER_STEP:
+                    yield box.recover(path.z), path.touched()
             if outcome != LOST:
                 break
         path.fresh_for = usual

@@ -266,7 +266,7 @@ class LemkePath:
             self.whole[SIDE, :n],
         )
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
-        self.entries = self._reported = 0.0  # touched so far, and at the last report
+        self.entries = self.reported = 0.0  # touched so far, and at the last report
         # Pivots until the tableau is computed again, at about that cost.
         self.fresh_for = max(25, n)
         self.pivots = self.age = 0
@@ -317,7 +317,7 @@ class LemkePath:
 
     def touched(self) -> float:
         """Return the number of entries touched since the last call."""
-        since, self._reported = self.entries - self._reported, self.entries
+        since, self.reported = self.entries - self.reported, self.entries
         return since
 
     # --- moving -----------------------------------------------------------------------------------------

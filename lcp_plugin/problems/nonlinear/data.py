@@ -19,6 +19,8 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
 - The reference is also at most the residual of F(z°), if that is defined and not 0: otherwise the reference grows
   without limit as x diverges. If z° solves a component of the linearization, ‖x − z°‖∞ takes the place of the residual
   at z°: F = x (x − 1) (x + 2) has the solution 1, where z° = 0 solves the linearization.
+- No unknown x_j off its bounds grows: the change of x_j alone that minimizes Σ (F_i/d_i)² is not an outward step above
+  x_j/64. Otherwise F tends to 0 as x diverges. Three such steps end a run from a start.
 - The rounding error of F_i/d_i is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two contradictory rows
   become zero by rounding as x diverges.
 
@@ -385,6 +387,8 @@ def _pattern(pattern: Any) -> sp.csc_array:
 # Shares of the step to the projected point: a derivative that is wrong by a half explains no residual.
 NEARBY = 2.0**-6 / np.arange(1, 5)
 ASIDE = 2.0**-30  # of x_i: the least distance; 1 − e⁻ˣ must round differently there, for small x
+GROWTH = 2.0**-6  # of an unknown that is not small
+SMALL = 2.0**-10  # of the largest unknown of a component
 PRECISION = 1e-8  # of the reference: smaller rounding errors of F do not count, for any tolerance
 
 
@@ -442,13 +446,27 @@ class NonlinearCertificate(Certificate):
     def meets(
         self, settings: Settings, solved: BoolVector | None = None, *, power: float = POWER
     ) -> bool:
-        """Return whether x passes the criterion, and rounding errors of F are small."""
-        if not super().meets(settings, solved, power=power):
+        """Return whether x passes the criterion, no unknown grows, and rounding errors of F are small."""
+        if not super().meets(settings, solved, power=power) or self.growing.any():
             return False
         limit = max(settings.goal, PRECISION) * self.references[0]
         scale, at = self.problem.residual_scale, self._rows
         is_doubtful = at.is_active & (EPSILON * at.terms > limit * scale)
         return not (is_doubtful.any() and (is_doubtful & (self.noise > limit)).any())
+
+    @derived_property
+    def growing(self) -> BoolVector:
+        """True for unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
+
+        Then F tends to 0 as x diverges, and rows have the scale of other unknowns: x₀ − 1 + e^(−x₁) = 0 = x₀ − 1.
+        """
+        lcp, x = self.problem, self.z
+        weights = np.where(self._rows.is_active, 1.0, 0.0) / lcp.residual_scale
+        slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
+        step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
+        is_free = (x > lcp.lower) & (x < lcp.upper)
+        size = np.maximum(np.abs(x), SMALL * row_data(lcp).largest(np.abs(x)))
+        return np.asarray(is_free & (step * np.sign(x) > GROWTH * size))
 
     @derived_property
     def noise(self) -> FloatVector:
@@ -534,6 +552,7 @@ class Linearizations:
 
     def __init__(self, problem: NonlinearProblem) -> None:
         self.problem = problem
+        self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
         self._latest: list[Linearization] = []
 
     @derived_property

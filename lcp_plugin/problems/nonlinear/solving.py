@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ...auto import method_of, plan
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import references_of_components, row_data
+from ...core.certificates.criterion import POWER, references_of_components, row_data
 from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
@@ -34,7 +34,7 @@ from ...core.solving.stage import Stage
 from ...core.solving.termination import TerminationReason
 from ...methods.lemke import Lemke
 from ...methods.newton import fischer_burmeister
-from .data import Linearization, Linearizations, NonlinearProblem
+from .data import DENSE_PATTERN_UP_TO, Linearization, Linearizations, NonlinearProblem
 
 SUFFICIENT = 1e-4
 SHORTER = 30  # times a step is halved
@@ -45,6 +45,7 @@ FORCING = 0.01  # of the residual here: tolerance of a linearization far from a 
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of the tolerance of the run: a linearization needs no smaller residual
 PATIENCE = 25  # steps without a residual clearly below the residuals of the window before it
+GROWN = 3  # steps with small residuals from which an unknown grows
 WINDOW, GAIN = 12, 0.95  # a jump of the residual may start a long decrease
 RESTARTS, SMALL = 4, 1000  # starts; unknowns, beyond which a new start is too expensive
 PATHS = 2  # of pivots
@@ -118,7 +119,7 @@ class _NewtonRun:
 
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
-        latest, since = deque([self._progress(self.here)], maxlen=WINDOW), 0
+        latest, since, grown = deque([self._progress(self.here)], maxlen=WINDOW), 0, 0
         while since < PATIENCE and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
@@ -128,6 +129,12 @@ class _NewtonRun:
             since = 0 if size < GAIN * min(latest) else since + 1
             latest.append(size)
             if since and self._is_at_floor():
+                return
+            is_small = following.residual <= self.options.tolerance
+            grown = grown + 1 if is_small and following.certificate.growing.any() else 0
+            if grown == GROWN:
+                end = np.where(following.certificate.growing, np.abs(following.x), np.inf)
+                self.options.points.limit = np.minimum(self.options.points.limit, end)
                 return
 
     def _snap(self, point: Linearization) -> Linearization:
@@ -332,8 +339,8 @@ def solve_nonlinear(
     callback : callable, optional
         Same as in :func:`lcp_plugin.solve`, with one sample per Newton step, also of `record`.
     check_jacobian : bool
-        Compare the `jacobian` with differences of F near the start. ``explain()`` names the row with the largest
-        deviation.
+        Compare the `jacobian` with differences of F, near the start and where x passes. ``explain()`` names the row
+        with the largest deviation at the start. If they differ, x is SOLVED only if it passes with differences also.
     threads : int, optional
         Number of threads, see :func:`lcp_plugin.solve`. F itself is called in the calling thread.
     verbose : bool
@@ -390,9 +397,11 @@ def solve_nonlinear(
         newton = JosephyNewton(points=points, linear=algorithm, tolerance=settings.goal)
         with clock.pause():
             log = RunLog(problem) if settings.verbose else None
-        run = NonlinearRun(points, newton, first, Progress(settings, callback, clock, log))
+        has_doubts = check_jacobian and problem.jacobian is not None
+        progress = Progress(settings, callback, clock, log)
+        run = NonlinearRun(points, newton, first, progress, has_doubts=has_doubts)
         try:
-            if check_jacobian and problem.jacobian is not None:
+            if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
             end = run.follow_all([Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, start))])
         except KeyboardInterrupt:
@@ -453,6 +462,12 @@ WORDS = {
 }
 
 
+GROWING = (
+    "the unknowns grow without limit and F tends to 0, so that F may have no solution; next: try another start x0, or "
+    "bounds"
+)
+
+
 class NonlinearRun(Run):
     """Run of a nonlinear problem: its points are linearizations, measured by their certificates.
 
@@ -463,6 +478,8 @@ class NonlinearRun(Run):
     first : Linearization
         At the start.
     progress : Progress
+    has_doubts : bool
+        Whether a jacobian is compared with differences where a point passes.
     """
 
     def __init__(
@@ -471,8 +488,11 @@ class NonlinearRun(Run):
         newton: JosephyNewton,
         first: Linearization,
         progress: Progress,
+        *,
+        has_doubts: bool = False,
     ) -> None:
         super().__init__(progress)
+        self.has_doubts = has_doubts
         self.points, self.newton, self.first = points, newton, first
 
     def measure(self, stage: Stage, step: Step) -> Measured:
@@ -480,8 +500,25 @@ class NonlinearRun(Run):
         point = self.points.at(step.z)
         if point.residual <= self.settings.goal:
             point = self._snap(point)
-        passes = point.certificate.meets(self.settings, power=1.0)  # the active set is known
+        passes = self._passes(point, power=1.0)  # the active set is known
         return Measured(point, point.residual, passes)
+
+    def _is_far(self, point: Linearization) -> bool:
+        """Return whether an unknown is as large as at a point from which it grew."""
+        return bool((np.abs(point.x) >= self.points.limit).any())
+
+    def _passes(self, point: Linearization, power: float = POWER) -> bool:
+        """Return whether a point passes, with differences also if they disagree with the jacobian."""
+        if self._is_far(point) or not point.certificate.meets(self.settings, power=power):
+            return False
+        if not self.has_doubts or not jacobian_warning(point):
+            return True
+        problem = self.points.problem
+        pattern = None if point.lcp.n <= DENSE_PATTERN_UP_TO else point.lcp.csr
+        twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
+        twin = twin.with_size(point.x.size)
+        there = Linearizations(twin).at(point.x)
+        return there.is_defined and there.certificate.meets(self.settings, power=power)
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
@@ -507,11 +544,13 @@ class NonlinearRun(Run):
         if not is_interrupted:
             point = self._snap(point)
         certificate = point.certificate
-        passes = certificate.meets(self.settings)
-        is_limited = not (passes or is_interrupted) and certificate.is_limited_by_rounding
+        passes = self._passes(point)
+        is_open = not (passes or is_interrupted or self._is_far(point))
+        is_limited = is_open and certificate.is_limited_by_rounding
         self.best = Measured(point, point.residual, passes, is_limited)
         status, newton = self.status(end), self.newton
-        named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": WORDS}
+        words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
+        named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         return self.result_at(certificate, status, **named)
 
 

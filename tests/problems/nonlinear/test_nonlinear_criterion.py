@@ -115,3 +115,61 @@ def test_the_check_of_the_draws_separates_a_solution_from_a_wrong_point() -> Non
     linear = LCP(case.M, case.q)
     assert has_solution_near(linear, case.right)
     assert not has_solution_near(linear, case.wrong)
+
+
+#: F tends to 0 as x₁ grows, and no x solves the problem.
+ENDLESS: dict[str, Any] = {
+    "exponential": lambda x: np.array([x[0] - 1 + np.exp(-x[1]), x[0] - 1]),
+    "small unit": lambda x: np.array([x[0] - 1 + np.exp(-100 * x[1]), x[0] - 1]),
+    "large unit": lambda x: np.array([x[0] - 1 + np.exp(-x[1] / 100), x[0] - 1]),
+    "hyperbola": lambda x: np.array([x[0] - 1 + 1 / (1 + x[1]), x[0] - 1]),
+}
+
+
+@pytest.mark.parametrize("start", [None, [1.0, 19.0]])
+@pytest.mark.parametrize("name", ENDLESS)
+def test_a_point_on_the_way_to_infinity_is_not_solved(name: str, start: Any) -> None:
+    """The rows have the scale of x₀, so that they are small before x₁ is large: STALLED, with the reason."""
+    result = solve(NonlinearProblem(ENDLESS[name], lower=np.zeros(2)), x0=start)
+    assert not result.is_solved
+    assert result.status is Status.STALLED
+    assert "grow without limit" in result.advice
+
+
+def test_another_start_finds_the_solution_next_to_an_endless_path() -> None:
+    """The path of Newton leads to x₁ = 2e8, and the solution is (e^¼ − 1, 0, √1.25)."""
+
+    def F(x: Any) -> Any:
+        log, far, square = 2 * np.log1p(x[0]), 2 / (1 + x[1]), 2 * x[2] ** 2
+        return np.array([log + far - square, -log + far - square + 2, log - far / 2 + square - 2])
+
+    result = solve(NonlinearProblem(F, lower=np.zeros(3)))
+    assert result.is_solved
+    np.testing.assert_allclose(result.z, [np.expm1(0.25), 0.0, np.sqrt(1.25)], atol=1e-6)
+
+
+@pytest.mark.parametrize("weak", [1e-6, 1e-9, 1e-12])
+def test_an_unknown_with_small_slopes_is_not_taken_for_endless(weak: float) -> None:
+    """x₀ − 1 + weak (x₁ − 3)³ = 0 = x₀ − 1 + weak (x₁ − 3) has the solution (1, 3): its F is 0 there."""
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] - 1 + weak * (x[1] - 3) ** 3, x[0] - 1 + weak * (x[1] - 3)]),
+        lower=np.zeros(2),
+    )
+    result = solve(problem, x0=[1.0, 3.0])
+    assert result.is_solved
+    np.testing.assert_allclose(result.z, [1.0, 3.0])
+
+
+@pytest.mark.parametrize("start", [[5.0, 1.0], [2.0, 1.0], [-3.0, 7.0]])
+def test_a_wrong_jacobian_gives_no_false_solution(start: list[float]) -> None:
+    """Its −1e9 for −1 makes every residual small: only (2, 1), where differences of F agree, is SOLVED."""
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] - x[1] - 1, x[1] - 1]),
+        lambda x: np.array([[1.0, -1e9], [0.0, 1.0]]),
+        lower=np.full(2, -np.inf),
+    )
+    result = solve(problem, x0=start)
+    if result.is_solved:
+        np.testing.assert_allclose(result.z, [2.0, 1.0])
+    assert result.is_solved or start == [-3.0, 7.0]
+    assert "jacobian disagrees" in result.begun

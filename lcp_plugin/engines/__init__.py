@@ -1,6 +1,6 @@
 """External solvers of convex programs: each takes the data of a program and returns a point with multipliers.
 
-An engine is a file here and a line of `ENGINES`. Its point is polished on its active set
+An engine is a class in `solvers` and a line of `ENGINES`. Its point is polished on its active set
 (:mod:`lcp_plugin.engines.polish`) and then tested by the criterion of programs
 (:mod:`lcp_plugin.problems.programs.criterion`), because engines use tolerances of their own. An engine that reports
 infeasible or unbounded only starts the search for a proof.
@@ -13,7 +13,7 @@ from importlib import import_module
 
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
-ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` shows them
+ENGINES = {  # name: class; in the order in which `lcp-plugin list` shows them
     "daqp": "DAQP",
     "piqp": "PIQP",
     "clarabel": "Clarabel",
@@ -34,12 +34,12 @@ __all__ = [
 
 @cache
 def engine_class(name: str) -> type[Engine]:
-    """Return the class of the engine of that name; the call imports the engine's module.
+    """Return the class of the engine of that name; the call imports the adapters.
 
     Examples
     --------
     >>> engine_class("piqp").__name__
     'PIQP'
     """
-    found: type[Engine] = getattr(import_module(f".{name}", __name__), ENGINES[name])
+    found: type[Engine] = getattr(import_module(".solvers", __name__), ENGINES[name])
     return found

@@ -17,8 +17,8 @@ from ..core.lcp import LCP
 from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import Engine, ProgramData, SolverLimits
-from ..engines.piqp import PIQP
 from ..engines.scaling import scale_program
+from ..engines.solvers import PIQP
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
 from .newton import classify, is_near, signature, solve_active_set

@@ -38,8 +38,8 @@ from ...core.deadline import seconds_left
 from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import EngineAnswer, ProgramData, SolverLimits
-from ...engines.piqp import PIQP
 from ...engines.polish import polish_steps
+from ...engines.solvers import PIQP
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
 
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be

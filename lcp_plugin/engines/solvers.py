@@ -1,0 +1,315 @@
+"""Adapters of the external solvers: DAQP, PIQP, Clarabel and HiGHS; a solver is imported by its first call."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector
+from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+
+EQUATION = 5  # of daqp's `sense`
+DAQP_SAYS = {
+    1: EngineStatus.OPTIMAL,
+    2: EngineStatus.OPTIMAL,
+    -1: EngineStatus.INFEASIBLE,
+    -3: EngineStatus.UNBOUNDED,
+    -4: EngineStatus.STOPPED,
+}
+
+
+class DAQP(Engine):
+    """DAQP: a dual active set method, which updates its factorization row by row.
+
+    References
+    ----------
+    Arnström, Bemporad, Axehill, *A dual active-set solver for embedded quadratic programming using recursive LDLᵀ
+    updates*, IEEE Transactions on Automatic Control 67 (2022), doi:10.1109/TAC.2022.3176430.
+    """
+
+    name: ClassVar[str] = "daqp"
+    solves: ClassVar[str] = "dense convex programs of up to some hundred rows"
+    cost: ClassVar[str] = "n² a step, n³ to begin with"
+    reference: ClassVar[str] = "Arnström, Bemporad, Axehill 2022"
+    obeys: ClassVar[str] = "max_seconds; verbose prints nothing; Ctrl-C waits for its end"
+    steps: ClassVar[str] = "iter_limit"
+    ends_on_active_set: ClassVar[bool] = True
+    defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
+
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        """Return daqp's point."""
+        P, G, A = program.P, program.G, program.A
+        if not isinstance(P, np.ndarray):
+            P, G, A = P.toarray(), G.toarray(), A.toarray()
+        m, n, p = program.h.size, program.c.size, program.b.size
+        settings = self.settings
+        has_bounds = np.isfinite(program.lower).any() or np.isfinite(program.upper).any()
+        bounds = n if has_bounds else 0
+        if limits.seconds < math.inf:
+            settings["time_limit"] = limits.seconds
+        above = np.concatenate(
+            (program.upper, program.h, program.b) if bounds else (program.h, program.b)
+        )
+        sense, below = np.zeros(above.size, np.intc), np.empty(above.size)
+        below.fill(-np.inf)
+        if bounds:
+            below[:n] = program.lower
+        if p:
+            sense[bounds + m :], below[bounds + m :] = EQUATION, program.b
+        # Copies: daqp takes no arrays that are read-only. Some entry of a semidefinite P is positive, or all are 0.
+        x, y, flag, steps = _call_daqp(
+            np.array(P) if P.item(P.argmax()) > 0.0 else None,
+            np.array(program.c),
+            np.concatenate((G, A)) if p else np.array(G),
+            above,
+            below,
+            sense,
+            settings,
+        )
+        y = np.append(np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :])
+        return EngineAnswer(x, y, steps, DAQP_SAYS.get(flag, EngineStatus.GAVE_UP))
+
+    def points(
+        self,
+        P: Any,
+        c: Any,
+        C: Any,
+        d: Any,
+        m: int,
+        lower: Any,
+        upper: Any,
+        items: Iterable[int],
+        seconds: float = 0.0,
+    ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
+        """Yield x, signed multipliers of bounds and rows, daqp's exit flag and number of steps, per item of a stack.
+
+        NaN if daqp has no solution, because daqp then returns uninitialized arrays.
+
+        Parameters
+        ----------
+        P, c, C, d, lower, upper : arrays
+            Shapes (B or 1, n, n), (B, n), (B or 1, rows, n), (B, rows), (B, n), (B, n).
+        m : int
+            Number of inequalities; the remaining rows are equalities.
+        """
+        count, n = c.shape
+        sense = np.zeros(n + d.shape[1], np.intc)
+        sense[n + m :] = EQUATION
+        above, below = np.concatenate([upper, d], axis=1), np.full((count, sense.size), -np.inf)
+        below[:, :n], below[:, n + m :] = lower, d[:, m:]
+        costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
+        matrices = [np.array(one) for one in (P, C)]
+        of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in matrices)
+        for k in items:
+            hessian = matrices[0][of_P[k]] if has_P else None
+            yield _call_daqp(
+                hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, settings
+            )
+
+
+def _call_daqp(
+    P: Any, c: Any, C: Any, above: Any, below: Any, sense: Any, settings: dict[str, Any]
+) -> tuple[FloatVector, FloatVector, int, int]:
+    """Return x, all multipliers, daqp's exit flag and its steps."""
+    import daqp
+
+    x, _, flag, info = daqp.solve(P, c, C, above, below, sense, **settings)
+    if flag <= 0:
+        return np.full(c.size, np.nan), np.full(sense.size, np.nan), flag, info["iterations"]
+    return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]
+
+
+INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
+INVALID_SETTINGS = -10  # status of PIQP
+PIQP_SAYS = {
+    1: EngineStatus.OPTIMAL,
+    -1: EngineStatus.STOPPED,
+    -2: EngineStatus.INFEASIBLE,
+    -3: EngineStatus.UNBOUNDED,
+}
+
+
+class PIQP(Engine):
+    """PIQP: a proximal interior point method for convex quadratic programs.
+
+    References
+    ----------
+    Schwan, Jiang, Kuhn, Jones, *PIQP: a proximal interior-point quadratic programming solver*, IEEE Conference on
+    Decision and Control 2023, doi:10.1109/CDC49753.2023.10383915.
+    """
+
+    name: ClassVar[str] = "piqp"
+    solves: ClassVar[str] = "convex programs, dense and sparse"
+    cost: ClassVar[str] = "a factor of the KKT matrix a step, 10 to 30 steps"
+    reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023"
+    obeys: ClassVar[str] = (
+        "max_seconds, by the time of its first step; verbose prints its own log; Ctrl-C waits for its end"
+    )
+    defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
+
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        """Return PIQP's point."""
+        import piqp
+
+        P, G, A, m, p = program.P, program.G, program.A, program.h.size, program.b.size
+        solver = piqp.SparseSolver() if sp.issparse(P) else piqp.DenseSolver()
+        for name, value in self.settings.items():
+            setattr(solver.settings, name, value)
+        solver.settings.verbose = limits.is_verbose
+        # Rows of a symmetric P are its columns; PIQP takes no arrays that are read-only.
+        columns = (
+            sp.csc_matrix((P.data, P.indices, P.indptr), P.shape, copy=True)
+            if sp.issparse(P)
+            else _to_csc(P)
+        )
+        equations = (_to_csc(A), program.b) if p else (None, None)
+        is_limit = program.h < INFINITE
+        G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
+        rows = (_to_csc(G), None, h) if h.size else (None, None, None)
+        solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
+        if limits.seconds < math.inf:  # PIQP has no time limit: one step is timed
+            steps, begun = solver.settings.max_iter, time.perf_counter()
+            solver.settings.max_iter = 1
+            solver.solve()
+            fit = limits.seconds / (time.perf_counter() - begun) - 1.0
+            solver.settings.max_iter = int(min(max(fit, 1.0), steps))
+        code, found = int(solver.solve()), solver.result
+        if (
+            code == INVALID_SETTINGS
+        ):  # of no step, for instance: the vectors of the result are uninitialized
+            x = np.clip(0.0, program.lower, program.upper)
+            return EngineAnswer(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)
+        says = PIQP_SAYS.get(code, EngineStatus.GAVE_UP)
+        y = np.zeros(m + p)
+        y[:m][is_limit], y[m:] = found.z_u, found.y
+        steps = 0 if says is EngineStatus.GAVE_UP else int(found.info.iter)
+        return EngineAnswer(np.array(found.x), y, steps, says)
+
+
+def _to_csc(A: Any) -> Any:
+    return sp.csc_matrix(A) if sp.issparse(A) else np.asfortranarray(A)
+
+
+CLARABEL_SAYS = {
+    "Solved": EngineStatus.OPTIMAL,
+    "AlmostSolved": EngineStatus.OPTIMAL,
+    "PrimalInfeasible": EngineStatus.INFEASIBLE,
+    "AlmostPrimalInfeasible": EngineStatus.INFEASIBLE,
+    "DualInfeasible": EngineStatus.UNBOUNDED,
+    "AlmostDualInfeasible": EngineStatus.UNBOUNDED,
+    "MaxIterations": EngineStatus.STOPPED,
+    "MaxTime": EngineStatus.STOPPED,
+}
+
+
+class Clarabel(Engine):
+    """Clarabel: an interior point method on the homogeneous embedding of a program over cones.
+
+    References
+    ----------
+    Goulart, Chen, *Clarabel: an interior-point solver for conic programs with quadratic objectives*, 2024,
+    arXiv:2405.12762.
+    """
+
+    name: ClassVar[str] = "clarabel"
+    solves: ClassVar[str] = "convex programs"
+    cost: ClassVar[str] = "a factor of the KKT matrix a step, 10 to 50 steps"
+    reference: ClassVar[str] = "Goulart, Chen 2024"
+    obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
+    defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
+
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        """Return Clarabel's point: equalities in the zero cone, rows and finite bounds in the nonnegative cone."""
+        import clarabel
+
+        settings = clarabel.DefaultSettings()
+        for name, value in {
+            **self.settings,
+            "verbose": limits.is_verbose,
+            "time_limit": limits.seconds,
+        }.items():
+            setattr(settings, name, value)
+        m, p, n = program.h.size, program.b.size, program.c.size
+        below, above = (
+            np.flatnonzero(np.isfinite(program.lower)),
+            np.flatnonzero(np.isfinite(program.upper)),
+        )
+        rows, identity = np.flatnonzero(np.isfinite(program.h)), sp.eye_array(n, format="csr")
+        parts = [program.A, sp.csr_array(program.G)[rows], -identity[below], identity[above]]
+        right = np.concatenate(
+            [program.b, program.h[rows], -program.lower[below], program.upper[above]]
+        )
+        kinds = [(clarabel.ZeroConeT, p), (clarabel.NonnegativeConeT, right.size - p)]
+        found = clarabel.DefaultSolver(
+            sp.csc_matrix(sp.triu(sp.csr_array(program.P))),
+            program.c,
+            sp.csc_matrix(sp.vstack([*map(sp.csr_array, parts)])),
+            right,
+            [cone(size) for cone, size in kinds if size],
+            settings,
+        ).solve()
+        y, z = np.zeros(m + p), np.array(found.z)
+        y[rows], y[m:] = z[p : p + rows.size], z[:p]
+        says = CLARABEL_SAYS.get(str(found.status), EngineStatus.GAVE_UP)
+        return EngineAnswer(np.array(found.x), y, int(found.iterations), says)
+
+
+HIGHS_SAYS = {
+    0: EngineStatus.OPTIMAL,
+    1: EngineStatus.STOPPED,
+    2: EngineStatus.INFEASIBLE,
+    3: EngineStatus.UNBOUNDED,
+}
+
+
+class HiGHS(Engine):
+    """HiGHS: dual simplex for linear programs, as `scipy.optimize.linprog` brings it.
+
+    References
+    ----------
+    Huangfu, Hall, *Parallelizing the dual revised simplex method*, Mathematical Programming Computation 10 (2018),
+    doi:10.1007/s12532-017-0130-5.
+    """
+
+    name: ClassVar[str] = "highs"
+    solves: ClassVar[str] = "linear programs"
+    cost: ClassVar[str] = "a sparse factor now and then, two triangular solves a step"
+    reference: ClassVar[str] = "Huangfu, Hall 2018"
+    obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
+    steps: ClassVar[str] = "maxiter"
+    ends_on_active_set: ClassVar[bool] = True
+    is_for_linear_alone: ClassVar[bool] = True
+    defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
+
+    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        """Return the vertex that HiGHS ends at."""
+        from scipy.optimize import OptimizeWarning, linprog
+
+        wishes = {**self.settings, "disp": limits.is_verbose}
+        if np.isfinite(limits.seconds):
+            wishes["time_limit"] = limits.seconds
+        rows = np.isfinite(program.h)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)  # of an unknown option
+            found = linprog(
+                program.c,
+                program.G[rows] if rows.any() else None,
+                program.h[rows] if rows.any() else None,
+                program.A if program.b.size else None,
+                program.b if program.b.size else None,
+                np.column_stack([program.lower, program.upper]),
+                method="highs",
+                options=wishes,
+            )
+        y = np.zeros(program.h.size + program.b.size)
+        says = HIGHS_SAYS.get(found.status, EngineStatus.GAVE_UP)
+        if found.x is None:
+            return EngineAnswer(np.zeros(program.c.size), y, int(found.nit), says)
+        y[: rows.size][rows], y[rows.size :] = -found.ineqlin.marginals, -found.eqlin.marginals
+        return EngineAnswer(found.x, y, int(found.nit), says)

@@ -20,11 +20,11 @@ from ..core.matrix import (
     Matrix,
     fact,
     mismatch,
-    row_numbers,
     scale_matrix,
     times_power,
 )
 from ..core.rounding import compensated_product, lower_end, upper_end
+from .comparison_sums import comparison_of
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits
 from .graph import strong_blocks, within_blocks
@@ -33,13 +33,6 @@ if TYPE_CHECKING:
     from .hierarchy.grids import Hierarchy
 
 Solver = Callable[[FloatVector], FloatVector]
-
-
-def comparison_of(M: Any) -> sp.csr_array:
-    """Return ⟨M⟩ for a CSR array, or for rows of an array whose first columns belong to these rows."""
-    magnitudes = np.abs(M.data)
-    signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
-    return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
 
 
 class ComparisonMatrix:

@@ -1,4 +1,4 @@
-"""Row sums of the comparison matrix ⟨M⟩: with a rigorous bound of the rounding error, and exact."""
+"""The comparison matrix ⟨M⟩ and its row sums: with a rigorous bound of the rounding error, and exact."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.matrix import row_numbers
 from ..core.rounding import compensated_product
+
+
+def comparison_of(M: Any) -> sp.csr_array:
+    """Return ⟨M⟩ for a CSR array, or for rows of an array whose first columns belong to these rows."""
+    magnitudes = np.abs(M.data)
+    signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
+    return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
 
 
 def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector]:
@@ -39,10 +46,7 @@ def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector
     >>> value, radius
     (array([1., 0.]), array([0., 0.]))
     """
-    signs = np.where(row_numbers(M) == M.indices, 1.0, -1.0)
-    return compensated_product(
-        sp.csr_array((signs * np.abs(M.data), M.indices, M.indptr), M.shape), v
-    )
+    return compensated_product(comparison_of(M), v)
 
 
 def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:

@@ -18,6 +18,7 @@ from .checks import (
     read_only,
     restore_state,
 )
+from .errors import InvalidOption
 from .matrix import Matrix
 from .representation import describe_lcp
 
@@ -68,8 +69,17 @@ class LCP:
         _facts: dict[Any, Any]
 
     def __init__(
-        self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
+        self,
+        M: Any,
+        q: ArrayLike,
+        *_bounds: ArrayLike,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
     ) -> None:
+        if _bounds:
+            raise InvalidOption(
+                "bounds of an LCP are passed by name; write LCP(M, q, lower=l, upper=u)"
+            )
         given = self.__dict__
         given["matrix"] = matrix = M if isinstance(M, Matrix) else Matrix(M)
         given["n"] = n = matrix.n

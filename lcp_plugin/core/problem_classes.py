@@ -53,6 +53,8 @@ def refusal(function: str, given: Any) -> str:
     if function == "derivative":
         needs = f"the result of {needs}"
         step = "; write derivative(solve(problem))" if class_of(given) else ""
+        if isinstance(given, (list, tuple)):
+            step = "; write [derivative(result) for result in results]"
     elif function == "solve":
         step = "; for a matrix M and a vector q write solve(LCP(M, q))"
     return f"{function} needs {needs}, got {type(given).__name__}{step}"

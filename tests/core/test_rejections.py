@@ -16,7 +16,7 @@ import pytest
 import scipy.sparse as sp
 from inputs.families import MODULUS
 
-from lcp_plugin import LCP, Certificate, error_bound, gallery, march, solve
+from lcp_plugin import LCP, Certificate, QuadraticProgram, error_bound, gallery, march, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.errors import (
     InvalidOption,
@@ -533,3 +533,11 @@ def test_an_argument_of_a_wrong_kind_is_refused_in_words(what: str, kind: str) -
     """An argument of a wrong type ends in an LCPError, not in a TypeError of another package."""
     with pytest.raises(LCPError):
         TAKE[what](Given().plain, WRONG[kind])
+
+
+def test_bounds_by_position_and_with_q_of_a_program_are_refused_with_the_spelling() -> None:
+    """The message has the call that works."""
+    with pytest.raises(InvalidOption, match=r"LCP\(M, q, lower=l, upper=u\)"):
+        LCP([[1.0]], [1.0], 0.0, 1.0)
+    with pytest.raises(AttributeError, match=r"write program\.with_vectors"):
+        QuadraticProgram([[1.0]], [1.0]).with_q([2.0])

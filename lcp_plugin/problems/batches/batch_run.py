@@ -241,7 +241,9 @@ class BatchRun:
             stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
             return Result.at(problem, read_only(z), stage, self.settings, share)
         found = self._solved(k, z, self.options)
-        return replace(found, iterations=iterations, seconds=share)
+        stage = StageRecord("nsgs", "one of a stack over the same cones", iterations, iterations)
+        named = {"iterations": iterations, "work": iterations + 1.0, "stages": (stage,)}
+        return replace(found, seconds=share, **named)
 
     def tables(self) -> dict[str, Any]:
         """Return the arrays of the results by name."""

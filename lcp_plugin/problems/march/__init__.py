@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -65,15 +66,15 @@ class BandSteps:
     band : Bands
         Bands of its matrix.
     propagator : csr_array, shape (n, n)
-    tolerance : float
-        Tolerance of the stopping criterion.
+    settings : Settings
     """
 
     def __init__(
-        self, problem: LCP, band: Bands, propagator: sp.csr_array, tolerance: float
+        self, problem: LCP, band: Bands, propagator: sp.csr_array, settings: Settings
     ) -> None:
         self.problem, self.band, self.propagate = problem, band, propagation(propagator)
-        self.tolerance, self.absolute = tolerance, abs(problem.csr)
+        self.tolerance, self.absolute = settings.tolerance, abs(problem.csr)
+        self.most = settings.max_iterations
         self.of_nearest: FloatVector = problem.csr @ problem.nearest_to_zero
         #: 1 if a step is one pass from the lower bounds, −1 from the upper ones, else 0.
         self.side, self.none = 0, read_only(np.zeros(problem.n, np.bool_))
@@ -119,7 +120,7 @@ class BandSteps:
         reference = data.residual(data.start, self.of_nearest + q)
         goal = 0.5 * self.tolerance * np.abs(reference).max(initial=0.0)
         rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))
-        return next((z for z, residual in rounds if residual <= goal), None)
+        return next((z for z, residual in islice(rounds, self.most) if residual <= goal), None)
 
     def _data(self, q: FloatVector) -> RowData:
         """Return the data of the criterion of one step, q of shape (n,), or of several."""
@@ -235,13 +236,14 @@ def take_steps_on_band(
         settings.record
         or settings.error_bound
         or settings.verbose
+        or settings.max_iterations == 0
         or wishes.get("callback") is not None
         or not isinstance(begin.algorithm, Banded)
         or (band := bands(problem.matrix)) is None
         or connected_components(problem.matrix) is not None
     ):
         return
-    steps, state = BandSteps(problem, band, done.propagator, settings.tolerance), done.z0
+    steps, state = BandSteps(problem, band, done.propagator, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
         forcing = done.forcing[done.taken : done.taken + BLOCK]
         solved = steps.solve(forcing, state)
@@ -250,7 +252,6 @@ def take_steps_on_band(
             done.take(z, partial(_result_at, problem, row, z, settings))  # without its block
         if len(solved[0]) < len(forcing):
             break
-    done.seconds += clock.read()
 
 
 def _result_at(problem: LCP, q: FloatVector, z: FloatVector, settings: Settings) -> Result:
@@ -293,11 +294,6 @@ def take_steps(
             if not done:
                 raise
             done.error, done.all_solved = error, False
-        except KeyboardInterrupt:
-            if not done:
-                raise
-            done.is_interrupted, done.all_solved = True, False
-    done.seconds += clock.read()
 
 
 def beginning_of_next(found: Result, step: int) -> str | None:
@@ -431,9 +427,15 @@ def march(
     marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, one in enumerate(marches):
-        one.keep = every
-        take_steps_on_band(one, algorithm, wishes, limit - clock.read())
-        take_steps(one, algorithm, wishes, max(limit - clock.read(), 0.0))
+        one.keep, begun = every, clock.read()
+        try:
+            take_steps_on_band(one, algorithm, wishes, limit - clock.read())
+            take_steps(one, algorithm, wishes, max(limit - clock.read(), 0.0))
+        except KeyboardInterrupt:
+            if not one.taken:
+                raise
+            one.is_interrupted, one.all_solved = True, False
+        one.seconds = clock.read() - begun
         if one.is_interrupted:
             for later in marches[k + 1 :]:
                 later.all_solved = not len(later.forcing)

@@ -20,7 +20,7 @@ from ...core.checks import (
     derived_property,
     rectangular_matrix,
 )
-from ...core.errors import UnsuitableProblem
+from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix import Matrix, row_numbers
@@ -368,6 +368,7 @@ class MarchDerivative:
         dlower: Any = None,
         dupper: Any = None,
         only_last: bool = False,
+        **unknown: Any,
     ) -> FloatVector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
 
@@ -405,6 +406,11 @@ class MarchDerivative:
         array([[0.375  , 0.125  ],
                [0.15625, 0.09375]])
         """
+        if unknown:
+            known = "dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last"
+            name, hint = next(iter(unknown)), did_you_mean(next(iter(unknown)), known)
+            hint = "; the q of the steps change by dforcing" if name == "dq" else hint
+            raise InvalidOption(f"jvp of a march has no option {name!r}{hint}")
         n, steps = self.march.problem.n, len(self)
         rows = _rows(
             np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -277,6 +277,13 @@ class QuadraticProgram:
         high, low, _ = compensated_pair(self.matrices.sparse_P, point)
         row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])
         return float(compensated_product(row, np.tile(point, 3), np.array([self.constant]))[0][0])
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise AttributeError, with the spelling of a program for a method of LCP."""
+            hint = "; write program.with_vectors(c=…)" if name == "with_q" else ""
+            raise AttributeError(f"'QuadraticProgram' object has no attribute {name!r}{hint}")
 
     def __repr__(self) -> str:
         m, p = self.h.size, self.b.size

@@ -21,7 +21,7 @@ from lcp_plugin import (
     march,
     solve,
 )
-from lcp_plugin.problems.march import March
+from lcp_plugin.problems.march import BandSteps, March
 from lcp_plugin.problems.sensitivity import Derivative
 
 # --- What is kept ---------------------------------------------------------------------------------------------
@@ -513,3 +513,49 @@ def test_a_march_keeps_what_it_has() -> None:
     with pytest.raises(InvalidProblem):
         march(LCP([[1.0]], [0.0]), [[-1.0]], propagator=[[1j]])
     assert march(LCP([[2.0]], [0.0]), sp.csr_array([[-1.0], [-1.0]])).all_solved
+
+
+# --- Limits on a band -----------------------------------------------------------------------------------------
+
+BAND = LCP(
+    sp.diags_array([[-1.0] * 199, [3.0] * 200, [-1.0] * 199], offsets=[-1, 0, 1]), np.zeros(200)
+)
+
+
+def test_march_on_a_band_after_ctrl_c_keeps_the_steps_so_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Ctrl-C in the third block of steps leaves the steps of the first two."""
+    solve_block, blocks = BandSteps.solve, []
+
+    def interrupted(self: BandSteps, *given: Any) -> Any:
+        blocks.append(given)
+        if len(blocks) == 3:
+            raise KeyboardInterrupt
+        return solve_block(self, *given)
+
+    monkeypatch.setattr(BandSteps, "solve", interrupted)
+    done = march(BAND, np.broadcast_to(-1.0, (400, 200)))
+    assert (done.taken, len(done), done.is_interrupted, done.all_solved) == (128, 128, True, False)
+    assert {*done.status} == {Status.SOLVED}
+    assert done.seconds > 0.0
+    blocks[:] = [()] * 2
+    with pytest.raises(KeyboardInterrupt):
+        march(BAND, np.broadcast_to(-1.0, (400, 200)))
+
+
+@pytest.mark.parametrize("upper", [np.inf, 0.6])
+def test_march_on_a_band_obeys_max_iterations(upper: float) -> None:
+    """Without an iteration no step is solved; a limit of 50 suffices for each step."""
+    none = march(BAND, np.broadcast_to(-1.0, (3, 200)), upper=upper, max_iterations=0)
+    assert [one.status for one in none] == [Status.MAX_ITERATIONS]
+    assert march(BAND, np.broadcast_to(-1.0, (3, 200)), upper=upper, max_iterations=50).all_solved
+
+
+def test_jvp_of_a_march_names_the_option_for_q() -> None:
+    """The messages name dforcing for dq, and a list of derivatives for a list of marches."""
+    done = march(BAND, np.broadcast_to(-1.0, (2, 200)))
+    with pytest.raises(InvalidOption, match="change by dforcing"):
+        derivative(done).jvp(dq=np.ones(200))
+    with pytest.raises(InvalidOption, match=r"write \[derivative\(result\) for result"):
+        derivative([done, done])

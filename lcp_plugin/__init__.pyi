@@ -12,7 +12,6 @@ from .core.errors import UnreadableFile as UnreadableFile
 from .core.errors import UnsuitableMatrix as UnsuitableMatrix
 from .core.errors import UnsuitableProblem as UnsuitableProblem
 from .core.errors import UnsupportedModel as UnsupportedModel
-from .core.errors import WorkerLost as WorkerLost
 from .core.lcp import LCP as LCP
 from .core.settings import Status as Status
 from .core.solving.result import Result as Result
@@ -38,7 +37,6 @@ from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
 from .problems.parametric.tracing import trace as trace
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram
-from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
 from .problems.sensitivity import derivative as derivative
 from .proofs.bounds import error_bound as error_bound
 from .proofs.guarantees import convergence_guarantee as convergence_guarantee

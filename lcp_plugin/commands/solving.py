@@ -297,7 +297,7 @@ def compile_everything() -> str:
     """Compile what is not in the cache yet; return a line with the seconds."""
     from ..problems.batches.batch import solve_batch
     from ..problems.march import march
-    from ..problems.programs.stacked_programs import QuadraticProgramBatch
+    from ..problems.programs.program import QuadraticProgram
     from ..problems.sensitivity import derivative
     from ..proofs.bounds import error_bound
 
@@ -325,7 +325,7 @@ def compile_everything() -> str:
     for problem in (no_solution, gallery.build("bimatrix_game").problem):
         solve(problem)
     solve_batch([contact, contact])
-    solve_batch(QuadraticProgramBatch(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0]))
+    solve_batch([QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])])
     program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
     program.origin.recover(solve(program)).is_optimal()
     return f"kernels compiled in {time.perf_counter() - began:.1f} s"

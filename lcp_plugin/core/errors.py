@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
-from typing import Any
 
 LONG_LIST = 20  # longer lists of names are not printed next to a guess
 CLOSE = 0.6  # of 1, which is the same word
@@ -48,18 +47,6 @@ class UnreadableFile(LCPError, OSError):
 
 class NotConverged(LCPError, RuntimeError):
     """The run ended without a solution, and the caller required one."""
-
-
-class WorkerLost(LCPError, RuntimeError):
-    """A job was lost twice with its worker, or the executor takes no further jobs: it is broken, or was shut down.
-
-    Attributes
-    ----------
-    finished : BatchAnswers or Study
-        The results that arrived; other problems of a batch are INTERRUPTED.
-    """
-
-    finished: Any = None
 
 
 class ModelWarning(UserWarning):

@@ -11,7 +11,9 @@ from functools import partial
 from itertools import takewhile
 from typing import Any
 
-from .errors import InvalidOption, LCPError, WorkerLost
+from .errors import InvalidOption, LCPError
+
+MAX_WAIT = 1e6  # seconds; the waiting for a result is then repeated
 
 
 def run_on(
@@ -20,69 +22,49 @@ def run_on(
     jobs: Sequence[Any],
     seconds_left: Callable[[], float] = lambda: math.inf,
 ) -> Iterator[tuple[int, Any]]:
-    """Yield (k, function(jobs[k])) as jobs finish, until no seconds are left; a lost job is submitted a second time.
+    """Yield (k, function(jobs[k])) as jobs finish, until no seconds are left.
 
-    The second time is for dask and MPI: a ProcessPoolExecutor takes no further jobs after one of its workers died.
+    The error of a lost worker, or of an executor that takes no further jobs, ends the jobs: it is raised after the
+    results that have arrived.
 
     Raises
     ------
     InvalidOption
         If a job does not pickle.
-    WorkerLost
-        After all other jobs, if a job was lost twice, or the executor takes no further jobs.
     """
     if not isinstance(executor, Executor):
         raise InvalidOption(
             f"executor must be a concurrent.futures.Executor, got {executor!r}; for dask, pass client.get_executor()"
         )
-    pickled: dict[int, bytes] = {}
-    waiting: dict[Future[Any], tuple[int, bool]] = {}
-    lost: dict[int, Exception] = {}
-
-    def submit(k: int, *, is_first: bool) -> None:
-        try:
-            waiting[executor.submit(_run_job, pickled[k])] = k, is_first
-        except RuntimeError as error:  # broken, or shut down
-            lost[k] = error
-
+    waiting: dict[Future[Any], int] = {}
+    lost: Exception | None = None
     try:
         for k, job in takewhile(lambda _: seconds_left() > 0.0, enumerate(jobs)):
-            pickled[k] = _pickled(function, job)
-            submit(k, is_first=True)
+            pickled = _pickled(function, job)
+            try:
+                waiting[executor.submit(_run_job, pickled)] = k
+            except RuntimeError as error:  # broken, or shut down
+                lost = error
+                break
         while waiting:
-            left = seconds_left()
-            done = wait(waiting, None if left == math.inf else max(left, 0.0), FIRST_COMPLETED)[0]
-            if not done:
-                return
-            for future in done:
-                k, is_first = waiting.pop(future)
+            left = 0.0 if lost else seconds_left()
+            for future in wait(waiting, min(max(left, 0.0), MAX_WAIT), FIRST_COMPLETED)[0]:
+                k = waiting.pop(future)
                 try:
                     value, raised = future.result()
                 except Exception as error:  # each executor has its own classes for a lost worker
-                    if is_first:
-                        submit(k, is_first=False)
-                    else:
-                        lost[k] = error
+                    lost = error
                     continue
                 if raised is not None:
                     raise raised
                 yield k, value
+            if left <= 0.0:
+                break
     finally:
         for future in waiting:
             future.cancel()
-    if lost:
-        raise _worker_lost(lost, len(jobs))
-
-
-def _worker_lost(lost: dict[int, Exception], count: int) -> WorkerLost:
-    why = next(iter(lost.values()))
-    advice = "look for a worker without memory, and start again with a new executor"
-    if (
-        type(why) is RuntimeError
-    ):  # of submit after a shutdown; a BrokenExecutor if workers are lost
-        advice = "the executor was shut down: pass one that still accepts jobs"
-    reason = f"{type(why).__name__}: {why}"
-    return WorkerLost(f"{len(lost)} of {count} jobs were lost ({reason}); {advice}")
+    if lost is not None:
+        raise lost
 
 
 def _pickled(function: Callable[[Any], Any], job: Any) -> bytes:

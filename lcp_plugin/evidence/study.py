@@ -27,7 +27,6 @@ from ..core.errors import (
     LCPError,
     UnsuitableMatrix,
     UnsuitableProblem,
-    WorkerLost,
     did_you_mean,
 )
 from ..core.executors import run_on
@@ -517,8 +516,8 @@ def study(
         is_complete = True
     except KeyboardInterrupt:
         notes["interrupted: the rows above are complete"] = None
-    except WorkerLost as lost:
-        lost.finished = Study(tuple(chain(*rows)), tuple(notes), is_complete)
+    except Exception as error:
+        error.__dict__["finished"] = Study(tuple(chain(*rows)), tuple(notes), is_complete)
         raise
     return Study(tuple(chain(*rows)), tuple(notes), is_complete)
 

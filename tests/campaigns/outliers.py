@@ -722,7 +722,7 @@ def batch_case(rng: Generator) -> Outcome:
         data, words = odd_program(rng, linear=False)
         P, c, G, h, A, b, low, high = data
         found = lp.solve_batch(
-            lp.QuadraticProgramBatch(P, np.array([c, 2 * c]), G, h, A, b, low, high)
+            lp.QuadraticProgram(P, c, G, h, A, b, low, high), np.array([c, 2 * c])
         )
         duals = {
             name: getattr(found, name)[0] for name in ("inequality", "equality", "lower", "upper")

@@ -28,7 +28,6 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
     UnsupportedModel,
-    WorkerLost,
 )
 from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.splittings import NPSOR, PSOR
@@ -45,7 +44,6 @@ BUILTIN_BASE = {
     UnknownAlgorithm: LookupError,
     UnreadableFile: OSError,
     NotConverged: RuntimeError,
-    WorkerLost: RuntimeError,
     UnsupportedModel: ValueError,
 }
 NAN, INF = float("nan"), float("inf")

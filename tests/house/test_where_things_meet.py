@@ -28,7 +28,6 @@ from lcp_plugin import (
     NonlinearProblem,
     NotConverged,
     QuadraticProgram,
-    QuadraticProgramBatch,
     Status,
     UnsuitableMatrix,
     UnsuitableProblem,
@@ -163,8 +162,8 @@ def by_batch(sample: Sample, folder: Path) -> None:
     batches = [solve_batch([sample.problem, sample.problem], **starts)]
     if sample.kind == "QuadraticProgram":
         P, c, G, h, A, b, lower, upper = sample.program
-        stack = QuadraticProgramBatch(P, np.stack([c, c]), G, h, A, b, lower=lower, upper=upper)
-        batches.append(solve_batch(stack))
+        one = QuadraticProgram(P, c, G, h, A, b, lower=lower, upper=upper)
+        batches.append(solve_batch(one, np.stack([c, c])))
     if sample.kind == "FrictionalContact":
         one = sample.problem
         instances = FrictionalContact.worlds(
@@ -669,7 +668,7 @@ def test_a_batch_names_what_is_no_problem() -> None:
 
 @pytest.mark.parametrize("no", [
     solve_batch([]), solve_batch(np.eye(2), np.zeros((0, 2))), march(LCP(np.eye(2), [0, 0]), np.zeros((0, 2))),
-    solve_batch(QuadraticProgramBatch(np.eye(2), np.zeros((0, 2)))),
+    solve_batch(QuadraticProgram(np.eye(2), [0, 0]), np.zeros((0, 2))),
 ], ids=lambda answers: type(answers).__name__)  # fmt: skip
 def test_a_sequence_of_no_answers(no: Any) -> None:
     """A batch without problems is solved, and its summary is "none"."""

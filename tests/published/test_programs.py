@@ -15,7 +15,6 @@ from inputs.published_problems import FOLDER, PROGRAMS, PublishedProgram
 from lcp_plugin import (
     QPSolver,
     QuadraticProgram,
-    QuadraticProgramBatch,
     certify,
     solve,
     solve_batch,
@@ -104,7 +103,7 @@ def in_a_stack(of: PublishedProgram, name: str) -> Answer:
     """Solve the program in a stack with a copy."""
     G, h, A, b, lower, upper = one_sided(of)
     found = solve_batch(
-        QuadraticProgramBatch(of.P, np.array([of.q, of.q]), G, h, A, b, lower, upper)
+        QuadraticProgram(of.P, of.q, G, h, A, b, lower, upper), np.array([of.q, of.q])
     )
     return found.x[1], float(found.objective[1]) + of.r
 

@@ -18,6 +18,7 @@ from ...core.lcp import LCP
 from ...core.matrix import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
+from ...engines import ENGINES
 from ...methods.banded import banded_passes
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContactBatch
@@ -26,11 +27,9 @@ from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
 from ..programs.solving import programs_for
-from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_run import BatchAnswers, BatchRun
-from .program_batch import ProgramBatchRun
-from .stated import Listed, RightSides, Stacked
-from .worlds import Worlds
+from .instances import Listed, RightSides, Stacked, Worlds
+from .program_batch import ProgramBatch
 
 P = TypeVar("P", LCP, QuadraticProgram)
 # The arguments with which one problem of a class makes a batch.
@@ -106,8 +105,7 @@ def solve_batch(
     Parameters
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array or an LCP for all, a sequence of problems, a program and its
-        vectors, a QuadraticProgramBatch, or the result of
-        `FrictionalContact.worlds`
+        vectors, or the result of `FrictionalContact.worlds`
         With one LCP and a q of shape (B, n), all problems share the cached properties of its matrix, as after
         :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
         mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
@@ -127,8 +125,8 @@ def solve_batch(
         that is solved by itself. A truthy return value ends the batch: the remaining problems are INTERRUPTED.
     executor : concurrent.futures.Executor, optional
         Solves chunks of the problems on its workers: a ProcessPoolExecutor, mpi4py's MPIPoolExecutor, or
-        ``client.get_executor()`` of dask. Each worker uses one thread, unless `threads` is passed. A chunk whose worker
-        is lost is solved again.
+        ``client.get_executor()`` of dask. Each worker uses one thread. Results have the same bits as without an
+        executor. A lost worker ends the batch.
     **options
         tolerance, max_iterations, absolute_tolerance, prove_infeasibility: options of each problem, see
         :func:`lcp_plugin.solve`; the two options below belong to the entire batch.
@@ -153,9 +151,9 @@ def solve_batch(
         If shapes do not fit together, or an item of the sequence is not a problem.
     UnknownAlgorithm, InvalidOption
         See :func:`lcp_plugin.solve`.
-    WorkerLost
-        If a chunk was lost twice, or the executor is broken or was shut down; its attribute `finished` has the
-        results that arrived.
+    Exception
+        The executor's own error if a worker was lost or the executor was shut down, and any error of a function of the
+        user; its attribute `finished` has the results that arrived.
 
     Examples
     --------
@@ -180,7 +178,8 @@ def solve_batch(
 
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
 
-    >>> answers = solve_batch(QuadraticProgramBatch(np.eye(2), [[-1, -2], [0, -1]], G=[[1, 1]], h=[2]))
+    >>> nearest = QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1]], h=[2])
+    >>> answers = solve_batch(nearest, [[-1, -2], [0, -1]])
     >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
@@ -201,7 +200,10 @@ def solve_batch(
                 "a batch of programs takes no z0 or absolute_tolerance; leave them out"
             )
         given.setdefault("tolerance", PROGRAM_TOLERANCE)
-        return ProgramBatchRun(programs, algorithm, given).run(callback, executor)
+        if not (isinstance(algorithm, str) and algorithm in ENGINES):
+            method_of(algorithm, {})
+        programs.refuse_nonconvex()
+        return BatchRun(programs, algorithm, given).run(callback, executor)
     stated = _problems_of(M, q, lower, upper, z0)
     if stated.are_lcps:
         method_of(algorithm, {})
@@ -237,17 +239,14 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
     return Stacked(M, q, lower, upper, z0)
 
 
-def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticProgramBatch | None:
+def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatch | None:
     """Return programs of one shape, from any of three forms; None for other data or with starts."""
-    if isinstance(M, QuadraticProgramBatch):
-        _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
-        return M
     if isinstance(M, QuadraticProgram) and q is not None:
         _refuse_algorithm(q)
         _refuse_data("the vectors", '[{"lower": …, "upper": …}]', None, lower, upper)
         if isinstance(q, np.ndarray) or _holds_rows(q):
-            return QuadraticProgramBatch.with_costs(M, q)
-        return QuadraticProgramBatch.of(programs_for(M, q), M)
+            return ProgramBatch.with_costs(M, q)
+        return ProgramBatch.of(programs_for(M, q), M)
     if (
         z0 is None
         and isinstance(M, Sequence)
@@ -255,7 +254,7 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
         and all(isinstance(one, QuadraticProgram) for one in M)
     ):
         _refuse_data("these problems", "QuadraticProgram(P, c, …)", q, lower, upper)
-        return QuadraticProgramBatch.of(M, M[0])
+        return ProgramBatch.of(M, M[0])
     return None
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from threading import Lock
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
-from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm, WorkerLost
+from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.executors import run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
@@ -24,11 +24,11 @@ from ...core.solving.result import Result, StageRecord
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
-from ..many.answers import AnswerSequence
-from ..many.chunks import run_in_chunks
-from .stated import Listed
+from ..many import AnswerSequence, run_in_chunks
+from ..programs.criterion import QPSolution
+from ..programs.solving import QuadraticProgramResult
+from .program_batch import ENGINE, ProgramBatch
 
-MOST_ITERATIONS = 200  # of a stack
 # Jobs per batch on an executor: 4 for each of 16 workers level out unequal times. More jobs cost memory, because each
 # has its copy of a shared M, and all are in memory at once; of more than 64 workers, some have no job.
 MAX_JOBS = 64
@@ -41,11 +41,11 @@ class BatchRun:
 
     Parameters
     ----------
-    problems : Listed, Stacked, RightSides, Worlds or QuadraticProgramBatch
+    problems : Listed, Stacked, RightSides, contacts in arrays or ProgramBatch
         ``problems[k]``, ``problems.start(k)``, ``problems.points``: a table of z at the start,
         ``problems.errors``: the error of problem k, if its data are invalid,
-        ``problems.stacks(tolerance, has_time)``: pairs of item numbers and a function that returns z, residual,
-        iterations and is_solved of these.
+        ``problems.stacks(tolerance, has_time, threads)``: pairs of item numbers and a function that returns z,
+        residual, iterations and is_solved of these.
     algorithm : str or Algorithm
     options : dict
         Options of solve_batch other than defaults.
@@ -53,11 +53,10 @@ class BatchRun:
 
     def __init__(self, problems: Any, algorithm: Any, options: dict[str, Any]) -> None:
         self.problems, self.algorithm, count = problems, algorithm, len(problems)
-        self.item = getattr(problems, "item", "problem")
+        self.item = problems.item
         self.settings, self.threads = Settings(**options), checked_threads(options.get("threads"))
-        self.given = options
         self.options = {name: options[name] for name in options.keys() - {"max_seconds", "threads"}}
-        self.errors, self.z = {**getattr(problems, "errors", {})}, problems.points
+        self.errors, self.z = {**problems.errors}, problems.points
         for k in self.errors if isinstance(self.z, np.ndarray) else ():
             self.z[k] = np.nan
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
@@ -66,12 +65,11 @@ class BatchRun:
         self.results: dict[int, Any] = {}  # of problems outside of stacks
         self.is_interrupted, self.seconds, self.clock = False, 0.0, Clock()
         self.callback: Any = None
-        self.numbers = np.arange(count)  # of the problems, in errors
 
     @property
-    def has_time(self) -> bool:
-        """True until the time limit of the batch is reached, or it is interrupted."""
-        return not self.is_interrupted and self.clock.read() < self.settings.max_seconds
+    def seconds_left(self) -> float:
+        """Seconds to the limit of the batch, 0 after an interruption."""
+        return 0.0 if self.is_interrupted else self.settings.max_seconds - self.clock.read()
 
     def report(self) -> None:
         """Call the callback with the number of finished problems; a truthy return value ends the batch."""
@@ -84,139 +82,118 @@ class BatchRun:
     def run(self, callback: Any = None, executor: Any = None) -> BatchAnswers:
         """Solve all problems, until the clock runs out, Ctrl-C, or the callback ends the batch."""
         self.callback = checked_callback(callback)
-        lost: WorkerLost | None = None
         try:
-            if executor is not None:
-                self._solve_on(executor)
-            else:
-                self.solve_at_once()
-            for k in np.flatnonzero(self.is_open).tolist():
-                if not self.has_time:
-                    break
-                self._solve_or_keep_error(k)
-                self.report()
+            self._solve_stacks(executor)
+            self._solve_others(executor)
         except KeyboardInterrupt:
             self.is_interrupted = True
-        except WorkerLost as error:
-            lost = error
+        except Exception as error:
             self.is_interrupted = True
+            error.__dict__["finished"] = self._answers()
+            raise
+        return self._answers()
+
+    def _answers(self) -> BatchAnswers:
         self.callback = None  # which need not be picklable
         end = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
         self.status[self.is_open] = end
         self.seconds = self.clock.read()
-        answers = BatchAnswers(self)
-        if lost is not None:
-            lost.finished = answers
-            raise lost
-        return answers
+        return BatchAnswers(self)
 
-    def _solve_on(self, executor: Any) -> None:
-        """Solve chunks of the problems on an executor, with one thread each."""
-        options: dict[str, Any] = {"threads": 1, **self.given}
-        limit = self.settings.max_seconds
-        end = time.time() + limit - self.clock.read()  # of the day: chunks may begin late
+    def _finished(self, executor: Any, jobs: list[Any]) -> Iterator[tuple[int, Any]]:
+        """Yield (k, result of job k) until the limit of the batch, or an interruption."""
+        patience = self.settings.max_seconds + GRACE
+        for k, found in run_on(executor, call, jobs, lambda: patience - self.clock.read()):
+            yield k, found
+            self.report()
+            if self.is_interrupted:
+                return
+
+    def _solve_stacks(self, executor: Any) -> None:
+        """Solve small problems in stacks, while there is time; a stack replaces only `auto`."""
+        problems, settings = self.problems, self.settings
+        if self.algorithm not in problems.stacked_by or settings.absolute_tolerance:
+            return
+        if settings.max_iterations < problems.fewest_iterations:
+            return
+        has_time = partial(is_before, time.time() + self.seconds_left)  # of the day, on all workers
+        threads = self.threads if executor is None else MAX_JOBS
+        stacks = [*problems.stacks(settings.tolerance, has_time, threads)]
+        if executor is not None:
+            for k, found in self._finished(executor, [solve_stack for _, solve_stack in stacks]):
+                self._take(stacks[k][0], *found)
+            return
+
+        def solve_some(first: int, end: int) -> None:
+            for items, solve_stack in stacks[first:end]:
+                if self.seconds_left > 0.0:
+                    self._take(items, *solve_stack())
+                    self.report()
+
+        run_in_chunks(solve_some, len(stacks), self.threads)
+
+    def _take(self, items: Any, z: Any, residual: Any, iterations: Any, is_solved: Any) -> None:
+        """Keep the solved problems of a stack."""
+        good = np.flatnonzero(is_solved & self.is_open[items])
+        at = items[good]
+        if isinstance(self.z, np.ndarray):
+            self.z[at] = z[good]
+        else:
+            for k, i in zip(at.tolist(), good.tolist(), strict=True):
+                self._set_point(k, z[i])
+        self.residual[at], self.iterations[at] = residual[good], iterations[good]
+        self.status[at], self.is_open[at] = Status.SOLVED, False
+
+    def _solve_others(self, executor: Any) -> None:
+        """Solve the other problems by themselves."""
         problems = {}
         for k in np.flatnonzero(self.is_open).tolist():
             try:
                 problems[k] = self.problems[k]
             except LCPError as error:
-                self._keep_error(k, error)
-        jobs, count = [], min(MAX_JOBS, len(problems))
-        for part in np.array_split([*problems], count) if count else []:
-            chosen = [problems[k] for k in part.tolist()]
-            starts = [self.problems.start(k) for k in part.tolist()]
-            jobs.append((part, end, type(self), chosen, starts, self.algorithm, options))
-        patience = limit + GRACE
-        for _, (part, run) in run_on(
-            executor, _run_part, jobs, lambda: patience - self.clock.read()
-        ):
-            self.take(part, run)
-            self.report()
-            if self.is_interrupted:
-                return
-
-    @classmethod
-    def of(cls, problems: list[Any], starts: list[Any], *given: Any) -> BatchRun:
-        """Return the run of a list of problems with their starts, or None without a start."""
-        has_starts = any(start is not None for start in starts)
-        return cls(Listed(problems, starts if has_starts else None), *given)
-
-    def take(self, items: Any, run: BatchRun) -> None:
-        """Take the results of the run of these problems; the others stay open."""
-        for i, k in enumerate(items.tolist()):
-            self._set_point(k, run.z[i])
-        for name in ("status", "residual", "iterations", "is_open"):
-            getattr(self, name)[items] = getattr(run, name)
-        for i, found in run.results.items():
-            self.keep(items[i], found)
-        self.errors |= {int(items[i]): error for i, error in run.errors.items()}
-
-    def solve_at_once(self) -> None:
-        """Solve small problems in stacks, on the threads, while there is time; a stack replaces only `auto`."""
-        few = self.settings.max_iterations < MOST_ITERATIONS
-        if self.algorithm != "auto" or self.settings.absolute_tolerance or few:
-            return
-        stacks = [*self.problems.stacks(self.settings.tolerance, lambda: self.has_time)]
-
-        def take(first: int, end: int) -> None:
-            for items, solve_stack in stacks[first:end]:
-                if not self.has_time:
+                self._keep(k, error)
+            if executor is None and k in problems:
+                if self.seconds_left <= 0.0:
                     return
-                z, residual, iterations, is_solved = solve_stack()
-                good = np.flatnonzero(is_solved & self.is_open[items])
-                at = items[good]
-                if isinstance(self.z, np.ndarray):
-                    self.z[at] = z[good]
-                else:
-                    for k, i in zip(at.tolist(), good.tolist(), strict=True):
-                        self._set_point(k, z[i])
-                self.residual[at], self.iterations[at] = residual[good], iterations[good]
-                self.status[at], self.is_open[at] = Status.SOLVED, False
+                for found in self._job([k], problems)():
+                    self._keep(*found)
                 self.report()
+                del problems[k]
+        if problems:
+            parts = np.array_split([*problems], min(MAX_JOBS, len(problems)))
+            jobs = [self._job(part.tolist(), problems) for part in parts]
+            for _, some in self._finished(executor, jobs):
+                for found in some:
+                    self._keep(*found)
 
-        run_in_chunks(take, len(stacks), self.threads)
+    def _job(self, numbers: list[int], problems: dict[int, Any]) -> Callable[[], Any]:
+        """Return the function that solves these problems."""
+        starts = [self.problems.start(k) for k in numbers]
+        chosen, end = [problems[k] for k in numbers], time.time() + self.seconds_left
+        return partial(solve_each, numbers, chosen, starts, self.algorithm, self.options, end)
 
-    def _solve_or_keep_error(self, k: int) -> None:
-        options = dict(self.options)
-        if self.settings.max_seconds < np.inf:
-            options["max_seconds"] = max(self.settings.max_seconds - self.clock.read(), 0.0)
-        try:
-            self.solve_alone(k, options)
-        except Exception as error:
-            is_of_call = isinstance(error, (InvalidOption, UnknownAlgorithm))
-            if is_of_call or not isinstance(error, LCPError):
-                error.add_note(f"in problem {self.numbers[k]} of the batch")
-                raise
-            self._keep_error(k, error)
-
-    def _keep_error(self, k: int, error: LCPError) -> None:
-        self.errors[k], self.is_open[k] = error, False
-        if isinstance(self.z, np.ndarray):
-            self.z[k] = np.nan
-
-    def solve_alone(self, k: int, options: dict[str, Any]) -> None:
-        """Solve problem k by itself."""
-        self.keep(k, self._solved(k, self.problems.start(k), options))
-
-    def keep(self, k: int, found: Any) -> None:
-        """Keep the result of problem k."""
+    def _keep(self, k: int, found: Any) -> None:
+        """Keep the result, or the error, of problem k."""
+        self.is_open[k] = False
+        if isinstance(found, LCPError):
+            self.errors[k] = found
+            if isinstance(self.z, np.ndarray):
+                self.z[k] = np.nan
+            return
         self.results[k] = found
-        self._set_point(k, np.empty(0) if found.x is None else found.x)
-        if isinstance(found, Result):
+        self._set_point(k, self.problems.row(found))
+        if isinstance(found, QuadraticProgramResult):
+            self.residual[k] = found.solution.error
+        elif isinstance(found, Result):
             self.residual[k] = found.certificate.relative_residual
-        self.status[k], self.iterations[k], self.is_open[k] = found.status, found.iterations, False
-        self.is_interrupted |= found.status is Status.INTERRUPTED
+        self.status[k], self.iterations[k] = found.status, found.iterations
+        self.is_interrupted |= _is_interrupted(found)
 
     def _set_point(self, k: int, x: Any) -> None:
         if isinstance(self.z, np.ndarray):
             self.z[k], self.z[k, : x.size] = 0.0, x
         else:
             self.z[k] = read_only(x)
-
-    def _solved(self, k: int, start: Any, options: dict[str, Any]) -> Any:
-        given = {} if start is None else {"z0": start}
-        named = {} if self.algorithm == "auto" else {"algorithm": self.algorithm}
-        return solve(self.problems[k], **given, **named, **options)
 
     def result_of(self, k: int) -> Any:
         """Return the result of problem k, which has no error; its start if it never ran."""
@@ -225,35 +202,43 @@ class BatchRun:
         return self.results[k]
 
     def _result_at(self, k: int, problem: Any) -> Any:
+        share, iterations = self.seconds / len(self.status), int(self.iterations[k])
+        settings, z = self.settings, self.z[k]
+        if isinstance(self.problems, ProgramBatch):
+            by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
+            solution = QPSolution.of_rows(problem, z[: problem.n], z[problem.n :])
+            return QuadraticProgramResult(
+                self.status[k], solution, by, iterations, share, settings.tolerance
+            )
         if self.status[k] is not Status.SOLVED:
             options = {**self.options, "max_seconds": 0.0}
-            found = self._solved(k, self.problems.start(k), options)
+            found = solve_one(problem, self.problems.start(k), self.algorithm, options)
             return replace(found, status=self.status[k])
-        share, iterations = self.seconds / len(self.status), int(self.iterations[k])
         if isinstance(problem, BoundedLeastSquares):
-            tolerance = self.settings.tolerance
             with np.errstate(all="ignore"):
-                point = Optimality.of(Enclosures(problem), self.z[k], tolerance=tolerance)
-                found = (Status.SOLVED, iterations, "normal equations", share, tolerance)
-                return LeastSquaresResult.at(point, *found)
-        z = self.z[k][: problem.n]
+                point = Optimality.of(Enclosures(problem), z, tolerance=settings.tolerance)
+                at = (Status.SOLVED, iterations, "normal equations", share, settings.tolerance)
+                return LeastSquaresResult.at(point, *at)
         if isinstance(problem, LCP):
             stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
-            return Result.at(problem, read_only(z), stage, self.settings, share)
-        found = self._solved(k, z, self.options)
+            return Result.at(problem, read_only(z[: problem.n]), stage, settings, share)
+        found = solve_one(problem, z[: problem.n], self.algorithm, self.options)
         stage = StageRecord("nsgs", "one of a stack over the same cones", iterations, iterations)
         named = {"iterations": iterations, "work": iterations + 1.0, "stages": (stage,)}
         return replace(found, seconds=share, **named)
 
     def tables(self) -> dict[str, Any]:
         """Return the arrays of the results by name."""
-        z = self.z
+        z, iterations = self.z, self.iterations
+        if isinstance(self.problems, ProgramBatch):
+            rows = self.problems.tables(z)
+            return {**rows, "residual": self.residual, "iterations": iterations}
         if not isinstance(z, np.ndarray) and len(sizes := {len(row) for row in z if len(row)}) <= 1:
             z = np.full((len(z), *(sizes or {0})), np.nan)
             for k, row in enumerate(self.z):
                 z[k, : len(row)] = row
         z = read_only(z) if isinstance(z, np.ndarray) else z
-        return {"x": z, "z": z, "relative_residual": self.residual, "iterations": self.iterations}
+        return {"x": z, "z": z, "relative_residual": self.residual, "iterations": iterations}
 
     def objectives(self) -> Any:
         """Return the objective of each problem, NaN if it has none."""
@@ -265,16 +250,51 @@ class BatchRun:
         return values
 
 
-def _run_part(job: Any) -> tuple[Any, BatchRun]:
-    """Return the numbers of some problems and their finished run, without the problems, which the caller has."""
-    part, end, kind, *given, options = job
-    if end < math.inf:
-        options = {**options, "max_seconds": max(end - time.time(), 0.0)}
-    run: BatchRun = kind.of(*given, options)
-    run.numbers = part
-    run.run()
-    del run.problems
-    return part, run
+def is_before(end: float) -> bool:
+    """Return whether it is earlier than a time of the day."""
+    return time.time() < end
+
+
+@np.errstate(all="ignore")
+def call(function: Callable[[], Any]) -> Any:
+    """Return function()."""
+    return function()
+
+
+def solve_one(problem: Any, start: Any, algorithm: Any, options: dict[str, Any]) -> Any:
+    """Return the result of `solve`; None stands for the default start."""
+    given = {} if start is None else {"z0": start}
+    named = {} if algorithm == "auto" else {"algorithm": algorithm}
+    return solve(problem, **given, **named, **options)
+
+
+def _is_interrupted(found: Any) -> bool:
+    return getattr(found, "status", None) is Status.INTERRUPTED
+
+
+def solve_each(
+    numbers: list[int],
+    problems: list[Any],
+    starts: list[Any],
+    algorithm: Any,
+    options: dict[str, Any],
+    end: float,
+) -> list[tuple[int, Any]]:
+    """Return numbers with results, or errors, of problems, up to a time of the day or an interruption."""
+    done: list[tuple[int, Any]] = []
+    for k, problem, start in zip(numbers, problems, starts, strict=True):
+        limit = {} if end == math.inf else {"max_seconds": max(end - time.time(), 0.0)}
+        if done and (not is_before(end) or _is_interrupted(done[-1][1])):
+            break
+        try:
+            done.append((k, solve_one(problem, start, algorithm, {**options, **limit})))
+        except Exception as error:
+            is_of_call = isinstance(error, (InvalidOption, UnknownAlgorithm))
+            if is_of_call or not isinstance(error, LCPError):
+                error.add_note(f"in problem {k} of the batch")
+                raise
+            done.append((k, error))
+    return done
 
 
 class BatchAnswers(AnswerSequence[Any]):
@@ -300,7 +320,7 @@ class BatchAnswers(AnswerSequence[Any]):
         Seconds of the entire batch, compilation excluded. Results from a stack have a share of it.
     errors : dict
         The error of each problem k with invalid data; ``answers[k]`` raises it.
-    problems : Listed, Stacked, FrictionalContactBatch or QuadraticProgramBatch
+    problems : Listed, Stacked, RightSides, contacts in arrays or ProgramBatch
     threads : int
         Number of threads that took part.
     """

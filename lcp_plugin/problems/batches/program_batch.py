@@ -1,169 +1,311 @@
-"""Batch of quadratic programs: one engine call per small program, one array criterion."""
+"""Batch of quadratic programs of one shape: one engine call per small program, one array criterion."""
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
-from ...auto import method_of
+from ...core.checks import BoolVector, assemble_csr, read_only
+from ...core.errors import LCPError
 from ...core.kernels.floats import EPSILON
-from ...core.settings import PROVEN, Status
-from ...engines import ENGINES, engine_class
-from ..many.chunks import run_in_chunks
-from ..programs.criterion import QPSolution, errors_of_each
+from ...engines import engine_class
+from ..many import rows_of_a_batch
+from ..programs.criterion import ProgramComponents, errors_of_each
 from ..programs.program import CANCELS, QuadraticProgram
-from ..programs.program_matrices import may_be_small
-from ..programs.solving import QuadraticProgramResult, solve_program
-from ..programs.stacked_programs import QuadraticProgramBatch, block_matrices
-from .batch_run import BatchRun
+from ..programs.program_matrices import (
+    ProgramMatrices,
+    as_array,
+    may_be_small,
+    refuse_nonconvex,
+)
+from .instances import Instances, Stacks
 
 ENGINE = "daqp"
+VECTORS = ("c", "h", "b", "lower", "upper")
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
+BLOCKS_A_THREAD = 4
 ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
 TOGETHER = 2**18  # entries per evaluation of the criterion
-BLOCKS_A_THREAD = 4
 
 
-class ProgramBatchRun(BatchRun):
-    """The results of programs of one shape in tables.
+@dataclass(frozen=True, eq=False)
+class ProgramBatch(Instances):
+    """Programs of one shape, as arrays with an axis for them; one row of a table has x and all multipliers.
 
-    Parameters
+    Attributes
     ----------
-    programs : QuadraticProgramBatch
-    algorithm, options
-        As for BatchRun.
+    count : int
+    sizes : tuple of int
+        m, p, n, n.
+    P, G, A : arrays, shapes (B, n, n), (B, m, n) and (B, p, n), or without B: the same for all
+    vectors : dict
+        c, h, b, lower and upper of shapes (B, size), or (1, size) for all.
+    constant : array, shape (B,) or ()
+    shared : QuadraticProgram or None
+        A program with the matrices of all.
+    given : sequence or None
+        The programs, or their errors.
     """
 
-    def __init__(
-        self, programs: QuadraticProgramBatch, algorithm: Any, options: dict[str, Any]
-    ) -> None:
-        if not (isinstance(algorithm, str) and algorithm in ENGINES):
-            method_of(algorithm, {})
-        super().__init__(programs, algorithm, options)
-        programs.refuse_nonconvex()
-        count, (m, p, n, _) = len(programs), programs.sizes
-        self.y, self.at_bounds = np.full((count, m + p), np.nan), np.full((2, count, n), np.nan)
-        self.begun: Any = None
+    count: int
+    sizes: tuple[int, int, int, int]
+    P: Any
+    G: Any
+    A: Any
+    vectors: dict[str, Any]
+    constant: Any
+    shared: QuadraticProgram | None = None
+    given: Sequence[QuadraticProgram | LCPError] | None = None
 
-    def solve_at_once(self) -> None:
-        """Run the engine on small programs, in blocks, if the algorithm is auto or this engine."""
-        m, p, n, _ = self.problems.sizes
-        is_asked = self.algorithm in ("auto", ENGINE)
-        if not (is_asked and may_be_small(n, m + p, [n * (n + m + p)])):
-            return
-        data, engine = self.problems.arrays, engine_class(ENGINE)(**PROXIMAL)
-        count, threads = len(self.status), self.threads
-        share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
-        size = max(min(TOGETHER // max(n * (n + m + p), 1), -(-count // share)), 1)
-        may = self.problems.may_be_stated & _are_semidefinite(data[0])
-        shared = cache(lambda count: block_matrices(data[0], data[2], m, count))
-
-        def solve_blocks(first: int, end: int) -> None:
-            for k in range(first, end):
-                if self.has_time:
-                    items = slice(k * size, min((k + 1) * size, count))
-                    self._answer_together(data, engine, may, items, shared)
-
-        run_in_chunks(solve_blocks, -(-count // size), threads)
-
-    def _answer_together(
-        self, data: tuple[Any, ...], engine: Any, may: Any, items: slice, shared: Any
-    ) -> None:
-        """Run the engine on each of these programs, and check all points together."""
-        P, c, C, d, lower, upper = (one[items] if len(one) > 1 else one for one in data)
-        m, n, wanted = self.problems.sizes[0], c.shape[1], np.flatnonzero(may[items])
-        signed, steps = np.full((len(c), n + d.shape[1]), np.nan), self.iterations[items]
-        x = np.full((len(c), n), np.nan)
-        points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
-        for k, (at, multipliers, _, count) in zip(wanted.tolist(), points, strict=True):
-            x[k], signed[k], steps[k] = at, multipliers, count
-        y = signed[:, n:]
-        y[:, :m] = np.maximum(y[:, :m], 0.0)
-        of_bounds = (
-            np.maximum(-signed[:, :n], 0.0) * np.isfinite(lower),
-            np.maximum(signed[:, :n], 0.0) * np.isfinite(upper),
-        )
-        x = np.clip(x, lower, upper)
-        is_shared, count = self.problems.has_one_matrix, len(c)
-        matrices = shared(count) if is_shared else block_matrices(P, C, m, count)
-        bounds = lower.ravel(), upper.ravel()
-        rights = d[:, :m].ravel(), d[:, m:].ravel()
-        together = QuadraticProgram.with_matrices(matrices, c.ravel(), *rights, *bounds)
-        of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
-        errors = errors_of_each(together, x, of_rows, self.settings.tolerance)
-        is_solved = errors.meet(self.settings.tolerance)
-        good = np.flatnonzero(is_solved)
-        at = good + items.start
-        self.z[at], self.y[at] = x[good], y[good]
-        self.at_bounds[:, at] = np.array(of_bounds)[:, good]
-        self.residual[at] = errors.largest[good]
-        self.is_open[at], self.status[at] = False, Status.SOLVED
-        self.report()
-
-    def solve_alone(self, k: int, options: dict[str, Any]) -> None:
-        """Solve program k by itself, from the previous solution if all have the same matrices."""
-        result = solve_program(self.problems[k], self.algorithm, z0=self.begun, **options)
-        if result.is_solved and self.problems.has_one_matrix:
-            self.begun = result.z
-        self.keep(k, result)
-
-    def keep(self, k: int, found: QuadraticProgramResult) -> None:
-        """Keep the result of program k."""
-        point, self.results[k] = found.solution, found
-        self.z[k], self.iterations[k] = point.x, found.iterations
-        self.y[k] = np.concatenate([point.inequality, point.equality])
-        self.at_bounds[:, k], self.residual[k] = (point.lower, point.upper), point.error
-        self.status[k], self.is_open[k] = found.status, False
-        self.is_interrupted |= found.status is Status.INTERRUPTED
+    item, stacked_by, fewest_iterations = "program", ("auto", ENGINE), 0
 
     @classmethod
-    def of(cls, problems: list[Any], starts: list[Any], *given: Any) -> BatchRun:
-        """Return the run of a list of programs, one by one where a batch would take too much memory."""
-        together = QuadraticProgramBatch.of(problems, problems[0])
-        return BatchRun.of(problems, starts, *given) if together is None else cls(together, *given)
+    def of(
+        cls, programs: Sequence[QuadraticProgram | LCPError], example: QuadraticProgram
+    ) -> ProgramBatch | None:
+        """Return checked programs of one shape as a batch; None if their shapes differ, or they need too much memory.
 
-    def take(self, items: Any, run: BatchRun) -> None:
-        """Take the results of the run of these programs."""
-        super().take(items, run)
-        if isinstance(run, ProgramBatchRun):
-            self.y[items], self.at_bounds[:, items] = run.y, run.at_bounds
+        Parameters
+        ----------
+        programs : sequence of QuadraticProgram or LCPError
+            An error replaces an invalid program; accessing this program raises it.
+        example : QuadraticProgram
+            Program of the same shape.
+        """
+        good, own = [one for one in programs if isinstance(one, QuadraticProgram)], example.matrices
+        is_shared = all(one.matrices is own for one in good)
+        m, p, n, _ = own.sizes
+        if any(one.matrices.sizes != own.sizes for one in good):
+            return None
+        if not (is_shared or may_be_small(n, m + p, [n * (n + m + p)])):
+            return None
+        # The vectors of an invalid program are NaN.
+        none = {name: np.full(getattr(example, name).size, np.nan) for name in VECTORS}
+        vectors = {
+            name: np.array([getattr(one, name, missing) for one in programs]).reshape(
+                len(programs), missing.size
+            )
+            for name, missing in none.items()
+        }
+        constant = np.array([getattr(one, "constant", np.nan) for one in programs])
+        matrices: Any = (getattr(example, name) for name in "PGA")
+        if not is_shared:
+            stated = [one if isinstance(one, QuadraticProgram) else example for one in programs]
+            matrices = (
+                np.array([as_array(getattr(one, name)) for one in stated]) for name in "PGA"
+            )
+        P, G, A = matrices
+        shared = example if is_shared else None
+        return cls(len(programs), own.sizes, P, G, A, vectors, constant, shared, programs)
 
-    def result_of(self, k: int) -> QuadraticProgramResult:
-        """Return the result of program k, which has no error."""
-        if k in self.results:
-            found: QuadraticProgramResult = self.results[k]
-            return found
-        multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
-        solution = QPSolution.of_rows(self.problems[k], self.z[k], multipliers)
-        by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
-        share, steps = self.seconds / len(self.status), int(self.iterations[k])
-        return QuadraticProgramResult(
-            self.status[k], solution, by, steps, share, self.settings.tolerance
+    @classmethod
+    def with_costs(cls, program: QuadraticProgram, c: ArrayLike) -> ProgramBatch:
+        """Return the program with each c, shape (B, n).
+
+        Raises
+        ------
+        InvalidProblem
+            If the shape does not fit.
+        """
+        vectors = {name: getattr(program, name)[np.newaxis] for name in VECTORS}
+        vectors["c"] = rows_of_a_batch(c, "c", program.n)
+        P, G, A, constant = program.P, program.G, program.A, np.array(program.constant)
+        return cls(len(vectors["c"]), program.matrices.sizes, P, G, A, vectors, constant, program)
+
+    @property
+    def n(self) -> int:
+        """Number of variables of each."""
+        return self.sizes[2]
+
+    @property
+    def points(self) -> Any:
+        """The points of [lower, upper] nearest to 0, with multipliers NaN, shape (B, m + p + 3 n)."""
+        m, p, n, _ = self.sizes
+        points = np.full((self.count, m + p + 3 * n), np.nan)
+        points[:, :n] = np.clip(0.0, self.vectors["lower"], self.vectors["upper"])
+        return points
+
+    def row(self, found: Any) -> Any:
+        """Return the row of a result."""
+        return np.concatenate([found.x, found.solution.multipliers])
+
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """P, c, C, d, lower and upper: C and d hold G and A, h and b.
+
+        Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
+        """
+        c, h, b, lower, upper = (
+            np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values()
         )
+        P, G, A = map(_stack, (self.P, self.G, self.A))
+        data = P, c, _concatenate(G, A), _concatenate(h, b), lower, upper
+        return tuple(read_only(np.ascontiguousarray(array)) for array in data)
 
-    def tables(self) -> dict[str, Any]:
-        """Return the arrays of the results by name."""
-        m, (lower, upper) = self.problems.sizes[0], self.at_bounds
-        rows = {"inequality": self.y[:, :m], "equality": self.y[:, m:]}
-        shared = {"x": self.z, "residual": self.residual, "iterations": self.iterations}
-        return {**shared, **rows, "lower": lower, "upper": upper}
+    @property
+    def may_be_stated(self) -> BoolVector:
+        """Mask of the valid programs, shape (B,), as far as vectors show."""
+        c, h, b, lower, upper = self.vectors.values()
+        with np.errstate(all="ignore"):
+            has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
+            is_finite = (
+                np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
+            )
+        return np.broadcast_to(has_values & is_finite, self.count)
 
-    def objectives(self) -> Any:
-        """Return ½ xᵀP x + cᵀx + constant of each program, NaN if it is proved infeasible or unbounded."""
-        P, c, x = self.problems.P, self.problems.vectors["c"], self.z
+    def refuse_nonconvex(self) -> None:
+        """Raise if one P for all is not convex.
+
+        As :func:`~lcp_plugin.problems.programs.convexity.refuse_nonconvex`.
+        """
+        if self.shared is not None:
+            refuse_nonconvex(self.shared)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, k: int) -> QuadraticProgram:
+        if not -len(self) <= k < len(self):
+            raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
+        c, h, b, lower, upper = (_row_of(rows, k % len(self)) for rows in self.vectors.values())
+        constant = float(np.broadcast_to(self.constant, self.count)[k])
+        if self.given is not None:
+            if isinstance(one := self.given[k], LCPError):
+                raise one
+            return one
+        if self.shared is not None:
+            return self.shared.with_vectors(c, h, b, lower, upper, constant)
+        P, G, A = (_row_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
+        return QuadraticProgram(P, c, G, h, A, b, lower, upper, constant)
+
+    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+        """Yield small programs in blocks, some for each thread."""
+        (m, p, n, _), count = self.sizes, self.count
+        entries = max(n * (n + m + p), 1)
+        if not may_be_small(n, m + p, [entries]):
+            return
+        data = self.arrays
+        may = self.may_be_stated & _are_semidefinite(data[0])
+        share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
+        size = max(min(TOGETHER // entries, -(-count // share)), 1)
+        shared = cache(partial(block_matrices, data[0], data[2], m))
+        for first in range(0, count, size):
+            own = slice(first, min(first + size, count))
+            parts = [one[own] if len(one) > 1 else one for one in data]
+            items = np.arange(count)[own]
+            matrices = shared(items.size) if self.shared is not None else None
+            yield items, partial(solve_programs, parts, m, may[own], tolerance, matrices)
+
+    def tables(self, z: Any) -> dict[str, Any]:
+        """Return x and the multipliers by name."""
+        m, p, n, _ = self.sizes
+        ends = np.cumsum([n, m, p, n])
+        names = "x", "inequality", "equality", "lower", "upper"
+        return dict(zip(names, np.split(z, ends, axis=1), strict=True))
+
+    def objectives(self, z: Any) -> Any:
+        """Return ½ xᵀP x + cᵀx + constant of each program."""
+        P, c, x = self.P, self.vectors["c"], z[:, : self.n]
 
         def values_of(P: Any, c: Any, x: Any) -> Any:
             Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
             return ((0.5 * Px + c) * x).sum(axis=1)
 
         values, terms = values_of(P, c, x), values_of(abs(P), np.abs(c), np.abs(x))
-        values = values + self.problems.constant
+        values = values + self.constant
         for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
-            values[i] = self.problems[i].objective(x[i])  # where terms cancel
-        return np.where([status in PROVEN for status in self.status], np.nan, values)
+            values[i] = self[i].objective(x[i])  # where terms cancel
+        return values
+
+
+def solve_programs(
+    data: Sequence[Any], m: int, may: Any, tolerance: float, matrices: ProgramMatrices | None
+) -> tuple[Any, Any, Any, Any]:
+    """Run the engine on each of these programs, and test all points together; their block matrices may be known.
+
+    Returns
+    -------
+    rows, residual, iterations, is_solved : array, shapes (B, m + p + 3 n) and (B,)
+        x with all multipliers, the largest error measure, and which are SOLVED.
+    """
+    P, c, C, d, lower, upper = data
+    (count, n), wanted = c.shape, np.flatnonzero(may)
+    signed, steps = np.full((count, n + d.shape[1]), np.nan), np.zeros(count, np.int64)
+    x: Any = np.full((count, n), np.nan)
+    engine: Any = engine_class(ENGINE)(**PROXIMAL)
+    points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
+    for k, (at, multipliers, _, number) in zip(wanted.tolist(), points, strict=True):
+        x[k], signed[k], steps[k] = at, multipliers, number
+    y = signed[:, n:]
+    y[:, :m] = np.maximum(y[:, :m], 0.0)
+    at_lower = np.maximum(-signed[:, :n], 0.0) * np.isfinite(lower)
+    at_upper = np.maximum(signed[:, :n], 0.0) * np.isfinite(upper)
+    x = np.clip(x, lower, upper)
+    rights = d[:, :m].ravel(), d[:, m:].ravel()
+    matrices = matrices or block_matrices(P, C, m, count)
+    vectors = c.ravel(), *rights, lower.ravel(), upper.ravel()
+    together = QuadraticProgram.with_matrices(matrices, *vectors)
+    of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
+    errors = errors_of_each(together, x, of_rows, tolerance)
+    rows = np.hstack([x, y, at_lower, at_upper])
+    return rows, errors.largest, steps, errors.meet(tolerance)
+
+
+def block_matrices(P: Any, C: Any, m: int, count: int) -> ProgramMatrices:
+    """Return P, G and A of one block diagonal program; C holds m rows of G, then the rows of A."""
+    n, rows = P.shape[1], C.shape[1]
+    stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
+    matrices = ProgramMatrices(*map(block_diagonal, stacks))
+    matrices.__dict__["summands"] = n, n, rows
+    is_connected = [(one != 0.0).all(axis=2).any(axis=1) for one in (P, C)]  # by a row without 0
+    if np.logical_or(*is_connected).all():
+        of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))
+        components = ProgramComponents(of_unknown, np.concatenate(parts), count)
+        matrices.__dict__["components"] = components
+    return matrices
+
+
+def block_diagonal(stack: Any) -> sp.csr_array:
+    """Return a stack of matrices, shape (B, m, n), as the CSR array of B blocks, without their zeros.
+
+    Examples
+    --------
+    >>> block_diagonal(np.array([[[1.0, 0.0]], [[2.0, 3.0]]])).toarray()
+    array([[1., 0., 0., 0.],
+           [0., 0., 2., 3.]])
+    """
+    count, m, n = stack.shape
+    is_entry = stack != 0.0
+    starts = np.zeros(count * m + 1, np.int64)
+    np.cumsum(is_entry.sum(axis=2).ravel(), out=starts[1:])
+    columns = np.broadcast_to(np.arange(count * n).reshape(count, 1, n), stack.shape)[is_entry]
+    return assemble_csr(stack[is_entry], columns, starts, (count * m, count * n))
+
+
+def _row_of(rows: Any, k: int) -> Any:
+    """Return the row of program k; a single row is common to all programs."""
+    return rows[k if len(rows) > 1 else 0]
+
+
+def _stack(matrices: Any) -> Any:
+    dense = np.ascontiguousarray(as_array(matrices))
+    return dense if dense.ndim == 3 else dense[np.newaxis]
+
+
+def _concatenate(first: Any, second: Any) -> Any:
+    """Return two stacks as one, without a copy if one stack has no rows."""
+    if not first.shape[1] or not second.shape[1]:
+        return first if first.shape[1] else second
+    count = max(len(first), len(second))
+    return np.concatenate(
+        [np.broadcast_to(one, (count, *one.shape[1:])) for one in (first, second)], axis=1
+    )
 
 
 def _are_semidefinite(P: Any) -> Any:

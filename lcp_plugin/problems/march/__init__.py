@@ -44,8 +44,7 @@ from ...core.solving.result import Result, StageRecord
 from ...methods.banded import Banded, active_sets, solve_one_sided
 from ...systems.factors import Bands, bands
 from ..cones.data import Blocks
-from ..many.answers import AnswerSequence
-from ..many.data import length_of_all, rows_of_a_batch
+from ..many import AnswerSequence, length_of_all, rows_of_a_batch
 
 
 def propagation(C: sp.csr_array) -> Callable[[FloatVector], FloatVector]:

@@ -21,7 +21,6 @@
 | `conversion` | the complementarity problem of a program, and the solution that its z encodes |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
 | `certification`, `dual_bounds`, `feasible_points` | proofs about a point from any solver |
-| `stacked_programs` | many programs of one shape |
 
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` stores the original problem.
 Call ``origin.recover(result)`` with a result of ``solve`` or any z: it returns the solution of the original problem and
@@ -31,7 +30,7 @@ its residual there.
 |---|---|
 | convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
 | programs with the same matrices | ``solve_batch(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
-| many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
+| many programs of one shape | ``solve_batch(program, C)``, ``solve_batch([program, …])`` |
 | least squares within bounds | ``solve(BoundedLeastSquares(A, b))``, or ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |

@@ -37,8 +37,7 @@ from ...proofs.bounds import ActiveRows, settled_rows
 from ...systems.free_systems import CONSISTENT, FreeSystem, LinearizedSystem
 from ...systems.graph import outer_on_pattern
 from ..batches.batch_run import BatchAnswers
-from ..batches.stated import Listed, Stacked
-from ..batches.worlds import Worlds
+from ..batches.instances import Listed, Stacked, Worlds
 from ..cones.derivative import ConeDerivative
 from ..cones.solving import ConeResult
 from ..march import March

@@ -26,12 +26,11 @@ from ...core.matrix import residual_scales
 from ...core.settings import Status
 from ...systems.free_systems import FreeBlocks, LinearizedSystem, products
 from ..batches.batch_run import BatchAnswers
-from ..batches.stated import Group
-from ..batches.worlds import stack_of_worlds
+from ..batches.instances import Group, stack_of_worlds
 from ..cones.derivative import StackDerivative
 from ..cones.methods import whole_systems
 from ..cones.stack import ConeStack
-from ..many.chunks import run_in_chunks
+from ..many import run_in_chunks
 
 STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry relative to its row

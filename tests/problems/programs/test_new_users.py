@@ -15,7 +15,6 @@ from lcp_plugin import (
     InvalidProblem,
     QPSolver,
     QuadraticProgram,
-    QuadraticProgramBatch,
     Status,
     certify,
     solve,
@@ -145,7 +144,7 @@ def test_a_constant_is_in_the_objective_and_in_its_bounds() -> None:
     assert program.with_vectors(constant=0.0).constant == 0.0
     ranges = QuadraticProgram.from_ranges([[2.0]], [-6.0], [[1.0]], [-1.0], [1.0], constant=9.0)
     assert solve(ranges).objective == pytest.approx(4.0)
-    batch = QuadraticProgramBatch([[2.0]], [[-6.0], [-4.0]], upper=1.0, constant=[9.0, 4.0])
+    batch = [program, QuadraticProgram([[2.0]], [-4.0], upper=1.0, constant=4.0)]
     assert solve_batch(batch).objective == pytest.approx([4.0, 1.0])
     assert [solve(batch[k]).objective for k in range(2)] == pytest.approx([4.0, 1.0])
     assert solve_batch([program, program]).objective == pytest.approx([4.0, 4.0])

@@ -11,7 +11,6 @@ from campaigns import scaled_programs
 
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
-from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
 
 
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-12])
@@ -39,7 +38,7 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(
 def test_a_small_slope_is_followed_to_its_bound() -> None:
     """Minimizing −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
     assert solve(QuadraticProgram(None, [-1e-9], upper=1.0)).x.tolist() == [1.0]
-    answers = solve_batch(QuadraticProgramBatch(np.zeros((1, 1)), [[-1e-9], [-1e-6]], upper=1.0))
+    answers = solve_batch(QuadraticProgram(None, [0.0], upper=1.0), [[-1e-9], [-1e-6]])
     assert answers.x.tolist() == [[1.0], [1.0]]
 
 

@@ -20,7 +20,6 @@ from scipy.optimize import linprog
 from lcp_plugin import (
     QPSolver,
     QuadraticProgram,
-    QuadraticProgramBatch,
     Status,
     certify,
     solve,
@@ -63,10 +62,9 @@ def by_other_vectors(far: float) -> Any:
 
 def by_batch(far: float) -> Any:
     P, c, G, h = HALF_SPACES
-    programs = QuadraticProgramBatch(
-        [P, P], c, [*G, [1.0, 0.0]], [*h, far], lower=[-far, 0.0], upper=far
-    )
-    answers = solve_batch(programs)
+    rows = [*G, [1.0, 0.0]], [*h, far]
+    program = QuadraticProgram(P, c, *rows, lower=[-far, 0.0], upper=far)
+    answers = solve_batch([program, program])
     np.testing.assert_array_equal(answers.x[0], answers.x[1])
     return answers.x[0]
 

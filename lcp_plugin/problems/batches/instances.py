@@ -1,13 +1,15 @@
-"""The problems of a batch, a list or arrays with a batch axis, and the stacks of small problems."""
+"""The instances of a batch, a list or arrays with an axis for them, and the stacks of small instances."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from ...auto import takes_rounds
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
@@ -17,12 +19,15 @@ from ...methods.small import CHUNK, SMALL_DENSE, is_small, solve_stack
 from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern
 from ..cones.data import Blocks
+from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..cones.solving import solve_cone_stack
 from ..cones.stack import ConeStack, Pattern
+from ..contact import motion_of
 from ..least_squares.data import BoundedLeastSquares, times
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
-from ..many.data import length_of_all, rows_of_a_batch
+from ..many import length_of_all, rows_of_a_batch
 
+TOGETHER = 2048  # instances per stack: fewer cost more calls, more leave a second thread idle
 CONES_UP_TO = 400  # rows of a problem over cones in a stack
 #: Items, and a function that returns z, residual, iterations and is_solved of these.
 Stacks = Iterator[tuple[Any, Callable[[], tuple[Any, Any, Any, Any]]]]
@@ -67,7 +72,24 @@ class Group(NamedTuple):
             yield part.items, partial(solve_stack, part.M, q, lower, upper, starts, tolerance)
 
 
-class Listed:
+class Instances:
+    """The instances of a batch."""
+
+    item, are_lcps = "problem", False
+    #: Algorithms that stacks replace, and the fewest max_iterations with which they do.
+    stacked_by: tuple[str, ...] = ("auto",)
+    fewest_iterations = 200
+    errors: Mapping[int, LCPError] = MappingProxyType({})
+
+    def start(self, k: int) -> Any:
+        """Return the start of problem k, or None."""
+
+    def row(self, found: Any) -> Any:
+        """Return the row of a result in the table of points."""
+        return np.empty(0) if found.x is None else found.x
+
+
+class Listed(Instances):
     """Problems of any classes and sizes.
 
     Parameters
@@ -79,7 +101,6 @@ class Listed:
 
     def __init__(self, problems: Sequence[Any], z0: Any) -> None:
         self.problems, self.starts = problems, z0
-        self.errors: dict[int, LCPError] = {}
         is_list = hasattr(z0, "__len__") and not isinstance(z0, str)
         if z0 is not None and not (is_list and len(z0) == len(problems)):
             raise InvalidOption(
@@ -129,7 +150,7 @@ class Listed:
             vectors = (np.array([getattr(one, name) for one in chosen]) for name in names)
             yield Group(np.array(items), *map(read_only, (M, *vectors, np.empty((1, 0)))))
 
-    def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
         """Yield small problems over the same cones, and small LCPs of one size."""
         if self.starts is not None:
             return
@@ -138,7 +159,8 @@ class Listed:
             if isinstance(one, Blocks) and 0 < one.n <= CONES_UP_TO:
                 alike.setdefault((one.has_friction, one.starts.tobytes()), []).append(k)
         for items in alike.values():
-            yield np.array(items), partial(self._solve_cones, items, tolerance, has_time)
+            chosen = [self.problems[k] for k in items]
+            yield np.array(items), partial(_solve_cones, chosen, tolerance, has_time)
         yield from self._least_squares_stacks(tolerance)
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
@@ -169,16 +191,17 @@ class Listed:
             ]
         )
 
-    def _solve_cones(self, items: list[int], tolerance: float, has_time: Any) -> Any:
-        problems = [self.problems[k] for k in items]
-        matrices = [one.rows.M for one in problems]
-        M = np.stack([one if isinstance(one, np.ndarray) else one.toarray() for one in matrices])
-        names = ("q", "slope", "lower", "upper")
-        arrays = (np.stack([getattr(one, name) for one in problems]) for name in names)
-        pattern = Pattern(M, problems[0].starts)
-        stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
-        z, *others = solve_cone_stack(stack, stack.origin, tolerance, has_time, is_warm=False)
-        return pattern.flat(z), *others
+
+def _solve_cones(problems: list[Blocks], tolerance: float, has_time: Any) -> Any:
+    """Solve problems over the same cones as a stack."""
+    matrices = [one.rows.M for one in problems]
+    M = np.stack([one if isinstance(one, np.ndarray) else one.toarray() for one in matrices])
+    names = ("q", "slope", "lower", "upper")
+    arrays = (np.stack([getattr(one, name) for one in problems]) for name in names)
+    pattern = Pattern(M, problems[0].starts)
+    stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
+    z, *others = solve_cone_stack(stack, stack.origin, tolerance, has_time, is_warm=False)
+    return pattern.flat(z), *others
 
 
 def _stacks_of(
@@ -189,16 +212,12 @@ def _stacks_of(
 ) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
-
-    def solve(part: Any) -> Any:
-        return solve_least_squares_stack(stack(part), tolerance)
-
     for first in range(0, items.size, size):
         part = items[first : first + size]
-        yield part, partial(solve, part)
+        yield part, partial(solve_least_squares_stack, stack(part), tolerance)
 
 
-class Rows:
+class Rows(Instances):
     """Problems with one matrix, or with a stack of matrices, in arrays with an axis for the problems.
 
     Parameters
@@ -320,7 +339,7 @@ class Stacked(Rows):
         whole = Group(np.arange(self.count), *map(read_only, (M, *vectors, starts)))
         yield whole if items.size == self.count else whole.select(items)
 
-    def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
         """Yield stacks of small problems."""
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
@@ -348,7 +367,7 @@ class RightSides(Rows):
         b, lower, upper = (one if len(one) == 1 else one[items] for one in rows)
         return self.base.stack(b, lower, upper, self.base.l1)
 
-    def stacks(self, tolerance: float, has_time: Callable[[], bool]) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
         """Yield stacks of small problems."""
         if "z0" in self.rows or not suits_stack(self.stack(slice(None))):
             return
@@ -362,3 +381,77 @@ class RightSides(Rows):
             stack = self.stack(part)
             values[part] = stack.cost(z[part], times(stack.A, z[part]) - stack.b)
         return values
+
+
+def stack_of_worlds(W: Any, b: Any, friction: Any, dimension: int) -> ConeStack:
+    """Return instances with the same number of contacts, shapes (B, n, n), (B, n) and (B, k), as a stack."""
+    starts = np.arange(0, b.shape[1] + 1, dimension, dtype=np.int64)
+    none = np.zeros((1, b.shape[1]))
+    return ConeStack(Pattern(W, starts), b, friction, none, none, has_friction=True)
+
+
+class Worlds(Instances):
+    """Contact problems in arrays, and their starts.
+
+    Parameters
+    ----------
+    contacts : FrictionalContactBatch
+    z0 : array, shape (B, n) or (n,), optional
+    """
+
+    item = "world"
+
+    def __init__(self, contacts: FrictionalContactBatch, z0: ArrayLike | None) -> None:
+        self.worlds, self.is_warm, self.errors = contacts, z0 is not None, contacts.errors
+        shape, n = contacts.b.shape, contacts.n
+        need = f"z0 must have shape ({len(contacts)}, {n}) or ({n},)"
+        given = real_array(np.zeros(n) if z0 is None else z0, need)
+        if given.shape not in (shape, (n,)) or not np.isfinite(given).all():
+            raise InvalidOption(f"{need}, and be finite, got shape {given.shape}")
+        is_there = np.arange(n) < contacts.dimension * contacts.contacts[:, np.newaxis]
+        self.starts = np.where(is_there, given, 0.0)
+
+    @property
+    def points(self) -> Any:
+        """The points at which the problems begin, shape (B, n)."""
+        return self.starts.copy()
+
+    def __len__(self) -> int:
+        return len(self.worlds)
+
+    def __getitem__(self, k: int) -> FrictionalContact:
+        return self.worlds[k]
+
+    def start(self, k: int) -> Any:
+        """Return the start of instance k, or None."""
+        size = self.worlds.dimension * int(self.worlds.contacts[k])
+        return self.starts[k, :size] if self.is_warm else None
+
+    def slacks(self, z: Any) -> Any:
+        """Return velocities after the impulses, shape (B, n)."""
+        return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
+
+    def motion(self, z: Any, w: Any) -> Any:
+        """Return impulses and velocities contact by contact."""
+        shape = len(self), -1, self.worlds.dimension
+        return motion_of(z.reshape(shape), w.reshape(shape), self.worlds.b)
+
+    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+        """Yield stacks of small instances."""
+        worlds = self.worlds
+        for first in range(0, len(self) if 0 < worlds.n <= CONES_UP_TO else 0, TOGETHER):
+            own = slice(first, first + TOGETHER)
+            data = worlds.W[own], worlds.b[own], worlds.friction[own], worlds.dimension
+            given = tolerance, has_time, self.is_warm
+            yield np.arange(len(self))[own], partial(_solve_worlds, *data, self.starts[own], *given)
+
+
+def _solve_worlds(
+    W: Any, b: Any, mu: Any, dimension: int, start: Any, tolerance: float, has_time: Any, warm: bool
+) -> Any:
+    """Solve instances of contact as a stack."""
+    stack = stack_of_worlds(W, b, mu, dimension)
+    z, *others = solve_cone_stack(
+        stack, stack.pattern.wide(start), tolerance, has_time, is_warm=warm
+    )
+    return stack.pattern.flat(z), *others

@@ -1,17 +1,25 @@
-"""Sequences of results, one per problem."""
+"""Common parts of batches, time stepping and derivatives: arrays, sequences of results, chunks for threads."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from operator import index
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
-from ...core.errors import LCPError, NotConverged
-from ...core.representation import format_count
-from ...core.settings import Status
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.checks import real_array
+from ..core.errors import InvalidProblem, LCPError, NotConverged
+from ..core.kernels.threads import MAX_THREADS, shared_among
+from ..core.representation import format_count
+from ..core.settings import Status
 
 T = TypeVar("T")
+LARGEST_CHUNK = 256  # problems between two checks of the clock
+CHUNKS_A_THREAD = 32  # small chunks, so that all threads end at about the same time
 
 
 class AnswerSequence(Sequence[T]):
@@ -109,3 +117,50 @@ class AnswerSequence(Sequence[T]):
 
     def __str__(self) -> str:
         return self.explain()
+
+
+def run_in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
+    """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C no further chunk starts."""
+    threads = min(threads, MAX_THREADS)
+    size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)
+    ends = [*range(0, count, size), count]
+    if threads == 1 or len(ends) <= 2:
+        for first, end in pairwise(ends):
+            work(first, end)
+        return
+    shared_among(work, ends, threads)
+
+
+def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
+    """Return the values as an array of shape (B, n), or (1, n) if all problems share them."""
+    is_bound = name in ("lower", "upper", "dlower", "dupper")
+    size = {"h": "m", "b": "p"}.get(name, "n")
+    need = f"{name} must have shape (B, {size}) or ({size},), {size} = {n}{', or be a number' if is_bound else ''}"
+    array = real_array(values, need)
+    if array.ndim == 0 and is_bound:
+        array = np.full(n, float(array))
+    if array.ndim not in (1, 2) or array.shape[-1] != n:
+        hint = "; give its transpose" if array.ndim == 2 and array.shape[0] == n else ""
+        hint = (
+            "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)"
+            if is_bound
+            else hint
+        )
+        raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
+    return np.array(np.atleast_2d(array), order="C")
+
+
+def length_of_all(counts: dict[str, int]) -> int:
+    """Return the number of problems, the common length of the batch axes; 1 without any.
+
+    Raises
+    ------
+    InvalidProblem
+        If the lengths differ.
+    """
+    if len(set(counts.values())) > 1:
+        found = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise InvalidProblem(
+            f"all arrays with an axis for the problems must be equally long, got {found}"
+        )
+    return next(iter(counts.values()), 1)

@@ -35,7 +35,6 @@ PYAMG: dict[str, dict[str, Any]] = {
 }
 SCENES = {  # full size, quick size
     "obstacle_2d:size={}": (1024, 60),
-    "obstacle_bumps:size={}": (1024, 60),
     "obstacle_3d:size={}": (100, 12),
     "journal_bearing:size={},eccentricity=0.9": (1000, 50),
     "convection_diffusion:size={},diffusion=1e-3": (500, 50),

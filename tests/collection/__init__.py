@@ -8,10 +8,6 @@ from __future__ import annotations
 from functools import cache
 
 from . import (
-    circuits,
-    contact,
-    economics,
-    families,
     games,
     matrices,
     programs,
@@ -20,7 +16,7 @@ from . import (
 )
 from .entry import Entry
 
-MODULES = (textbook, families, games, economics, circuits, contact, programs, matrices, unsolvable)
+MODULES = (textbook, games, programs, matrices, unsolvable)
 
 
 @cache

@@ -114,7 +114,7 @@ def test_a_solution_that_is_not_unique_is_named() -> None:
     ("target", "kind"),
     [
         ("obstacle_2d:size=20", PLAIN),
-        ("optimal_stopping:size=10", GAP),
+        ("convection_diffusion:size=10", GAP),
         ("paper_example_1:n=100", PLAIN),
         ("paper_example_2:n=100", GAP),
     ],
@@ -137,7 +137,7 @@ def test_every_installed_reference_agrees(reference: str) -> None:
         pytest.skip(f"{reference} is optional")
     options = {"OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000},
                "SCS": {"eps_abs": 1e-10, "eps_rel": 1e-10}}.get(reference, {})  # fmt: skip
-    for target in ("obstacle_2d:size=6", "optimal_stopping:size=5"):
+    for target in ("obstacle_2d:size=6", "convection_diffusion:size=5"):
         check = cross_validate(
             membranes.parse(target).problem, reference=reference.lower(), **options
         )
@@ -182,7 +182,7 @@ def test_units_do_not_matter(exponent: int) -> None:
 
 
 @pytest.mark.parametrize("by", [1.0, 1e-3, 1e-6])
-@pytest.mark.parametrize("target", ["obstacle_2d:size=8", "optimal_stopping:size=6"])
+@pytest.mark.parametrize("target", ["obstacle_2d:size=8", "convection_diffusion:size=6"])
 def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
     """A SOLVED result with one wrong component is a mismatch."""
     problem = membranes.parse(target).problem

@@ -181,7 +181,7 @@ def test_iterates_and_their_polish_are_two_rows() -> None:
 
 def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
     """The error is the true one if z* is known, a bound that is never too small for H₊, else the residual."""
-    bumps = membranes.build("obstacle_bumps", size=12)
+    bumps = gallery.build("obstacle_2d", size=12)
     exact = solve(bumps.problem, "multigrid", tolerance=1e-13).z
     row = measured(bumps, "npsor")
     assert row.error_kind == "rigorous bound"
@@ -252,7 +252,7 @@ def test_references_are_rows_of_symmetric_problems() -> None:
     assert (clarabel.family, clarabel.status, len(clarabel.points)) == ("reference", "OPTIMAL", 1)
     assert 0.0 < clarabel.error < 1e-2  # half of the active rows are degenerate
     assert clarabel.seconds > 0.0
-    windy = membranes.build("optimal_stopping", size=4)
+    windy = gallery.build("convection_diffusion", size=4)
     found = error_against_time(windy, ["pgs"], ("CLARABEL",), repeats=1)
     assert [row.method for row in found.rows] == ["pgs"]
     assert any("no convex solver, M[" in note for note in found.notes)

@@ -314,21 +314,6 @@ def test_obstacle_converges_to_the_analytic_solution(
     assert errors[-1] < 1.0 / sizes[-1] ** 1.5
 
 
-def test_stopping_operator_is_exact_on_linear_functions() -> None:
-    """Inside the square the scaled rows give h² (b·∇u + r u) for u = 2x − 3y, upwind or not."""
-    size, wind_x, wind_y, swirl, discount = 9, 0.4, -0.3, 5.0, 2.0
-    scene = membranes.build(
-        "optimal_stopping", size=size, wind_x=wind_x, wind_y=wind_y, swirl=swirl, discount=discount
-    )
-    x, y = np.ix_(*scene.coordinates)
-    u = 2.0 * x - 3.0 * y
-    expected = (
-        2.0 * (wind_x - swirl * (y - 0.5)) - 3.0 * (wind_y + swirl * (x - 0.5)) + discount * u
-    )
-    computed = scene.picture(scene.problem.csr @ u.ravel()) * (size + 1) ** 2
-    assert np.allclose(computed[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=0.0, atol=1e-12)
-
-
 def test_american_put_march_agrees_with_the_binomial_tree() -> None:
     """Marched back to today, prices at and around the strike agree with the tree to 2e-4 of the strike."""
     scene = gallery.build("american_put_march", size=501)

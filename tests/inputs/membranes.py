@@ -1,4 +1,4 @@
-"""Membranes and a stopping problem that only tests use; `build` and `parse` also take the gallery's test problems."""
+"""Membranes that only tests use; `build` and `parse` also take the test problems of the gallery."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from lcp_plugin.gallery.stencil import (
     nodes,
     stencil_matrix,
     stiff_cells,
-    upwind,
 )
 
 CONTACT_RADIUS = 0.7892441190408083  # the root r* in (0, 1) of 2 r² − r³/2 = 1
@@ -69,46 +68,6 @@ def sphere_solution(r: Field) -> Field:
     strength = CONTACT_RADIUS**3 / math.sqrt(1.0 - CONTACT_RADIUS**2)
     free = 1.0 / np.maximum(r, CONTACT_RADIUS) - 0.5
     return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
-
-
-def obstacle_bumps(*, size: int = 100, bumps: int = 8, load: float = -5.0, seed: int = 0) -> Scene:
-    """Membrane under a load over several bumps on the unit square, zero on the boundary.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
-    bumps
-        Number of paraboloids of random height, width and place; ψ is their maximum.
-    load
-        f in −Δu ≥ f; negative values press the membrane onto the bumps.
-    seed
-        Seed of the generator that draws the bumps.
-
-    Notes
-    -----
-    Several contact sets with free boundaries of different curvature, and no closed form. Each paraboloid is
-    positive only inside the square, so ψ ≤ 0 on the boundary. Rows are scaled by h².
-    """
-    axis = nodes(0.0, 1.0, size)[1:-1]
-    x, y = np.ix_(axis, axis)
-    generator = np.random.default_rng(seed)
-    obstacle = np.full((size, size), -np.inf)
-    for _ in range(bumps):
-        width, height = generator.uniform(0.08, 0.25), generator.uniform(0.1, 0.5)
-        at_x, at_y = generator.uniform(width, 1.0 - width, size=2)
-        bump = height * (1.0 - ((x - at_x) ** 2 + (y - at_y) ** 2) / width**2)
-        np.maximum(obstacle, bump, out=obstacle)
-
-    legs = (-1.0, -1.0)
-    M = stencil_matrix((size, size), 4.0, legs, legs)
-    mesh_width = 1.0 / (size + 1)
-    return Scene(
-        problem=LCP(M, np.full(size**2, -load * mesh_width**2), lower=obstacle.ravel()),
-        coordinates=(axis, axis),
-        axis_labels=("x", "y"),
-        **SYMMETRIC | MEMBRANE,
-    )
 
 
 def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) -> Scene:
@@ -171,74 +130,12 @@ def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float =
     return pulled_membrane(M, size, is_symmetric=True, is_h_plus=size == 1)
 
 
-def optimal_stopping(
-    *,
-    size: int = 100,
-    diffusion: float = 1e-2,
-    wind_x: float = 1.0,
-    wind_y: float = 0.5,
-    swirl: float = 0.0,
-    discount: float = 1.0,
-    gain: float = 0.0,
-) -> Scene:
-    """Optimal stopping of a drifting diffusion on the unit square: upwind differences, nonsymmetric M-matrix.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 1/(size + 1).
-    diffusion
-        ε > 0, length²/time; small values give sharp layers and a strongly nonsymmetric matrix.
-    wind_x, wind_y, swirl
-        b(x, y) = (wind_x − swirl·(y − ½), wind_y + swirl·(x − ½)), length/time. The process drifts with −b.
-    discount
-        Rate r ≥ 0, 1/time.
-    gain
-        Running gain f per unit of time until the process is stopped.
-
-    Notes
-    -----
-    The value u is the largest expected discounted gain plus reward ψ at the moment of stopping, leaving the
-    square included: −ε Δu + b·∇u + r u ≥ f, u ≥ ψ, complementary, u = ψ on the boundary. ψ is a hill and a
-    lower one. First-order upwind differences keep every off-diagonal entry ≤ 0 at any ratio of b to ε, so M
-    is an M-matrix. Rows are scaled by h². With all of the wind zero M is symmetric.
-
-    References
-    ----------
-    Kushner, Dupuis, *Numerical Methods for Stochastic Control Problems in Continuous Time*, Springer 2001,
-    doi:10.1007/978-1-4613-0007-6.
-    """
-    axis = nodes(0.0, 1.0, size)
-    x, y = np.ix_(axis, axis)
-    reward = _hill(x, y, 0.65, 0.6, 0.15) + 0.5 * _hill(x, y, 0.3, 0.25, 0.1)
-    h = 1.0 / (size + 1)
-    wind = (wind_x - swirl * (y[:, 1:-1] - 0.5), wind_y + swirl * (x[1:-1] - 0.5))
-    legs = upwind(diffusion, [h * b for b in wind])
-    M = balanced_matrix((size, size), legs, h**2 * discount)
-    q = dirichlet_terms(reward, *legs) - h**2 * gain
-    return Scene(
-        problem=LCP(M, q, lower=reward[interior(2)].ravel()),
-        is_symmetric=wind_x == wind_y == swirl == 0.0,
-        is_h_plus=True,
-        coordinates=(axis[1:-1], axis[1:-1]),
-        axis_labels=("x", "y"),
-        unknown="value",
-        active_means="stop at once",
-    )
-
-
-def _hill(x: Field, y: Field, at_x: float, at_y: float, width: float) -> Field:
-    return np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / (2.0 * width**2))
-
-
 BUILDERS: dict[str, Callable[..., Scene]] = {
     builder.__name__: builder
     for builder in (
         obstacle_3d,
-        obstacle_bumps,
         coefficient_jumps,
         rotated_anisotropy,
-        optimal_stopping,
     )
 }
 

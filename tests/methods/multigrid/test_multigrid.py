@@ -25,7 +25,6 @@ from lcp_plugin.systems.hierarchy.truncation import Truncation
 SCENES = [
     "obstacle_2d:size=60",
     "obstacle_3d:size=14",
-    "obstacle_bumps:size=60",
     "coefficient_jumps:size=59,contrast=1e2",
     "coefficient_jumps:size=59,contrast=1e6",
     "coefficient_jumps:size=59,contrast=1e10",
@@ -34,7 +33,6 @@ SCENES = [
     "convection_diffusion:size=60,diffusion=1e-5",
     "rotated_anisotropy:size=60",
     "journal_bearing:size=60,eccentricity=0.99",
-    "optimal_stopping:size=50,swirl=-7",
     "paper_example_1:n=3600,delta=0",
 ]
 
@@ -72,7 +70,7 @@ def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
 
 
 @pytest.mark.parametrize("smoother", SMOOTHERS[1:])
-@pytest.mark.parametrize("text", [SCENES[0], SCENES[4], SCENES[7], SCENES[9]])
+@pytest.mark.parametrize("text", [SCENES[0], SCENES[3], SCENES[6], SCENES[8]])
 def test_every_smoother_arrives(smoother: str, text: str) -> None:
     """Any projected sweep can be the smoother."""
     problem = membranes.parse(text).problem
@@ -301,12 +299,11 @@ def test_the_unit_of_m_and_q_does_not_matter(scale: float) -> None:
 
 
 def test_cycles_hardly_grow_with_the_grid() -> None:
-    """16 times the unknowns cost at most 6 more cycles, for each of four families."""
+    """16 times the unknowns cost at most 6 more cycles, for each of three families."""
     for name, facts in [
         ("obstacle_2d", {}),
         ("coefficient_jumps", {"contrast": 100.0}),
         ("convection_diffusion", {}),
-        ("obstacle_bumps", {}),
     ]:
         cycles = [
             solve(membranes.build(name, size=size, **facts).problem, "multigrid").iterations

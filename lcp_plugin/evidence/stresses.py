@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -112,13 +112,7 @@ def mostly_free(stress: str, M: Any, **facts: Any) -> StressCase:
     n = M.shape[0]
     z, w = np.random.default_rng(0).integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
     is_active = np.arange(n) < n // 5
-    return planted(
-        stress,
-        M,
-        np.where(is_active, 0.0, z),
-        np.where(is_active, w * np.abs(M.diagonal()), 0.0),
-        **facts,
-    )
+    return planted(stress, M, z * ~is_active, w * is_active * np.abs(M.diagonal()), **facts)
 
 
 def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase:
@@ -128,17 +122,10 @@ def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase
         np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column)
     )
     # One multiplication after another: the product of the two factors may overflow although the entry does not.
-    scaled = scale_by(problem.csr, row, column)
+    scaled = LCP(scale_by(problem.csr, row, column), problem.q * row)
     unit = 1.0 / column
-    near = None if case.near is None else np.asarray(case.near) * unit
-    start = None if case.start is None else case.start * unit
-    return StressCase(
-        stress=stress,
-        problem=LCP(scaled, problem.q * row),
-        near=near,
-        start=start,
-        unit=unit,
-        has_line=case.has_line,
+    return replace(
+        case, stress=stress, problem=scaled, near=np.asarray(case.near) * unit, unit=unit
     )
 
 

@@ -1,5 +1,7 @@
 # The public names and the module of each: __init__.py loads them from this table; editors and mypy read it directly.
 
+from . import gallery as gallery
+from . import strategies as strategies
 from .api import solve as solve
 from .core.certificates.residuals import Certificate as Certificate
 from .core.errors import InvalidOption as InvalidOption

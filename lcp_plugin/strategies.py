@@ -35,11 +35,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import seed as fixed_seed
-from hypothesis import strategies as st
-from hypothesis.errors import Flaky
 from numpy.typing import NDArray
+
+try:
+    from hypothesis import HealthCheck, Phase, given, settings
+    from hypothesis import seed as fixed_seed
+    from hypothesis import strategies as st
+    from hypothesis.errors import Flaky
+except ImportError:
+    raise ImportError(
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install '.[test]'"
+    ) from None
 
 from .core.checks import FloatVector
 from .core.errors import InvalidOption, InvalidProblem

@@ -162,7 +162,7 @@ class ProgramBatch(Instances):
     def refuse_nonconvex(self) -> None:
         """Raise if one P for all is not convex.
 
-        As :func:`~lcp_plugin.problems.programs.convexity.refuse_nonconvex`.
+        As :func:`~lcp_plugin.problems.programs.program_matrices.refuse_nonconvex`.
         """
         if self.shared is not None:
             refuse_nonconvex(self.shared)

@@ -27,6 +27,7 @@ from cvxpy.error import SolverError
 from cvxpy.reductions.eliminate_pwl.canonicalizers import CANON_METHODS
 from numpy.typing import NDArray
 
+from ..core.checks import replace_huge_bounds_by_inf
 from ..core.errors import UnsupportedModel
 from ..core.settings import Status
 from ..expressions.rows import uniform
@@ -173,7 +174,7 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
     if given is not None:
         low, high = (bound_value(bound, variable) for bound in given)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
-    return lower, upper
+    return replace_huge_bounds_by_inf(lower, upper)
 
 
 def attribute_expressions(variable: Any) -> tuple[Any, Any]:

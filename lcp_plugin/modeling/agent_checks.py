@@ -14,12 +14,11 @@ from ..core.errors import ModelWarning, UnsupportedModel
 from ..expressions.rows import as_matrix
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
-from ._compat import name_of
+from ._compat import INEQUALITIES, dense_value, name_of, sense_of
 from .agent_conditions import StandardRows, with_data
 from .agents import Optimal, check_different
 from .model import Model, level_of_caller
 from .reading import rewritten
-from .stated_terms import INEQUALITIES, dense_value, sense_of
 
 
 def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]]:

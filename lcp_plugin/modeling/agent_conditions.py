@@ -17,19 +17,21 @@ from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.rows import Indices, Rows, as_matrix, assembled, is_definition
 from ._compat import (
+    EQUATIONS,
     KINKS,
     NONSMOOTH,
     attribute_bounds,
     attribute_expressions,
     by_columns,
     dense,
+    expression_of,
     name_of,
     postorder,
+    sense_of,
 )
 from .constraint import Complements, Side, box
 from .model import spans_of
 from .reading import Reader, rewritten
-from .stated_terms import EQUATIONS, expression_of, sense_of
 
 
 def _huber(node: Any, arguments: list[Any]) -> tuple[Any, list[Any]]:

@@ -14,12 +14,11 @@ from ..core.settings import Status
 from ..expressions.program import Program
 from ..problems.equilibria.branch_and_bound import minimize_over_solutions
 from ..problems.programs.solving import solve_program
-from ._compat import attribute_bounds, by_columns
+from ._compat import attribute_bounds, by_columns, dense_value, sense_of
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .best_equilibrium import stated_program
 from .model import level_of_caller, spans_of
 from .reading import Reader, rewritten
-from .stated_terms import dense_value, sense_of
 
 MAX_SECONDS = 60.0  # of a search for an agent's best value
 MARGIN = (

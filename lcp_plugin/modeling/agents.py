@@ -13,11 +13,10 @@ from cvxpy.constraints.constraint import Constraint
 
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..expressions.rows import Indices, as_matrix, is_definition
-from ._compat import name_of
+from ._compat import EQUATIONS, INEQUALITIES, expression_of, name_of
 from .agent_conditions import AgentProgram
 from .constraint import Condition
 from .reading import Reader, restricting_attribute
-from .stated_terms import EQUATIONS, INEQUALITIES, expression_of
 
 
 def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex") -> Optimal:

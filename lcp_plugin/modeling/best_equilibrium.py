@@ -18,11 +18,18 @@ from ..core.errors import UnsupportedModel
 from ..expressions.rows import Indices
 from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
-from ._compat import CVXPY_STATUS, dense, statistics
+from ._compat import (
+    CVXPY_STATUS,
+    EQUATIONS,
+    INEQUALITIES,
+    dense,
+    expression_of,
+    sense_of,
+    statistics,
+)
 from .constraint import Complements, complements
 from .model import Model
 from .reading import rewritten
-from .stated_terms import EQUATIONS, INEQUALITIES, expression_of, sense_of
 
 
 def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:

@@ -21,9 +21,8 @@ from ..expressions.rows import Indices
 from ..problems.programs.certification import Certification, certify
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
-from ._compat import attribute_bounds, leaf_value, name_of
-from .compiled import CompiledProblem
-from .stated_terms import dense_value, sense_of, why_not
+from ._compat import attribute_bounds, dense_value, leaf_value, name_of, sense_of, why_not
+from .qp_solver import CompiledProblem
 
 CLAIMED = {
     settings.INFEASIBLE: "infeasible",

@@ -28,12 +28,14 @@ from ._compat import (
     attribute_expressions,
     bound_value,
     by_columns,
+    dense_value,
     name_of,
+    sense_of,
     statistics,
+    values_below,
 )
 from .cones import ConePair, over_cones
 from .reading import Reader, rewritten
-from .stated_terms import dense_value, sense_of, values_below
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side

@@ -17,7 +17,7 @@ from ..problems.parametric.path import Path
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
 from ._compat import dense, leaf_value, name_of
-from .compiled import CompiledProblem
+from .qp_solver import CompiledProblem
 from .registration import build_from, is_complementarity_problem
 
 AFFINE_TO = 1e-9  # of the largest entry: by how much a vector in between may be off the line

@@ -828,7 +828,7 @@ def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve() -> N
 
 @pytest.mark.parametrize("bounds", [[-1e25, 3], [0, 1e25], [-1e25, 1e25]])
 def test_huge_bounds_of_a_decision_are_none(bounds: list[float]) -> None:
-    """An attribute of ±1e25 is no bound, as a pair reads it: min (y − 5)² is at min(5, upper)."""
+    """An attribute of ±1e25 is not a bound, as a pair reads it: min (y − 5)² is at min(5, upper)."""
     for rows in (lambda y: [], lambda y: [y <= 1e24, y >= -1e22]):
         y = cp.Variable(bounds=bounds)
         solved([optimal(cp.Problem(cp.Minimize((y - 5) ** 2), rows(y)), over=[y])])

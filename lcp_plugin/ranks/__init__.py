@@ -20,6 +20,6 @@ writes one chunk per rank, which ``RowsOnRanks.load(folder, comm)`` reads on any
 ``RowsOnRanks.from_problem(lcp, comm)`` for an LCP that every rank has. Run the script by
 ``mpiexec -n 2 python -m mpi4py script.py``: then an exception on one rank ends all ranks.
 
-The classes are in ``problem``, the criterion of SOLVED in ``certificate``, the loop in ``solving``, sweeps and
-multigrid in ``methods``, the distributed hierarchy in ``hierarchy``, MPI in ``collective`` and ``halo``.
+The problem is in ``problem``, the loop and the criterion of SOLVED in ``solving``, sweeps and multigrid in ``methods``,
+MPI in ``halo``.
 """

@@ -39,8 +39,7 @@ from ..interfaces.files import (
     require_keys,
     write_whole,
 )
-from .collective import Ranks
-from .halo import Halo, numbered_over_all, own_rows
+from .halo import Halo, Ranks, numbered_over_all, own_rows
 from .solving import ResultOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count

@@ -109,8 +109,8 @@ def nonlinear_points(shape: str, case: Case) -> Points:
 def rank_points(case: Case) -> Points:
     """Yield the wrong point as a single rank measures it."""
     pytest.importorskip("mpi4py")
-    from lcp_plugin.ranks.certificate import RowDataOnRanks, measured
     from lcp_plugin.ranks.problem import RowsOnRanks
+    from lcp_plugin.ranks.solving import RowDataOnRanks, measured
 
     data = RowDataOnRanks(RowsOnRanks.from_problem(LCP(case.M, case.q, lower=case.lower)))
     certificate = measured(data, case.wrong, 1e-8, 0.0)

@@ -24,9 +24,9 @@ from lcp_plugin.core.errors import (
     UnreadableFile,
     UnsuitableProblem,
 )
-from lcp_plugin.ranks.certificate import ComponentsOnRanks, RowDataOnRanks, measured
-from lcp_plugin.ranks.hierarchy import TruncationOnRanks, build_hierarchy
+from lcp_plugin.ranks.methods import TruncationOnRanks, build_hierarchy
 from lcp_plugin.ranks.problem import RowsOnRanks
+from lcp_plugin.ranks.solving import ComponentsOnRanks, RowDataOnRanks, measured
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
 
 COMM = MPI.COMM_WORLD

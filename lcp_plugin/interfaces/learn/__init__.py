@@ -45,3 +45,191 @@ use :meth:`BatchDerivative.jvp` in numpy.
 **Double precision**, on the CPU: single precision raises an error, because a certificate of rounded data certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.
 """
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InvalidProblem, LCPError, NotConverged
+from ...problems.batches.batch import solve_batch
+from ...problems.batches.batch_run import BatchAnswers
+from ...problems.cones.frictional_contact import FrictionalContact
+from ...problems.sensitivity import derivative
+from ...problems.sensitivity.batch_derivative import BatchGradient
+
+
+class Layer(ABC):
+    """A batch of problems as a function of arrays: the solutions, and then their gradients by the arrays.
+
+    Parameters
+    ----------
+    mask : bool
+        Whether unsolved problems get z = 0 and the gradient 0, instead of an error.
+    **options
+        Options of :func:`lcp_plugin.solve_batch`.
+    """
+
+    def __init__(self, *, mask: bool = False, **options: Any) -> None:
+        self.mask, self.options = mask, options
+
+    @abstractmethod
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        """Return the results of the problems in arrays with these axes in front of the axes of a problem."""
+
+    @abstractmethod
+    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+        """Return the gradients by all arrays."""
+
+    def solve(self, *data: Any, z0: Any = None) -> tuple[Any, Any]:
+        """Return the solutions, shape (…, n), of problems with axes that broadcast, and which are solved, shape (…).
+
+        Raises
+        ------
+        InvalidProblem
+            If numbers or shapes are not a valid problem.
+        NotConverged
+            If a problem is not solved. A layer with `mask` raises neither of them.
+        """
+        self.data, self.axes = data, common_axes(*(array.shape for array in data))
+        n = data[1].shape[-1]
+        start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
+        self.found: Any = derivative(self._solved(self.axes, data, self.options | start))
+        errors = self.found.errors
+        if errors and not self.mask:
+            is_none = any(isinstance(error, InvalidProblem) for error in errors.values())
+            raise _first(errors, self.axes, InvalidProblem if is_none else NotConverged)
+        self.is_solved = np.ones(len(self.found), np.bool_)
+        self.is_solved[[*errors]] = False
+        z = np.where(self.is_solved[:, np.newaxis], self.found.z, 0.0)
+        return z.reshape(*self.axes, n), self.is_solved.reshape(self.axes)
+
+    def gradients(self, g: Any) -> tuple[Any, ...]:
+        """Return the gradients by the arrays of the last `solve`, in their shapes, from the gradient by z.
+
+        Raises
+        ------
+        UnsuitableProblem
+            If a problem that the loss depends on has no gradient.
+        """
+        found, rows = self.found, g.reshape(len(self.found), g.shape[-1])
+        rows = np.where(self.is_solved[:, np.newaxis], rows, 0.0)
+        gradient = found.vjp(rows)
+        if wrong := {k: error for k, error in found.errors.items() if rows[k].any()}:
+            raise _first(wrong, self.axes, type(next(iter(wrong.values()))))
+        pairs = zip(self._by(gradient), self.data, strict=True)
+        return tuple(self._summed(by, array.shape) for by, array in pairs)
+
+    def _summed(self, by: Any, shape: tuple[int, ...]) -> Any:
+        """Return gradients of each problem, or their sum, in the shape of an array that broadcasts."""
+        if by.size != math.prod(shape):
+            by = by.reshape(*self.axes, *by.shape[1:])
+            more = by.ndim - len(shape)
+            shared = [k for k, size in enumerate(shape, more) if size < by.shape[k]]
+            by = by.sum((*range(more), *shared))
+        return np.asarray(by).reshape(shape)
+
+
+class LCPLayer(Layer):
+    """LCPs as a function of M, q, lower and upper.
+
+    Parameters
+    ----------
+    M : sparse array, shape (n, n), or None
+        M if it is a constant of the layer; the array in its place has no entries.
+    """
+
+    def __init__(self, M: Any = None, *, mask: bool = False, **options: Any) -> None:
+        super().__init__(mask=mask, **options)
+        self.M = M
+
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        own = data[1].shape[-1:]
+        q, lower, upper = (stacked(one, axes, own) for one in data[1:])
+        M = matrices(data[0], axes) if self.M is None else self.M
+        return solve_batch(M, q, lower=lower, upper=upper, **options)
+
+    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+        M = gradient.M if self.M is None else np.zeros((0, 0))
+        return M, gradient.q, gradient.lower, gradient.upper
+
+
+class ContactLayer(Layer):
+    """Contact problems with friction as a function of W, b and friction."""
+
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        W, b, friction = data
+        of_worlds = {name: options.get(name) for name in ("contacts", "dimension")}
+        others = {name: wish for name, wish in options.items() if name not in of_worlds}
+        b = stacked(b, axes, b.shape[-1:])
+        friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
+        worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_worlds)
+        return solve_batch(worlds, **others)
+
+    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+        return gradient.M, gradient.q, gradient.friction
+
+
+def common_axes(
+    M: tuple[int, ...], q: tuple[int, ...], *others: tuple[int, ...]
+) -> tuple[int, ...]:
+    """Return the batch axes: all axes in front of the last one (of M: in front of the last two).
+
+    Raises
+    ------
+    InvalidProblem
+        If the axes do not broadcast, or M has another shape than (…, n, n).
+
+    Examples
+    --------
+    >>> common_axes((5, 1, 3, 3), (7, 3), (3,))
+    (5, 7)
+    """
+    if not q:
+        raise InvalidProblem("q must have shape (…, n), got a number")
+    if M[-2:] not in ((0, 0), (*q[-1:], *q[-1:])):
+        raise InvalidProblem(f"M must have shape (…, n, n), n = {q[-1]} as q has, got {M}")
+    try:
+        return np.broadcast_shapes(M[:-2], q[:-1], *(one[:-1] for one in others))
+    except ValueError:
+        raise InvalidProblem(
+            f"the axes in front of a problem's own must broadcast, got M {M}, q {q} and "
+            f"{', '.join(map(str, others))}"
+        ) from None
+
+
+def check_bounds(q: Any, **bounds: Any) -> None:
+    """Raise InvalidProblem unless each bound is a number or has the length of q."""
+    for name, bound in bounds.items():
+        if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
+            raise InvalidProblem(
+                f"{name} must be a number or have the length of q, {q.shape[-1]}, got shape {tuple(bound.shape)}"
+            )
+
+
+def stacked(array: Any, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:
+    """Return an array with one axis in place of these axes in front of its own ones."""
+    return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
+
+
+def matrices(M: Any, axes: tuple[int, ...]) -> Any:
+    """Return one matrix for all problems, or a stack of matrices."""
+    own = M.shape[-2:]
+    return M.reshape(own) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, own)
+
+
+def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:
+    """Return an error that reports the first failed problem and the numbers of the others."""
+    places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
+    first, *others = places
+    also = (
+        f" (nor do {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''})"
+        if others
+        else ""
+    )
+    where = f"problem {places[first]} of the batch" if axes else "the problem"
+    return kind(f"{where} gives the layer no solution to go on with{also}: {errors[first]}")

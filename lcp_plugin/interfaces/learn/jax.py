@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
-from .batches import ContactLayer, Layer, LCPLayer, check_bounds, common_axes
+from . import ContactLayer, Layer, LCPLayer, check_bounds, common_axes
 
 __all__ = ["contact_layer", "lcp_layer"]
 

@@ -16,7 +16,7 @@ except ImportError:
 
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
-from .batches import ContactLayer, Layer, LCPLayer, check_bounds
+from . import ContactLayer, Layer, LCPLayer, check_bounds
 
 __all__ = ["contact_layer", "lcp_layer"]
 

@@ -114,24 +114,26 @@ def simplified(given: ProgramData) -> ProgramData:
     >>> found.lower, found.upper, found.c
     (array([  0., -inf]), array([0., 3.]), array([0., 1.]))
     """
-    far = FAR * max(1.0, _quartile(given.h, given.b, given.lower, given.upper))
+    far = max(FAR, _far(FAR, given.h, given.b, given.lower, given.upper))
     is_fixed = given.lower == given.upper
     h = np.where(given.h >= far, np.inf, given.h)
     lower = np.where((given.lower <= -far) & ~is_fixed, -np.inf, given.lower)
     upper = np.where((given.upper >= far) & ~is_fixed, np.inf, given.upper)
     end = np.where(given.c > 0.0, given.lower, given.upper)
-    is_forbidden = (np.abs(given.c) > FORBIDDING * _quartile(given.c)) & np.isfinite(end)
+    is_forbidden = (np.abs(given.c) > _far(FORBIDDING, given.c)) & np.isfinite(end)
     lower, upper = (np.where(is_forbidden, end, bound) for bound in (lower, upper))
     found = given._replace(c=np.where(is_forbidden, 0.0, given.c), h=h, lower=lower, upper=upper)
     is_same = all(a is b or np.array_equal(a, b) for a, b in zip(found, given, strict=True))
     return given if is_same else found
 
 
-def _quartile(*values: FloatVector) -> float:
-    """Return the lower quartile of the sizes that are finite and not 0; ∞ if there are none."""
+def _far(factor: float, *values: FloatVector) -> float:
+    """Return the factor times the lower quartile of the sizes that are finite and not 0; ∞ if no size is beyond it."""
     sizes = np.abs(np.concatenate(values))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
-    return float(np.quantile(sizes, 0.25, method="lower")) if sizes.size else np.inf
+    if not sizes.size or sizes.max() <= factor * sizes.min():
+        return np.inf
+    return factor * float(np.quantile(sizes, 0.25, method="lower"))
 
 
 def _typical_size(*values: FloatVector) -> float:

@@ -83,8 +83,8 @@ def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None) -> Su
     --------
     >>> import scipy.sparse as sp
     >>> high, low, radius = compensated_pair(sp.csr_array(np.array([[1.0, 1.0]])), np.array([1.0, 1e-20]))
-    >>> float(high[0]), float(low[0]), float(radius[0])
-    (1.0, 1e-20, 0.0)
+    >>> float(high[0]), float(low[0]), bool(radius[0] < 1e-48)
+    (1.0, 1e-20, True)
     """
     rows, columns = M.shape
     offset = np.zeros(rows) if q is None else q

@@ -63,7 +63,7 @@ def test_cheat_sheet_has_the_statuses_of_every_language() -> None:
         of_cvxpy, of_pyomo, of_ampl = words[status.name]
         assert of_cvxpy in (CVXPY_STATUS[status], "raises SolverError"), status
         assert (of_cvxpy == "raises SolverError") == (CVXPY_STATUS[status] == "solver_error")
-        assert of_pyomo == str(ends[status][1]), status
+        assert of_pyomo == str(ends[status]), status
         assert int(of_ampl) == CODES[status], status
 
 

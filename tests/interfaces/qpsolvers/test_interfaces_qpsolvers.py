@@ -104,11 +104,11 @@ def test_a_limit_is_no_solution() -> None:
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((80, 60))
     problem = Problem(np.diag(rng.random(60)), rng.standard_normal(60), rows, rng.random(80))
-    solution = solve_problem(problem, NAME, max_iterations=2)
+    solution = solve_problem(problem, NAME, max_seconds=0.0)
     assert (solution.found, solution.x, solution.extras["status"]) == (
         False,
         None,
-        Status.MAX_ITERATIONS,
+        Status.MAX_SECONDS,
     )
     assert not solution.extras["result"].solution.is_optimal()
     assert solve_problem(problem, NAME).found

@@ -43,7 +43,7 @@ SPARSE, SPARSE_UP_TO = (
 )  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
 SINGLE_PRECISION = 2.0**-24
-PASSES = 10  # of equilibration
+PASSES = 3  # of equilibration
 
 
 @dataclass(frozen=True, eq=False)

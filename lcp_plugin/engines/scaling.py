@@ -101,39 +101,53 @@ def with_sides_about_one(fitted: ScaledProgram) -> ScaledProgram:
     return ScaledProgram(scaled.statement, units, rows, fitted.objective * objective)
 
 
-def simplified(given: ProgramData) -> ProgramData:
-    """Return the program without numbers that stand for "never"; the same object if there are none.
+def without_forbidden(given: ProgramData) -> ProgramData:
+    """Return the program with x_j fixed at the bound to which an extreme cost pushes it; the same object if none is.
 
-    A right-hand side or bound of extreme size becomes ∞. An extreme cost, next to which other costs are rounding
-    errors, fixes x_j at the bound to which it pushes x_j.
+    People forbid x_j > 0 by a cost of 10²⁰ or more, next to which the other costs are rounding errors.
 
     Examples
     --------
-    >>> rows, bounds = (np.zeros((0, 2)), np.zeros(0)), (np.array([0.0, -1e19]), np.array([np.inf, 3.0]))
-    >>> found = simplified(ProgramData(np.zeros((2, 2)), np.array([1e36, 1.0]), *rows, *rows, *bounds))
-    >>> found.lower, found.upper, found.c
-    (array([  0., -inf]), array([0., 3.]), array([0., 1.]))
+    >>> none, bounds = (np.zeros((0, 2)), np.zeros(0)), (np.zeros(2), np.full(2, np.inf))
+    >>> program = ProgramData(np.zeros((2, 2)), np.array([1.0, 1e36]), *none, *none, *bounds)
+    >>> without_forbidden(program).upper
+    array([inf,  0.])
     """
-    far = max(FAR, _far(FAR, given.h, given.b, given.lower, given.upper))
+    costs = np.abs(given.c)
+    known = costs[costs > 0.0]
+    if not known.size or known.max() <= FORBIDDING * known.min():
+        return given
+    typical = float(np.quantile(known, 0.25, method="lower"))
+    end = np.where(given.c > 0.0, given.lower, given.upper)
+    far = (costs > FORBIDDING * typical) & np.isfinite(end)
+    if not far.any():
+        return given
+    lower, upper = (np.where(far, end, bound) for bound in (given.lower, given.upper))
+    return given._replace(c=np.where(far, 0.0, given.c), lower=lower, upper=upper)
+
+
+def without_far_limits(given: ProgramData) -> ProgramData:
+    """Return the program with ∞ for right-hand sides and bounds of extreme size; the same object if there are none.
+
+    Examples
+    --------
+    >>> none = np.zeros((0, 1))
+    >>> bounds = np.array([-1e19]), np.array([3.0])
+    >>> without_far_limits(
+    ...     ProgramData(np.eye(1), np.ones(1), none, np.zeros(0), np.ones((1, 1)), np.ones(1), *bounds)
+    ... ).lower
+    array([-inf])
+    """
+    known = np.abs(np.concatenate([given.h, given.b, given.lower, given.upper]))
+    known = known[np.isfinite(known) & (known > 0.0)]
+    far = FAR * max(1.0, float(np.quantile(known, 0.25))) if known.size else np.inf
     is_fixed = given.lower == given.upper
     h = np.where(given.h >= far, np.inf, given.h)
     lower = np.where((given.lower <= -far) & ~is_fixed, -np.inf, given.lower)
     upper = np.where((given.upper >= far) & ~is_fixed, np.inf, given.upper)
-    end = np.where(given.c > 0.0, given.lower, given.upper)
-    is_forbidden = (np.abs(given.c) > _far(FORBIDDING, given.c)) & np.isfinite(end)
-    lower, upper = (np.where(is_forbidden, end, bound) for bound in (lower, upper))
-    found = given._replace(c=np.where(is_forbidden, 0.0, given.c), h=h, lower=lower, upper=upper)
-    is_same = all(a is b or np.array_equal(a, b) for a, b in zip(found, given, strict=True))
-    return given if is_same else found
-
-
-def _far(factor: float, *values: FloatVector) -> float:
-    """Return the factor times the lower quartile of the sizes that are finite and not 0; ∞ if no size is beyond it."""
-    sizes = np.abs(np.concatenate(values))
-    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
-    if not sizes.size or sizes.max() <= factor * sizes.min():
-        return np.inf
-    return factor * float(np.quantile(sizes, 0.25, method="lower"))
+    if all(map(np.array_equal, (h, lower, upper), (given.h, given.lower, given.upper))):
+        return given
+    return given._replace(h=h, lower=lower, upper=upper)
 
 
 def _typical_size(*values: FloatVector) -> float:

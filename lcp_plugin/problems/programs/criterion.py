@@ -14,13 +14,13 @@ decide:
 
 A point that passes violates no row beyond rounding, and no unknown that moves to its bound or to 10⁴ times its size
 gains more than the tolerance. Plain sums decide most points, because all sizes that they use are on the safe side. For
-the remaining points, the test uses sums without rounding, equilibrated units and multipliers of least norm. The user's
+the remaining points, the test uses sums without rounding, fitted units and multipliers of least norm. The user's
 summary is ``examples/manual/solved.md``.
 
 Sizes:
 
 - The size of x_j is the largest of |x_j|, the size of the gap divided by the largest term of r_j, and the size of the
-  other unknowns in a scaling that equilibrates P and C (Ruiz). shake_j is the larger of |x_j| and the last of them,
+  other unknowns in a scaling fitted to P and C (Curtis, Reid). shake_j is the larger of |x_j| and the last of them,
   which is at most the distance to the bound; blur_j shake_j is at most |r_j| reach_j.
 - The size of the gap is the smaller of Σ |c_j x_j| + |xᵀPx| and Σ |y_i d_i| + Σ |r_j bound_j| + |xᵀPx|, and at least
   |cᵀx + xᵀPx|; y may be replaced by the vector of least norm with the same Cᵀy. If terms cancel, it is at least 1e-8
@@ -30,7 +30,7 @@ Sizes:
 - blur_j shake_j is not counted if r_j is at the rounding level of |c_j| + Σ |c_ij y'_i|. If xᵀP x is the square of
   rounding errors of x, c_j + Σ c_ij y_i takes the place of r_j. So a point where all terms are 0 may be optimal.
 - The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
-  (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the equilibrated scale of a row, a proof of infeasibility is searched first.
+  (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the fitted scale of a row, a proof of infeasibility is searched first.
 
 Limits: a row may be violated by 9e-10 of its terms although a coefficient of 1e11 in another row makes this violation
 expensive. A program may be unbounded although a program within 1e-10 of it has a minimum. An objective below 1e-14 of
@@ -75,8 +75,7 @@ class KKTErrors(NamedTuple):
     """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
 
     `tolerated` is the largest violation of a row relative to the rounding error of a right-hand side, 2⁻⁴⁴ of the
-    equilibrated scale of the row. Only rows count that are violated relative to their terms, by rounding of large
-    unknowns.
+    fitted scale of the row. Only rows count that are violated relative to their terms, by rounding of large unknowns.
     """
 
     primal: Any
@@ -226,12 +225,12 @@ class PrimalDualPoint:
     def tolerated(self) -> float:
         """Return the largest violation beyond the terms of its row, relative to the rounding of its right-hand side."""
         over = np.where(self.over > ROWS * self.own, self.over, 0.0)
-        return float((over * (self.matrices.units[1] / EXCUSED)).max(initial=0.0))
+        return float((over * (self.matrices.fit[1] / EXCUSED)).max(initial=0.0))
 
     @cached_property
     def reached(self) -> FloatVector:
-        """Size of the unknowns that matter in each row: the minimum over the user's units and equilibrated units."""
-        units, of_row = self.matrices.units[0], self.matrices.components.of_row
+        """Size of the unknowns that matter in each row: the minimum over the user's units and fitted units."""
+        units, of_row = self.matrices.fit[0], self.matrices.components.of_row
         of_C = self.matrices.measured[3]
         return np.minimum(
             *(
@@ -284,7 +283,7 @@ class PrimalDualPoint:
         rest = np.maximum(np.abs(self.left) + self.doubt - self.blur, 0.0)
         reach = shake = self.room
         if has_units:
-            units = self.matrices.units[0]
+            units = self.matrices.fit[0]
             at_most = units * self._largest_by_component(self.matters / units)[of]
             by_terms = size[of] / np.maximum(self.size_of_gradient, TINY)
             far = REACH * np.maximum(np.maximum(self.of_x, by_terms), at_most)
@@ -366,7 +365,7 @@ class PrimalDualPoint:
         An unknown has none if its distance to a bound is at rounding level of the unknowns of its component: a cost of
         10³⁶ that keeps it there needs no multiplier of this size.
         """
-        units, row_units = self.matrices.units
+        units, row_units = self.matrices.fit
         way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
         sizes = self._largest_by_component(self.of_x / units)[self.matrices.components.of_unknown]
         free, on = np.flatnonzero(way > EXCUSED * units * sizes), np.flatnonzero(self.y)

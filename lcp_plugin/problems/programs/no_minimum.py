@@ -582,10 +582,10 @@ def feasible_point(program: QuadraticProgram) -> Vector | None:
 def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     """Return a point that satisfies all constraints to rounding, and an exactly feasible point, as far as found.
 
-    Unknowns are measured in the user's units, then in equilibrated units.
+    Unknowns are measured in the user's units, then in fitted units.
     """
     found: tuple[Vector, ...] = ()
-    for unit in (np.ones(program.n), program.matrices.units[0]):
+    for unit in (np.ones(program.n), program.matrices.fit[0]):
         found = _points_inside(program, unit) or found
         if len(found) > 1:
             break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import sys
 import tarfile
 import tomllib
@@ -18,6 +19,10 @@ import lcp_plugin
 ROOT = Path(__file__).parents[2]
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
 EXTRAS = ("report", "qpsolvers", "pyomo", "global", "fclib", "test")
+RELEASED = (
+    *("lcp_plugin/__init__.py", "CITATION.cff", "pyproject.toml"),
+    *(".ci/conda/recipe.yaml", "examples/manual/CHANGELOG.md"),
+)
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
 SMALL = 1_300_000  # bytes: nothing but code, which grew by the search for the best solution, SCIP's interface, cones
 
@@ -180,3 +185,36 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
         'python -m pytest --full -n 2 "${strict[@]}"',
         "python -m sphinx -q -W -c examples/manual examples site",
     ]
+
+
+def test_a_release_with_a_placeholder_is_refused(tmp_path: Path) -> None:
+    """publish.yml first runs the check, which names each placeholder; with addresses and a dated version it passes."""
+    workflows = ROOT / ".github" / "workflows"
+    if not workflows.exists():
+        pytest.skip("a source archive has no .github")
+    steps = workflows.joinpath("publish.yml").read_text("utf-8")
+    assert steps.index("python .ci/check_release.py") < steps.index("python -m build")
+    find_faults = runpy.run_path(str(ROOT / ".ci" / "check_release.py"))["find_faults"]
+    faults = find_faults(ROOT, f"v{lcp_plugin.__version__}")
+    assert [name for name, url in PROJECT["urls"].items() if f"{name} = {url} is" in str(faults)]
+    for name in RELEASED:
+        text = ROOT.joinpath(name).read_text("utf-8").replace(".invalid", ".org")
+        text = text.replace(lcp_plugin.__version__, "1.2")
+        text = re.sub("(?<=released: )[0-9-]+", "2027-01-01", text)
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text.replace("## [Unreleased]", "## [1.2] - 2027-01-01"), "utf-8")
+    assert find_faults(tmp_path, "v1.2") == []
+    assert len(find_faults(tmp_path, "v1.3")) == 4
+
+
+def test_workflow_runs_the_commands_of_the_readme() -> None:
+    """test.yml has both shell blocks of the README on every system, without the virtual environment."""
+    workflow = ROOT / ".github" / "workflows" / "test.yml"
+    if not workflow.exists():
+        pytest.skip("a source archive has no .github")
+    for block in re.findall(
+        r"^```bash\n(.*?)^```", ROOT.joinpath("README.md").read_text("utf-8"), re.S | re.M
+    ):
+        for command in re.split(r" && |\n", block.strip()):
+            assert "venv" in command or f"          {command}\n" in workflow.read_text("utf-8")

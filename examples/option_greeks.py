@@ -27,7 +27,7 @@ import typer
 
 from lcp_plugin import LCP, derivative, march
 from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.problems.march.march_derivative import MarchDerivative
+from lcp_plugin.problems.march import MarchDerivative
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
 SIZE, MARCHES, STEPS, KEPT = (

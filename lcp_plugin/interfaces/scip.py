@@ -36,7 +36,7 @@ from ..core.checks import FloatVector
 from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
 from ..core.matrix import entries_of_row
-from ..expressions.program import Program
+from ..expressions.rows import Program
 from ..problems.equilibria.equilibrium_program import LOWER, UPPER, EquilibriumProgram
 from ..problems.equilibria.relaxations import ENDS
 from ..problems.programs.program import QuadraticProgram

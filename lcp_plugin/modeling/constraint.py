@@ -15,8 +15,7 @@ from ..core.checks import replace_huge_bounds_by_inf
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import attribute_bounds, bound_value
-from .cones import stacked
-from .model import pair_residual
+from .model import pair_residual, stacked
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
 

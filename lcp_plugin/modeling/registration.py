@@ -18,7 +18,7 @@ from ..core.lcp import LCP
 from ..expressions.statement import solve_from
 from ..problems.programs.no_minimum import QPInfeasibility
 from ._compat import CVXPY_STATUS, name_of, refusal, solver_errors
-from .agent_checks import without_agents
+from .agents import without_agents
 from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints

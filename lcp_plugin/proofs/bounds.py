@@ -71,11 +71,11 @@ from ..core.lcp import LCP
 from ..core.matrix import Exponents, Matrix, connected_components, fact, scale_matrix
 from ..core.problem_classes import refusal
 from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
-from ..systems.comparison_sums import comparison_product
 from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
 from ..systems.equilibration import unit_diagonal
 from ..systems.factors import PositiveFactor, factor_fits, positive_factor
 from ..systems.free_systems import KRYLOV_GOAL, FreeSystem
+from ..systems.graph import comparison_product
 from .exact import (
     exact_symmetric_part,
     has_nonnegative_pivots,

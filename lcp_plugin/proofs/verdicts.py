@@ -49,7 +49,6 @@ from ..core.problem_classes import class_of, refusal
 from ..core.rounding import lower_end, upper_end
 from ..systems import graph
 from ..systems.comparison import ComparisonMatrix
-from ..systems.comparison_sums import comparison_product, exact_comparison_row
 from ..systems.definiteness import (
     LARGEST_SUMMAND,
     is_positive_definite,
@@ -58,7 +57,14 @@ from ..systems.definiteness import (
     symmetric_part,
 )
 from ..systems.factors import factor_fits
-from ..systems.graph import asymmetry, asymmetry_of_rows, diagonal_blocks, row_excess_signs
+from ..systems.graph import (
+    asymmetry,
+    asymmetry_of_rows,
+    comparison_product,
+    diagonal_blocks,
+    exact_comparison_row,
+    row_excess_signs,
+)
 from .exact import (
     EXACT_SIZE,
     exact_rows,

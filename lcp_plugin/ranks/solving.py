@@ -29,7 +29,7 @@ from ..core.solving.run import Run
 from ..core.solving.run_log import RunLog
 from ..core.solving.stage import Named, Stage
 from ..core.solving.termination import TerminationReason
-from ..systems.comparison_sums import comparison_product
+from ..systems.graph import comparison_product
 from .halo import Interruptions
 from .methods import chain
 

@@ -24,10 +24,9 @@ from ..core.matrix import (
     times_power,
 )
 from ..core.rounding import compensated_product, lower_end, upper_end
-from .comparison_sums import comparison_of
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits
-from .graph import strong_blocks, within_blocks
+from .graph import comparison_of, strong_blocks, within_blocks
 
 if TYPE_CHECKING:
     from .hierarchy.grids import Hierarchy

@@ -72,7 +72,7 @@ def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) 
 @given(products())
 def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     """The exact ⟨M⟩v lies between the two ends, which are the value itself where the radius is zero."""
-    from lcp_plugin.systems.comparison_sums import comparison_product, exact_comparison_row
+    from lcp_plugin.systems.graph import comparison_product, exact_comparison_row
 
     A, v, _ = data
     M = sp.csr_array(A)

@@ -20,7 +20,7 @@ from lcp_plugin import (
     complements,
     derivative,
 )
-from lcp_plugin.modeling.model_derivative import ParametricRows
+from lcp_plugin.modeling.parameters import ParametricRows
 from lcp_plugin.modeling.reading import Reader, folded
 
 LEAVES = ("s", "x", "y", "X", "Y", "c", "Z")

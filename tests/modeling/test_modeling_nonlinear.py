@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from lcp_plugin import NonlinearProblem, box, complements, derivative
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.expressions import functions
-from lcp_plugin.expressions.program import Program
+from lcp_plugin.expressions.rows import Program
 from lcp_plugin.modeling.reading import Reader
 from lcp_plugin.modeling.registration import build, is_complementarity_problem
 
@@ -458,9 +458,9 @@ def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """An atom whose rule disagrees with cvxpy's value ends in an error, not in a solution."""
     double = lambda u: 2 * np.exp(u)  # noqa: E731
     wrong = functions.Function("exp", 1, double, lambda u: (double(u),))
-    from lcp_plugin.modeling import atom_rules
+    from lcp_plugin.modeling import reading
 
-    monkeypatch.setitem(atom_rules.SMOOTH, type(cp.exp(X)), atom_rules._elementary(wrong))
+    monkeypatch.setitem(reading.SMOOTH, type(cp.exp(X)), reading._elementary(wrong))
     x = cp.Variable()
     with pytest.raises(
         cp.error.SolverError, match="evaluates the model at the solution to other values"

@@ -30,13 +30,12 @@ from lcp_plugin.proofs.verdicts import (
     nonpositive_pair,
     positive_margin,
 )
-from lcp_plugin.systems.comparison_sums import comparison_product, exact_comparison_row
 from lcp_plugin.systems.definiteness import (
     is_positive_definite,
     is_semidefinite_to_rounding,
 )
 from lcp_plugin.systems.factors import factor_fits
-from lcp_plugin.systems.graph import row_excess_signs
+from lcp_plugin.systems.graph import comparison_product, exact_comparison_row, row_excess_signs
 
 
 def laplacian(m: int) -> sp.csr_array:

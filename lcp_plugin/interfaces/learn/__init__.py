@@ -40,7 +40,7 @@ axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``
 use :meth:`BatchDerivative.jvp` in numpy.
 
 **Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of
-:class:`~lcp_plugin.problems.sensitivity.batch_derivative.ContactBatchDerivative`.
+:class:`~lcp_plugin.problems.sensitivity.ContactBatchDerivative`.
 
 **Double precision**, on the CPU: single precision raises an error, because a certificate of rounded data certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.
@@ -59,8 +59,7 @@ from ...core.errors import InvalidProblem, LCPError, NotConverged
 from ...problems.batches.batch import solve_batch
 from ...problems.batches.batch_run import BatchAnswers
 from ...problems.cones.frictional_contact import FrictionalContact
-from ...problems.sensitivity import derivative
-from ...problems.sensitivity.batch_derivative import BatchGradient
+from ...problems.sensitivity import BatchGradient, derivative
 
 
 class Layer(ABC):

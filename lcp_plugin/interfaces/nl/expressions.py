@@ -23,7 +23,7 @@ from ...core.matrix import entries_of_row
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows
-from ...expressions.substitution import put_in_all
+from ...expressions.statement import put_in_all
 from .reading import OPERATOR_NAMES, Indices, NLContent, Token, Trees
 
 T = TypeVar("T")

@@ -23,8 +23,7 @@ from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.base_result import Outcome
 from ...core.solving.result import Result
-from ...expressions.program import Program
-from ...expressions.rows import Rows
+from ...expressions.rows import Program, Rows
 from ...expressions.statement import SquareModel, Statement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem

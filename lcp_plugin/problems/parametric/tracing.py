@@ -103,7 +103,7 @@ def trace(
         if not is_number(value) or not np.isfinite(value):
             raise InvalidOption(f"{name} must be a finite number, got {value!r}")
     if type(problem).__module__.startswith(("cvxpy.", "lcp_plugin.modeling.")):
-        from ...modeling.parametric_models import trace_model
+        from ...modeling.parameters import trace_model
 
         return trace_model(problem, along, float(start), float(stop), tolerance)
     return trace_stated(problem, along, float(start), float(stop), tolerance)

@@ -140,7 +140,7 @@ def certify(
                 raise InvalidOption(
                     "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
                 )
-            from ...modeling.certified_problem import certify_problem
+            from ...modeling.qp_solver import certify_problem
 
             return certify_problem(problem, float(tolerance))
         if claim not in (None, *CLAIMS):

@@ -24,7 +24,7 @@ from lcp_plugin import (
     complements,
     solve,
 )
-from lcp_plugin.expressions.program import Program
+from lcp_plugin.expressions.rows import Program
 from lcp_plugin.interfaces.nl import model_of, write_nl
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
 from lcp_plugin.interfaces.nl.reading import NLContent, Token, Trees

@@ -16,7 +16,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.problems.cones.stack import ConeStack
-from lcp_plugin.problems.sensitivity.batch_derivative import ContactBatchDerivative
+from lcp_plugin.problems.sensitivity import ContactBatchDerivative
 
 
 def drawn(

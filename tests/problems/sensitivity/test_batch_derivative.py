@@ -18,7 +18,7 @@ from lcp_plugin import (
     derivative,
     solve_batch,
 )
-from lcp_plugin.problems.sensitivity.batch_derivative import BatchDerivative
+from lcp_plugin.problems.sensitivity import BatchDerivative
 
 INF = np.inf
 EPSILON = np.finfo(np.float64).eps

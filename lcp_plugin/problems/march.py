@@ -1,0 +1,1019 @@
+"""Time stepping: one matrix, and a q that depends on the solution of the previous step.
+
+march(): time stepping for one or many problems, such as strikes of an option.
+
+Time stepping on a narrow band: steps are solved one after the other, and checked in blocks.
+
+M may be tridiagonal with off-diagonal entries ≤ 0 and bounds on one side only, as in an American option. Each step
+is then one pass of :func:`~lcp_plugin.methods.banded.solve_one_sided`. On other bands a step runs
+:func:`~lcp_plugin.methods.banded.active_sets`.
+
+Derivative of a time-stepping run: the chain of its steps, forwards or backwards.
+
+With q_k = f_k + C z_{k−1} each step passes on dq_k = df_k + dC z_{k−1} + C dz_{k−1}. Backwards, a function L of all
+z has g_k = ∂L/∂z_k + Cᵀ ∂L/∂q_{k+1}, from which the derivative of the step computes ∂L/∂q_k. The gradients by M, C
+and the bounds are summed over the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from ..api import solve
+from ..auto import parse_call, plan, run_on, solve_lcp
+from ..core.algorithm import Algorithm
+from ..core.certificates.criterion import RowData
+from ..core.checks import (
+    FloatVector,
+    change_of_vector,
+    checked_start,
+    checked_vector,
+    derived_property,
+    is_number,
+    read_only,
+    real_array,
+    rectangular_matrix,
+    require_finite,
+)
+from ..core.deadline import Clock
+from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
+from ..core.kernels.floats import EPSILON
+from ..core.lcp import LCP
+from ..core.matrix import Matrix, connected_components, row_numbers
+from ..core.problem_classes import class_of, refusal, takes
+from ..core.settings import OF_SOLVE, Settings, Status, whole_number
+from ..core.solving.result import Result, StageRecord
+from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
+from ..systems.factors import BANDED_UP_TO, Bands, bands
+from ..systems.graph import bandwidth
+from .cones.data import Blocks
+from .many import AnswerSequence, length_of_all, rows_of_a_batch
+
+if TYPE_CHECKING:
+    from .sensitivity import Derivative
+
+
+def propagation(C: sp.csr_array) -> Callable[[FloatVector], FloatVector]:
+    """Return the function C z, for each row of z; if C is diagonal, a product of vectors."""
+    if np.array_equal(C.indices, row_numbers(C)):
+        diagonal: FloatVector = C.diagonal()
+        return lambda z: diagonal * z
+    return lambda z: np.asarray((C @ z.T).T)
+
+
+class BandSteps:
+    """The steps of a march on a narrow band.
+
+    Parameters
+    ----------
+    problem : LCP
+        The matrix and the bounds.
+    band : Bands
+        Bands of its matrix.
+    propagator : csr_array, shape (n, n)
+    settings : Settings
+    """
+
+    def __init__(
+        self, problem: LCP, band: Bands, propagator: sp.csr_array, settings: Settings
+    ) -> None:
+        self.problem, self.band, self.propagate = problem, band, propagation(propagator)
+        self.tolerance, self.absolute = settings.tolerance, abs(problem.csr)
+        self.most = settings.max_iterations
+        self.of_nearest: FloatVector = problem.csr @ problem.nearest_to_zero
+        #: 1 if a step is one pass from the lower bounds, −1 from the upper ones, else 0.
+        self.side, self.none = 0, read_only(np.zeros(problem.n, np.bool_))
+        if band.is_tridiagonal_z:
+            self.side = int(np.isinf(problem.upper).all()) or -int(np.isinf(problem.lower).all())
+
+    def solve(self, forcing: FloatVector, state: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return q and z of the first steps that meet the criterion from this state, shapes (k, n).
+
+        Parameters
+        ----------
+        forcing : array, shape (k, n)
+        state : array, shape (n,)
+        """
+        Q, Z = np.empty(forcing.shape), np.empty(forcing.shape)
+        fixed = read_only(Q)
+        for k, given in enumerate(forcing):
+            Q[k] = given + self.propagate(state)
+            found = self._step(fixed[k], state)
+            if found is None:
+                Q, Z = Q[:k], Z[:k]
+                break
+            state = Z[k] = found
+        measured = self._data(Q).measure(Z, self.tolerance, power=1.0)
+        passes, moves = measured.passes, (measured.z != Z).any(axis=1)
+        count = len(Q) if passes.all() else int(np.argmin(passes))
+        if moves[:count].any():  # later steps were computed from the point before it was moved
+            count = int(np.argmax(moves)) + 1
+        return Q[:count], read_only(measured.z)[:count]
+
+    def _step(self, q: FloatVector, state: FloatVector) -> FloatVector | None:
+        """Return the solution of one step, or None if none was found."""
+        problem = self.problem
+        if self.side:
+            value = problem.lower if self.side > 0 else problem.upper
+            found = solve_one_sided(self.band.entries, q, self.side, value, self.none)[0]
+            return (
+                None
+                if found is None
+                else np.minimum(np.maximum(found, problem.lower), problem.upper)
+            )
+        data = self._data(q)
+        reference = data.residual(data.start, self.of_nearest + q)
+        goal = 0.5 * self.tolerance * np.abs(reference).max(initial=0.0)
+        rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))
+        return next((z for z, residual in islice(rounds, self.most) if residual <= goal), None)
+
+    def _data(self, q: FloatVector) -> RowData:
+        """Return the data of the criterion of one step, q of shape (n,), or of several."""
+        problem = self.problem
+        vectors = q, problem.lower, problem.upper, problem.residual_scale
+        return RowData(problem.csr, self.absolute, *vectors, start=problem.nearest_to_zero)
+
+
+ITERATIVE = ("npsor", "psor", "multigrid")
+BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
+
+
+class March(AnswerSequence[Result]):
+    """The results of steps in time, in order; each is built when it is first read.
+
+    Parameters
+    ----------
+    problem, forcing, propagator, z0 : problem, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
+    keep : int
+        The arguments of :func:`march`; keep 0 means the last step only.
+
+    Attributes
+    ----------
+    z : list of arrays, shape (n,)
+        The solution of each kept step.
+    steps : list of int
+        Number of each kept step, from 0; `taken` is the number of steps that were taken.
+    all_solved : bool
+        True if every step that was taken is SOLVED, and none was rejected or interrupted.
+    error : LCPError or None
+        Error of the q of the step that ended the march.
+    seconds : float
+        Wall-clock seconds of the march.
+    """
+
+    item = "step"
+    all_solved = True
+
+    def __init__(
+        self,
+        problem: Any,
+        forcing: FloatVector,
+        propagator: sp.csr_array,
+        z0: FloatVector,
+        keep: int = 1,
+    ) -> None:
+        self.problem, self.forcing, self.propagator, self.z0 = problem, forcing, propagator, z0
+        self.keep, self.steps, self.taken = keep, list[int](), 0
+        self.seconds = 0.0
+        self.error: LCPError | None = None
+        self.is_interrupted = False
+        self.z: list[FloatVector] = []
+        self._results: list[Result | Callable[[], Result]] = []
+
+    def at(self, k: int) -> Result:
+        """Return the result of step k."""
+        found = self._results[k]
+        if not isinstance(found, Result):
+            found = self._results[k] = found()
+        return found
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+    @property
+    def status(self) -> list[Status]:
+        """The status of each kept step; all but the last are SOLVED."""
+        return [Status.SOLVED] * (len(self) - 1) + [one.status for one in self[-1:]]
+
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm of the last step."""
+        return self[-1].algorithm if len(self) else "no step"
+
+    def explain(self) -> str:
+        """Return the number of steps by status, and the explanation of the last step."""
+        last = f"the last step: {self[-1]}" if len(self) else ""
+        return "\n".join(filter(None, [*self._summary(), last]))
+
+    def _summary(self) -> list[str]:
+        kept = f", {len(self)} kept" if len(self) < self.taken else ""
+        found = f"{self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        steps = f"{self.taken} of {len(self.forcing)} steps{kept}: {found}"
+        return [steps, *([f"ended by {self.error}"] if self.error else [])]
+
+    def __repr__(self) -> str:
+        return f"March({'; '.join(self._summary())})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Build the results that were not read yet, because their builders cannot be pickled."""
+        return {**self.__dict__, "_results": [self.at(k) for k in range(len(self))]}
+
+    def take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
+        """Add one step; the step before it is dropped if it is not one of every `keep`."""
+        if self.taken and (self.taken % self.keep if self.keep else True):
+            del self.steps[-1], self.z[-1], self._results[-1]
+        self.steps.append(self.taken)
+        self.z.append(z)
+        self._results.append(result)
+        self.taken += 1
+
+
+def take_steps_on_band(
+    done: March, algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
+) -> None:
+    """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
+    problem, clock = done.problem, Clock()
+    if not isinstance(problem, LCP) or not problem.n:
+        return
+    method, settings = parse_call(algorithm, wishes)
+    begin = next(plan(problem, method, settings.goal))
+    if (
+        settings.record
+        or settings.error_bound
+        or settings.verbose
+        or settings.max_iterations == 0
+        or wishes.get("callback") is not None
+        or not isinstance(begin.algorithm, Banded)
+        or (band := bands(problem.matrix)) is None
+        or connected_components(problem.matrix) is not None
+    ):
+        return
+    steps, state = BandSteps(problem, band, done.propagator, settings), done.z0
+    while done.taken < len(done.forcing) and clock.read() < limit:
+        forcing = done.forcing[done.taken : done.taken + BLOCK]
+        solved = steps.solve(forcing, state)
+        for q, state in zip(*solved, strict=True):
+            row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
+            done.take(z, partial(_result_at, problem, row, z, settings))  # without its block
+        if len(solved[0]) < len(forcing):
+            break
+
+
+def _result_at(problem: LCP, q: FloatVector, z: FloatVector, settings: Settings) -> Result:
+    """Return the result of a step on a band, which is measured already."""
+    stage = StageRecord(Banded.name, "M is a narrow band: many steps in one loop", 1, 1.0)
+    return Result.at(problem.with_q(q), z, stage, settings)
+
+
+def take_steps(
+    done: March, algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
+) -> None:
+    """Take the remaining steps of a march within a time limit, until one is not solved."""
+    problem, propagator, total = done.problem, done.propagator, len(done.forcing)
+    is_lcp, clock = isinstance(problem, LCP), Clock()
+    state = done.z[-1] if done.z else done.z0
+    begin: str | None = None  # the iteration that finished the step before
+    while done.taken < total and done.all_solved:
+        step = done.taken
+        try:
+            stated = problem.with_q(done.forcing[step] + propagator @ state)
+            left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
+            if is_lcp and begin is not None:
+                within = parse_call("auto", {**wishes, **left})[1]
+                near = checked_start(stated, state)
+                found = run_on(
+                    stated, None, within, near, Clock(), wishes.get("callback"), begin=begin
+                )
+            elif is_lcp:
+                found = solve_lcp(stated, algorithm, z0=state, **{**wishes, **left})
+            else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
+                start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
+                found = solve(stated, algorithm, **{**wishes, **left, **start})
+            done.all_solved = found.is_solved
+            done.is_interrupted = found.status is Status.INTERRUPTED
+            if is_lcp and algorithm == "auto" and found.is_solved and found.iterations:
+                begin = beginning_of_next(found, step)
+            done.take(found.z, found)
+            state = found.z
+        except InvalidProblem as error:
+            if not done:
+                raise
+            done.error, done.all_solved = error, False
+
+
+def beginning_of_next(found: Result, step: int) -> str | None:
+    """Return the algorithm that finished this step and starts the next, or None for auto.
+
+    The first step does not count, because it may start far from its solution.
+    """
+    last = found.stages[-1].name
+    return last if step and last in ITERATIVE else None
+
+
+def checked_rows(
+    name: str, given: Any, shape: str, fits: Callable[[tuple[int, ...]], bool]
+) -> FloatVector:
+    """Return a finite array with a fitting shape."""
+    need = f"{name} must be a finite array of shape {shape}"
+    rows = real_array(given.toarray() if sp.issparse(given) else given, need)
+    if not fits(rows.shape):
+        raise InvalidProblem(f"{need}, got shape {rows.shape}")
+    require_finite(rows, name)
+    return rows
+
+
+def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.csr_array:
+    """Return the propagator as a finite matrix by rows; a number stands for a multiple of the identity."""
+    if is_number(propagator):
+        propagator = float(propagator) * sp.eye_array(n)
+    return sp.csr_array(rectangular_matrix(propagator, name, n, n))
+
+
+BOUNDS = "lower", "upper"
+# options of `march`, not of `solve`
+OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"
+
+
+@np.errstate(all="ignore")
+def march(
+    problem: LCP | Blocks | Sequence[LCP],
+    forcing: ArrayLike,
+    propagator: Any = -1.0,
+    *,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    max_seconds: float | None = None,
+    keep: int | str = 1,
+    **wishes: Any,
+) -> Any:
+    """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
+
+    If forcing, z0, lower or upper have an additional first axis, or if problem or propagator is a list, m marches run
+    one after the other.
+
+    Parameters
+    ----------
+    problem : LCP or ConeProblem or FrictionalContact, or a list of m LCPs
+        Gives M and the bounds or cones; its q is not used. In a list, one problem per march.
+    forcing : array, shape (k, n), or (m, k, n) for m marches
+        One row per step; use ``np.broadcast_to(row, (k, n))`` for constant forcing.
+    propagator : number or array or sparse array, shape (n, n), or a list of m of these
+        Map from the z of one step to its contribution to the next q; a number means a multiple of the identity. An
+        implicit Euler step (I + Δt A) z = z_before has −1.
+    lower, upper : number or array, shape (n,) or (m, n), optional
+        Replace the bounds of an LCP.
+    z0 : array, shape (n,) or (m, n), optional
+        The state before the first step; by default the point of [lower, upper] nearest to 0.
+    max_seconds : float, optional
+        Wall-clock limit in seconds for all marches together. The current step is then the last step.
+    keep : int or "last"
+        Steps that the result contains: every k-th step and the last, or the last only. Other steps are dropped as soon
+        as the next step is taken, which saves memory; the derivative of a march needs all steps.
+    algorithm, **wishes
+        Other options of :func:`lcp_plugin.solve`, for each step.
+
+    Returns
+    -------
+    March, or a list of m of them
+        A sequence of k Results. The sequence is shorter after Ctrl-C, after a step that was not solved, or if the q of
+        a step overflows (see ``error``). Ctrl-C and a callback also end the other marches.
+
+    Raises
+    ------
+    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
+        Before the first step.
+
+    Notes
+    -----
+    Each step starts from the solution of the previous step, and has its own certificate. On narrow bands, for which
+    `auto` uses `banded`, all steps run in one compiled loop, certificates included. Otherwise `auto` chooses in the
+    first two steps; later steps start with the method that finished the previous step. If few rows have a bound,
+    as in contact, the others are eliminated by one factorization for all steps, if that is cheaper. A march of 1000
+    steps and 10⁴ unknowns takes 80 MB; for longer ones set `keep`.
+
+    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
+    propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
+    with damping: take four implicit half steps first, with the same M, the propagator −B and the forcing
+    −½ Δt f (Rannacher 1984).
+
+    Contacts with friction on elastic bodies: W has displacements by forces. A slow load determines, step by step, the
+    gaps without contact and the tangential displacements from the step before. Use the propagator −W with zeros in the
+    rows of the normals, because the slip is the tangential displacement of a step. If contacts change, W changes: use
+    ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step instead of `march`.
+
+    References
+    ----------
+    R. Rannacher, *Finite element solution of diffusion problems with irregular data*, Numer. Math. 43 (1984),
+    doi:10.1007/BF01390130.
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left
+    >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
+    [array([0.875, 0.625]), array([0.781, 0.469])]
+    >>> [done.z[-1].round(3) for done in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], upper=[[1, 1], [0.5, 1]])]
+    [array([0.781, 0.469]), array([0.5  , 0.333])]
+    >>> stiffer = LCP([[4, -2], [-2, 4]], [0, 0], upper=1)
+    >>> [done.z[-1].round(3) for done in march([rod, stiffer], [[-1, 0], [-1, 0]], z0=[1, 1])]
+    [array([0.781, 0.469]), array([0.722, 0.528])]
+    """
+    of_states = lower, upper, z0
+    is_list = isinstance(problem, (list, tuple))
+    are_many = is_list or _is_one_a_march(propagator) or _axes(forcing) == 3
+    are_many = are_many or 2 in map(_axes, of_states)
+    problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
+    if not problems:
+        return []
+    clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
+    given = zip((*BOUNDS, "z0"), of_states, strict=True)
+    states = {name: values for name, values in given if values is not None}
+    marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
+    every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
+    for k, one in enumerate(marches):
+        one.keep, begun = every, clock.read()
+        try:
+            take_steps_on_band(one, algorithm, wishes, limit - clock.read())
+            take_steps(one, algorithm, wishes, max(limit - clock.read(), 0.0))
+        except KeyboardInterrupt:
+            if not one.taken:
+                raise
+            one.is_interrupted, one.all_solved = True, False
+        one.seconds = clock.read() - begun
+        if one.is_interrupted:
+            for later in marches[k + 1 :]:
+                later.all_solved = not len(later.forcing)
+            break
+    return marches if are_many else marches[0]
+
+
+def _axes(values: Any) -> int:
+    """Return the number of axes of an argument."""
+    try:
+        return np.ndim(values)
+    except ValueError:  # rows of different lengths, which later raise InvalidProblem
+        return 0
+
+
+def _begin(
+    problems: list[Any],
+    forcing: ArrayLike,
+    propagator: Any,
+    states: dict[str, Any],
+    algorithm: str | Algorithm,
+    wishes: dict[str, Any],
+    *,
+    are_many: bool,
+) -> list[March]:
+    """Return the marches before their first steps; raise an error for invalid data."""
+    n = getattr(problems[0], "n", 0)
+    for j, one in enumerate(problems):
+        if not takes("march", one):
+            raise InvalidOption(refusal("march", one))
+        if not isinstance(one, LCP) and states.keys() - {"z0"}:
+            raise InvalidOption(
+                f"lower and upper of a march are bounds of an LCP; a {class_of(one)} has none"
+            )
+        if one.n != n:
+            raise InvalidProblem(
+                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
+                "call march once per size"
+            )
+    if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
+        raise InvalidOption(
+            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*OF_MARCH, *OF_SOLVE))}"
+        )
+    shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
+    axes = (2, 3) if are_many else (2,)
+    given = checked_rows(
+        "forcing", forcing, f"{shape}, n = {n}", lambda of: len(of) in axes and of[-1] == n
+    )
+    each = propagator if _is_one_a_march(propagator) else [propagator]
+    several: dict[str, Any] = {
+        "problem": problems,
+        "forcing": [given] if given.ndim == 2 else list(given),
+        "propagator": [checked_propagator(C, n) for C in each],
+    }
+    for name, values in states.items():
+        several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
+    if isinstance(problems[0], LCP):
+        parse_call(algorithm, wishes)
+    lengths = {name: len(one) for name, one in several.items() if len(one) != 1}
+    marches: list[March] = []
+    for j in range(length_of_all(lengths)):
+        own = {name: one[min(j, len(one) - 1)] for name, one in several.items()}
+        stated, bounds = own["problem"], {name: own[name] for name in BOUNDS if name in own}
+        stated = stated.with_q(stated.q, **bounds) if bounds else stated
+        state = checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
+        marches.append(March(stated, own["forcing"], own["propagator"], state))
+    return marches
+
+
+def _is_one_a_march(propagator: Any) -> bool:
+    """Return whether the argument is a sequence of propagators: sparse arrays, or a batch axis."""
+    if sp.issparse(propagator) or is_number(propagator):
+        return False
+    if isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator)):
+        return True
+    return _axes(propagator) in (1, 3)  # numbers, or matrices
+
+
+LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
+CLEAR = 64.0  # times the rounding error
+BACKWARD = 2.0**-40  # relative residual of a stable solution
+CANCELLED = 2.0**40  # terms relative to their sum: the block is nearly singular
+KINK = 2  # times the side of a row at this bound with w = 0
+NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
+
+
+class Band(NamedTuple):
+    """Matrix of a march on a narrow band, its bands, and propagator; possibly transposed."""
+
+    M: sp.csr_array
+    size: sp.csr_array
+    entries: Bands
+    propagate: Callable[[FloatVector], FloatVector]
+
+    @classmethod
+    def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
+        """Return the band of a matrix, or None if it is not narrow."""
+        width = sum(bandwidth(matrix) or (matrix.n, matrix.n))
+        if width > BANDED_UP_TO or (entries := bands(matrix)) is None:
+            return None
+        return cls(matrix.csr, abs(matrix.csr), entries, propagation(propagator))
+
+    def follow(
+        self, state: NDArray[np.int8], value: FloatVector, right: FloatVector, before: FloatVector
+    ) -> tuple[FloatVector, FloatVector, FloatVector]:
+        """Return x, w = M x + r and the rounding error of w of the first of consecutive steps, r = right + C before.
+
+        `before` is the x of the step before. x is `value` on rows with a state; the other rows are free and satisfy
+        w = 0. The rounding error is relative to the row weights. Steps end before one whose block of free rows is
+        nearly singular, because its residual exceeds the rounding error, or its terms cancel.
+
+        Parameters
+        ----------
+        state, value, right : arrays, shape (k, n)
+        before : array, shape (n,)
+
+        Returns
+        -------
+        x, w : array, shape (j, n)
+        rounding : array, shape (j,)
+        """
+        x, unit, is_free = np.empty(right.shape), self.entries.weights, state == 0
+        given, weights = np.where(is_free, -right * unit, value), np.where(is_free, unit, 0.0)
+        count, first = len(x), before
+        for k, entries in enumerate(held_entries(self.entries, state)):
+            rest = given[k] - weights[k] * self.propagate(before)
+            if (found := solve_held(entries, self.entries.below, rest)) is None:
+                count = k
+                break
+            before = x[k] = found
+        x, is_free = x[:count], is_free[:count]
+        right = right[:count] + self.propagate(np.array([first, *x[:-1]])[:count])
+        w, size = (self.M @ x.T).T + right, ((self.size @ np.abs(x).T).T + np.abs(right)) * unit
+        given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
+        terms, given, left = (
+            np.max(one, axis=1, initial=0.0, where=is_free)
+            for one in (size, given, np.abs(w) * unit)
+        )
+        is_regular = (left <= BACKWARD * terms) & (terms <= CANCELLED * given)
+        count = count if is_regular.all() else int(np.argmin(is_regular))
+        return x[:count], w[:count], EPSILON * terms[:count]
+
+
+def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVector:
+    """Return Σ_k left_ki right_kj at the entries of A."""
+    sums: FloatVector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
+    return sums
+
+
+def _solve_each(entries: FloatVector, below: int, right: FloatVector) -> FloatVector:
+    """Return the solutions of banded systems, shape (k, n), as one system; NaN for a singular one."""
+    together = solve_held(np.concatenate([*entries], axis=1), below, right.ravel())
+    if together is not None:
+        return together.reshape(right.shape)
+    found = map(solve_held, entries, [below] * len(right), right)
+    return np.array([np.full(right.shape[1], np.nan) if one is None else one for one in found])
+
+
+class Steps:
+    """Consecutive steps of a march; `here` is the slice of their indices.
+
+    On a narrow band each solution is first computed again on its free rows, and its rows are classified: −1 at the
+    lower bound, 0 between, 1 at the upper bound, ∓2 if also w = 0. A step is passed to its Derivative if rounding
+    error leaves rows undecided, or if its free block is nearly singular.
+
+    Parameters
+    ----------
+    whole : MarchDerivative
+    first : int
+        The number of the first step.
+    states : array, shape (count + 1, n)
+        The state before the first step, and the solutions.
+    """
+
+    @np.errstate(all="ignore")
+    def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
+        self.whole, self.march, self.states = whole, whole.march, states
+        march, count = whole.march, len(states) - 1
+        self.here = slice(first, first + count)
+        self.q = march.forcing[self.here] + (march.propagator @ states[:-1].T).T
+        self._of_step: tuple[int, Derivative] | None = None
+        if (settled := whole.settled.get(first)) is None:
+            settled = whole.settled[first] = self._settle(whole.band)
+        self.z, (self.sides, self.is_plain) = settled[0].copy(), settled[1:]
+
+    def __len__(self) -> int:
+        return len(self.states) - 1
+
+    def _settle(self, band: Band | None) -> tuple[FloatVector, NDArray[np.int8], NDArray[np.bool_]]:
+        """Solve each step on its free rows once; return the solutions, the states of rows, and which active sets stay.
+
+        Without a band, none stays.
+        """
+        problem, z = self.march.problem, self.states[1:]
+        change = before = np.full(z.shape, KINK, np.int8)
+        if band is None:
+            return z, before, np.zeros(len(z), np.bool_)
+        lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
+        for is_last in (False, True):
+            w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
+            above, below = z - lower, upper - z
+            nearest = np.minimum(above, below) * scale
+            is_negligible = (nearest < NEGLIGIBLE) & (np.abs(w) < NEGLIGIBLE)
+            found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
+            found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
+            found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
+            if is_last:
+                break
+            before = found
+            value = np.where(found < 0, lower, upper)
+            right = np.where(found, value - z, -w * band.entries.weights)
+            step = _solve_each(held_entries(band.entries, found), band.entries.below, right)
+            change, z = np.abs(step), np.where(found, value, z + step)
+        size *= EPSILON * (np.diff(band.M.indptr) + 1)
+        near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
+        is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
+        is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
+        kinks = np.where(below < above, KINK, -KINK)
+        sides = np.where(is_kink & (lower != upper), kinks, found).astype(np.int8)
+        return z, sides, ((found == before) & (is_clear | is_kink)).all(axis=1)
+
+    def at(self, k: int) -> Derivative:
+        """Return the derivative of a step by the data of the step."""
+        if self._of_step is None or self._of_step[0] != k:
+            problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
+            self._of_step = k, self.whole.next_at(problem, z, problem.slack(z))
+        return self._of_step[1]
+
+    def degenerate(self, k: int) -> NDArray[np.intp]:
+        """Return the degenerate rows of a step."""
+        return (
+            np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
+        )
+
+    def jvp(
+        self,
+        dM: sp.csr_array,
+        dforcing: FloatVector,
+        dpropagator: sp.csr_array,
+        dlower: FloatVector,
+        dupper: FloatVector,
+        before: FloatVector,
+    ) -> FloatVector:
+        """Return the changes of the solutions, and write the last change to `before`.
+
+        At the call, `before` is the change of the state before the first step.
+        """
+        given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
+        value = np.where(self.sides < 0, dlower, np.where(self.sides > 0, dupper, 0.0))
+
+        def solve_alone(k: int, before: FloatVector) -> FloatVector:
+            alone = self.at(k)
+            dq = given[k] + self.march.propagator @ before + dM @ alone.z
+            return alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
+
+        forwards, right = np.arange(len(self)), given + (dM @ self.z.T).T
+        dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)
+        before[:] = dz[-1]
+        return dz
+
+    def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
+        """Return the gradients by q, and add the gradients by the bounds to `of_bounds`.
+
+        `after` is the gradient by q of the next step (0 if there is none), and is overwritten by the gradient of
+        the first of these steps.
+        """
+
+        def solve_alone(k: int, after: FloatVector) -> FloatVector:
+            alone = self.at(k)
+            gradient = alone.vjp(g[k] + self.march.propagator.T @ after)
+            self.z[k] = alone.z
+            of_bounds[:] += gradient.lower, gradient.upper
+            return np.asarray(gradient.q)
+
+        order, none = np.arange(len(self))[::-1], np.zeros(g.shape)
+        by_q, w = self._follow(self.whole.transposed, order, none, g[order], after, solve_alone)
+        side = self.sides[order]
+        of_bounds[:] += (w * (side < 0)).sum(axis=0), (w * (side > 0)).sum(axis=0)
+        after[:] = by_q[-1]
+        return by_q[order]
+
+    def _follow(
+        self,
+        band: Band | None,
+        order: NDArray[np.intp],
+        value: FloatVector,
+        right: FloatVector,
+        before: FloatVector,
+        solve_alone: Callable[[int, FloatVector], FloatVector],
+    ) -> tuple[FloatVector, FloatVector]:
+        """Return x and w of the steps in this order, on the band if that decides; w is 0 for the other steps.
+
+        Forwards, a degenerate row stays at its bound if its slack agrees; backwards, any piece is a gradient.
+        """
+        x, w, k, side = np.empty(right.shape), np.zeros(right.shape), 0, self.sides[order]
+        is_plain = self.is_plain[order] & (band is not None)
+        is_kink = (np.abs(side) == KINK) & (order[-1] >= order[0])
+        while k < len(x):
+            stop = k + int(np.argmin(np.append(is_plain[k:], False)))
+            if band is None or stop == k:
+                before = x[k] = solve_alone(int(order[k]), before)
+                k += 1
+                continue
+            here = slice(k, stop)
+            found, slack, rounding = band.follow(side[here], value[here], right[here], before)
+            here = slice(k, k + len(found))
+            signed = np.where(side[here] > 0, slack, -slack) * band.entries.weights
+            is_wrong = (is_kink[here] & (signed > rounding[:, np.newaxis])).any(axis=1)
+            count = int(np.argmax(is_wrong)) if is_wrong.any() else len(found)
+            here = slice(k, k + count)
+            x[here], w[here] = found[:count], slack[:count]
+            k += count
+            before = x[k - 1] if count else before
+            if k < stop:
+                is_plain[k] = False
+        return x, w
+
+
+class MarchGradient(NamedTuple):
+    """Gradient of a function of all steps in time, with respect to the data.
+
+    Attributes
+    ----------
+    z0, lower, upper : array, shape (n,)
+        Gradients by the state before the first step, also for the default z0, and by the bounds of all steps.
+    M, propagator : csr_array, shape (n, n)
+        Gradients by the entries of M and the propagator, on their sparsity patterns. For a number as propagator, use
+        the sum of the diagonal.
+    forcing : array, shape (k, n)
+    """
+
+    z0: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    M: sp.csr_array
+    propagator: sp.csr_array
+    forcing: FloatVector
+
+
+class MarchDerivative:
+    """The derivative of all steps in time with respect to M, forcing, propagator, z0 and bounds.
+
+    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by the q of the step, with its
+    proofs.
+
+    Parameters
+    ----------
+    march : March
+    each : callable
+        Returns the Derivative of a problem at its z and w.
+
+    Raises
+    ------
+    UnsuitableProblem
+        If the march was not solved to its end.
+
+    Notes
+    -----
+    A step on a narrow band is one banded system. A step is passed to its Derivative if its rows are nearly degenerate
+    or its free block is nearly singular, and for other matrices.
+    """
+
+    def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
+        _require_all_steps(march)
+        self.march, self._derivative_at = march, each
+        self._before: Derivative | None = None  # its factorization may be used again
+        # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
+        self.settled: dict[int, tuple[FloatVector, NDArray[np.int8], NDArray[np.bool_]]] = {}
+
+    def __len__(self) -> int:
+        return len(self.march)
+
+    def __getitem__(self, k: int) -> Derivative:
+        result = self.march[k]
+        return self._derivative_at(result.certificate.problem, result.z, result.w)
+
+    def next_at(self, problem: LCP, z: FloatVector, w: FloatVector) -> Derivative:
+        """Return the derivative of the next step, with the last factorization if it fits."""
+        self._before = self._derivative_at(problem, z, w, before=self._before)
+        return self._before
+
+    @derived_property
+    def degenerate(self) -> NDArray[np.intp]:
+        """Pairs of a step and a row at a bound with w = 0, up to rounding error; shape (count, 2).
+
+        Rows without a bound that only prescribe z, such as boundary values as identity rows, do not count.
+        """
+        found = [np.empty((0, 2), np.intp)]
+        for part in self._parts():
+            for k in range(len(part)):
+                rows = part.degenerate(k)
+                found.append(np.column_stack([np.full(rows.size, part.here.start + k), rows]))
+        return np.concatenate(found)
+
+    @derived_property
+    def is_unique(self) -> bool | None:
+        """True if the derivative of each step exists, at its q: see ``Derivative``.
+
+        True if this is proved for all steps, False if rows of a step are degenerate, otherwise None.
+        """
+        if self.degenerate.size:
+            return False
+        return True if all(self[k].is_unique for k in range(len(self))) else None
+
+    def jvp(
+        self,
+        *,
+        dM: Any = None,
+        dforcing: Any = None,
+        dpropagator: Any = None,
+        dz0: Any = None,
+        dlower: Any = None,
+        dupper: Any = None,
+        only_last: bool = False,
+        **unknown: Any,
+    ) -> FloatVector:
+        """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
+
+        Parameters
+        ----------
+        dM : array or sparse array, shape (n, n), optional
+            The change of M, on any pattern.
+        dforcing : array, shape (k, n) or (n,), optional
+            Change of the forcing of each step, or one row for all.
+        dpropagator : number or array or sparse array, shape (n, n), optional
+            The change of the propagator, on any pattern; a number stands for a multiple of the identity.
+        dz0 : array, shape (n,), optional
+        dlower, dupper : number or array, shape (n,), optional
+            Changes of the bounds; only active bounds matter.
+        only_last : bool
+            If True, return only the change of the last solution.
+
+        Returns
+        -------
+        array, shape (k, n), or (n,) for the last answer alone
+            Changes of the solutions. Without steps, `only_last` returns dz0.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            See the Derivative of a step.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, derivative, march
+        >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
+        >>> derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).jvp(dz0=[1, 0])
+        array([[0.375  , 0.125  ],
+               [0.15625, 0.09375]])
+        """
+        if unknown:
+            known = "dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last"
+            name, hint = next(iter(unknown)), did_you_mean(next(iter(unknown)), known)
+            hint = "; the q of the steps change by dforcing" if name == "dq" else hint
+            raise InvalidOption(f"jvp of a march has no option {name!r}{hint}")
+        n, steps = self.march.problem.n, len(self)
+        rows = _rows(
+            np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
+        )
+        none = sp.csr_array((n, n))
+        dM = none if dM is None else sp.csr_array(rectangular_matrix(dM, "dM", n, n))
+        dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
+        low = change_of_vector(dlower, "dlower", n, may_be_number=True)
+        high = change_of_vector(dupper, "dupper", n, may_be_number=True)
+        before = change_of_vector(dz0, "dz0", n).copy()
+        dz = np.empty((0 if only_last else steps, n))
+        for part in self._parts():
+            changes = part.jvp(
+                dM, rows[part.here] if rows.ndim > 1 else rows, dC, low, high, before
+            )
+            if not only_last:
+                dz[part.here] = changes
+        return before if only_last else dz
+
+    def vjp(self, g: ArrayLike) -> MarchGradient:
+        """Return the gradients of a function L by M, forcing, propagator, z0 and bounds.
+
+        If rows are degenerate, this is the gradient of one of the pieces that meet there: see ``Derivative.vjp``.
+
+        Parameters
+        ----------
+        g : array, shape (k, n), or (n,) for the last answer alone
+            ∂L/∂z.
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            If the block of M on the free rows of a step is singular.
+
+        Examples
+        --------
+        >>> from lcp_plugin import LCP, derivative, march
+        >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)
+        >>> gradient = derivative(march(rod, [[-1, 0], [-1, 0]], z0=[1, 1])).vjp([1, 0])
+        >>> gradient.z0, gradient.propagator.diagonal()
+        (array([0.15625, 0.09375]), array([-0.484375, -0.171875]))
+        >>> gradient.forcing
+        array([[-0.15625, -0.09375],
+               [-0.375  , -0.125  ]])
+        """
+        n, steps = self.march.problem.n, len(self)
+        rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
+        M, propagator = self.march.problem.csr, self.march.propagator
+        after, of_bounds, forcing = np.zeros(n), np.zeros((2, n)), np.empty((steps, n))
+        of_M, of_C = np.zeros(M.nnz), np.zeros(propagator.nnz)
+        for part in self._parts(backwards=True):
+            own = np.zeros(part.z.shape)
+            if rows.ndim > 1:
+                own[:] = rows[part.here]
+            elif part.here.stop == steps:
+                own[-1] = rows
+            by_q = forcing[part.here] = part.vjp(own, after, of_bounds)
+            of_M += _outer_on(M, by_q, part.z)
+            of_C += _outer_on(propagator, by_q, part.states[:-1])
+        z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
+        by_M = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
+        by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
+        return MarchGradient(z0, of_bounds[0], of_bounds[1], by_M, by_C, forcing)
+
+    def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
+        """Yield the steps in blocks, with their classified rows."""
+        march = self.march
+        starts = range(0, len(march), BLOCK)
+        for first in reversed(starts) if backwards else starts:
+            before = march.z[first - 1] if first else march.z0
+            yield Steps(self, first, np.array([before, *march.z[first : first + BLOCK]]))
+
+    @derived_property
+    def band(self) -> Band | None:
+        """The march's band, None if M has no narrow one."""
+        return Band.of(self.march.problem.matrix, self.march.propagator)
+
+    @derived_property
+    def transposed(self) -> Band | None:
+        """The band of the transposed matrices."""
+        return Band.of(
+            Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T)
+        )
+
+
+def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
+    """Return a row per step, or one row if one vector is passed."""
+    shapes = (steps, n), (n,)
+    return checked_rows(name, given, f"({steps}, {n}), or ({n},) for {one}", shapes.__contains__)
+
+
+def _require_all_steps(march: March) -> None:
+    """Raise UnsuitableProblem for a march that was not solved to its last step, or did not keep all steps."""
+    if march.keep != 1:
+        raise UnsuitableProblem(
+            f"the derivative of a march needs all its steps, and keep={march.keep or 'last'} dropped some; "
+            "leave out keep"
+        )
+    if march.all_solved and len(march) == len(march.forcing):
+        return
+    last = len(march) - 1
+    why = march.error or (
+        f"ended {march[last].status.name}"
+        if not march[last].is_solved
+        else "was the last one taken"
+    )
+    raise UnsuitableProblem(
+        f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
+        f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
+    )

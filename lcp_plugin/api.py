@@ -140,7 +140,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     -------
     Result
         Other problem classes have their own result classes; each is an
-        :class:`~lcp_plugin.core.solving.base_result.BaseResult`, with status, x, objective, advice and proof. For every
+        :class:`~lcp_plugin.core.solving.result.BaseResult`, with status, x, objective, advice and proof. For every
         status, also after Ctrl-C, it holds the best iterate whose residual was measured (in-place methods are measured
         at intervals and at the end); before the first step this is the start. ``result.require_solved()`` raises
         NotConverged if the status is not SOLVED.

@@ -18,8 +18,7 @@ import numpy as np
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.representation import format_count
-from ..core.solving.base_result import BaseResult
-from ..core.solving.result import Result
+from ..core.solving.result import BaseResult, Result
 from ..gallery.scene import Scene
 from ..interfaces.files import write_whole
 from ..problems.cones.frictional_contact import FrictionalContact

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,10 +21,9 @@ from ..core.kernels.floats import EPSILON, TINY
 from ..core.kernels.threads import threads_for
 from ..core.matrix import largest_products
 from ..core.rounding import compensated_product, lower_end
-from ..core.settings import Settings, Status, checked_callback
-from ..core.solving.base_result import BaseResult
+from ..core.settings import Settings, checked_callback
 from ..core.solving.progress import Progress
-from ..core.solving.result import Sample
+from ..core.solving.result import BaseResult, Sample
 from ..core.solving.run import Run
 from ..core.solving.run_log import RunLog
 from ..core.solving.stage import Named, Stage
@@ -270,19 +269,13 @@ class ResultOnRanks(BaseResult):
         A proved bound of ‖z − z*‖∞ if it was requested; ∞ if M is not proved to be an H₊-matrix.
     """
 
-    z: FloatVector = field(repr=False)
-    w: FloatVector = field(repr=False)
+    z: FloatVector
+    w: FloatVector
     n: int
-    status: Status
-    certificate: CertificateOnRanks = field(repr=False)
-    algorithm: str
-    iterations: int
+    certificate: CertificateOnRanks
     work: float
-    seconds: float
-    tolerance: float
     absolute_tolerance: float = 0.0
     error_bound: float | None = None
-    history: ClassVar[tuple[Sample, ...]] = ()
 
     @property
     def x(self) -> FloatVector:
@@ -318,7 +311,7 @@ class ResultOnRanks(BaseResult):
     def _numbers(self) -> dict[str, float]:
         names = "scaled_residual", "relative_residual", "term_residual"
         found = {name: getattr(self.certificate, name) for name in names}
-        found |= {"work": self.work, "tolerance": self.tolerance}
+        found |= {"work": self.work}
         found |= {"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}
         return found if self.error_bound is None else {**found, "error_bound": self.error_bound}
 

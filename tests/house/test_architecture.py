@@ -55,10 +55,9 @@ LEADS_ON = {  # imports inside a function from a layer above: importing file, ta
         "a row that passes only by its rounding level: is a solution near?",
     ),
     "core.solving.result": (
-        {"proofs"},
-        "explain() says what may mislead, guarantee what is proved",
+        {"proofs", "evidence"},
+        "explain() says what may mislead, guarantee what is proved; plot() of every answer",
     ),
-    "core.solving.base_result": ({"evidence"}, "plot() of every answer"),
     "problems.parametric.path": ({"evidence"}, "plot() of a path"),
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),

@@ -49,7 +49,7 @@ from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.problem_classes import class_of
 from lcp_plugin.core.settings import OF_SOLVE
-from lcp_plugin.core.solving.base_result import BaseResult
+from lcp_plugin.core.solving.result import BaseResult
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.study import error_against_time, study
 from lcp_plugin.interfaces.nl import read_nl, write_nl

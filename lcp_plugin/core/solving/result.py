@@ -1,26 +1,29 @@
-"""The result of a run: a status with advice, the solution, and the record of the run."""
+"""Results of runs: a status with advice, the solution, and the record of the run."""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from ..certificates.criterion import RowsAtPoint
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, read_only, restore_state
-from ..errors import UnsuitableMatrix
+from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
-from ..settings import Settings, Status
-from .base_result import NEXT, BaseResult
+from ..settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:
     from ...proofs.bounds import ErrorBound
     from ...proofs.guarantees import Guarantee
+
+NEXT = "; next: "  # between the event and the next step
 
 
 class StageRecord(NamedTuple):
@@ -70,6 +73,197 @@ class Sample:
     label: str = ""
 
 
+class Outcome:
+    """Properties that follow from the status."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def status(self) -> Status:
+            """SOLVED, or the reason for termination."""
+
+    @property
+    def is_solved(self) -> bool:
+        """True if the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def has_no_solution(self) -> bool:
+        """True if a proof shows that no solution exists: INFEASIBLE, NO_SOLUTION or UNBOUNDED."""
+        return self.status in PROVEN
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class BaseResult(Outcome):
+    """Base class of all results; the result of each problem class has further attributes.
+
+    Attributes
+    ----------
+    status : Status
+        SOLVED, or the reason for termination; the class of the result documents the stopping criterion.
+    x : ndarray, shape (n,), or None
+        The solution (z of a complementarity problem), or the best iterate; None without a point.
+    objective : float or None
+        Objective value at x; None if the problem has no objective.
+    algorithm : str
+        Name of the algorithm; for "auto" the chain of methods that ran.
+    iterations : int
+        Number of iterations.
+    seconds : float
+        Wall-clock seconds of the run.
+    tolerance : float
+        Relative tolerance of the run.
+    history : tuple of Sample
+        Empty unless ``record=True``.
+    stages : tuple of StageRecord
+        The methods that ran, in order; more than one for ``auto``.
+    begun : str
+        Description of the starting point, if the caller did not choose it; otherwise empty.
+    agents : tuple of Optimal
+        Agents of a cvxpy model; ``explain()`` prints the possible gain of each.
+    """
+
+    status: Status
+    algorithm: str
+    iterations: int
+    seconds: float
+    tolerance: float
+    history: tuple[Sample, ...] = ()
+    stages: tuple[StageRecord, ...] = ()
+    begun: str = ""
+    agents: ClassVar[tuple[Any, ...]] = ()
+    _advice: ClassVar[Mapping[Status, str]] = {}  # in place of the status's own
+
+    __setstate__ = restore_state
+
+    if TYPE_CHECKING:  # a field or a property
+
+        @property
+        def x(self) -> Any:
+            """The values of the unknowns."""
+
+    @property
+    def objective(self) -> float | None:
+        """Objective value at x; None if the problem has no objective."""
+        return None
+
+    @property
+    def proof(self) -> Any:
+        """Proof of the status, an object with ``verify()``; None if the status rests only on residuals."""
+        return None
+
+    @property
+    def advice(self) -> str:
+        """Meaning of the status for this run, and the recommended next step after ``next:``."""
+        happened, begins, to_do = self._advice_of_status().partition(NEXT)
+        return "; ".join([happened, *self._clauses()]) + begins + to_do
+
+    def _advice_of_status(self) -> str:
+        return self._advice.get(self.status, self.status.value)
+
+    def _clauses(self) -> list[str]:
+        """Return clauses that the advice adds to the event."""
+        return []
+
+    def describe_accuracy(self) -> str:
+        """Return the achieved accuracy next to the required one."""
+        raise NotImplementedError
+
+    @np.errstate(all="ignore")
+    def explain(self) -> str:
+        """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
+        lines = [*self._verdict(), *self._course(), *stage_lines(self.stages), *self._remarks()]
+        return "\n".join(lines)
+
+    def _remarks(self) -> list[str]:
+        """Return the last lines of the explanation."""
+        return []
+
+    def _verdict(self) -> list[str]:
+        """Return lines with the event, its certainty, the next step, and further facts."""
+        happened, _, to_do = self.advice.partition(NEXT)
+        what, *why = happened.split("; ")
+        sure, *more = self.describe_accuracy().splitlines()
+        return [
+            f"{self.status.name}: {what}",
+            sure,
+            *([f"next: {to_do}"] if to_do else []),
+            *why,
+            *more,
+        ]
+
+    def _course(self) -> list[str]:
+        """Return lines with the methods, their effort, and the starting point if the caller did not choose it."""
+        gains = [agent.describe_gap() for agent in self.agents]
+        return [self._effort(), *([self.begun] if self.begun else []), *gains]
+
+    def _effort(self) -> str:
+        """Return the name of the algorithm, its iterations and seconds."""
+        return (
+            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s"
+        )
+
+    def require_solved(self) -> Self:
+        """Return this result, or raise NotConverged if the status is not SOLVED.
+
+        Raises
+        ------
+        NotConverged
+            The message has the status, the achieved accuracy and the advice.
+        """
+        if not self.is_solved:
+            raise NotConverged(
+                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: "
+                f"{'; '.join([*self.describe_accuracy().splitlines(), self.advice])}"
+            )
+        return self
+
+    def to_json(self) -> str:
+        """Return status, residuals and counts (no vectors) as JSON text; non-finite numbers become null."""
+        return json.dumps(self.to_content(), indent=2)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return the content of :meth:`to_json` as a dictionary."""
+        numbers = self._numbers() | {"tolerance": self.tolerance, "seconds": self.seconds}
+        return {
+            "status": self.status.name,
+            "advice": self.advice,
+            "algorithm": self.algorithm,
+            "n": self._size(),
+            "iterations": self.iterations,
+            **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
+        }
+
+    def _size(self) -> int | None:
+        """Return the number of unknowns; None without a point."""
+        return None if self.x is None else len(self.x)
+
+    def _numbers(self) -> dict[str, float]:
+        """Return the other numbers of the result."""
+        return {} if self.objective is None else {"objective": self.objective}
+
+    def plot(self, **how: Any) -> Any:
+        """Return matplotlib's axes with a plot of the result; needs ``pip install '.[report]'``.
+
+        Parameters
+        ----------
+        **how
+            Options of :func:`lcp_plugin.evidence.drawing.plot_answer`: ``axes`` to draw into, ``shape`` of the
+            unknowns' grid.
+        """
+        from ...evidence.drawing import plot_answer
+
+        return plot_answer(self, **how)
+
+    def __repr__(self) -> str:
+        size = "" if self.x is None else f"n={self._size()}, "
+        value = "" if self.objective is None else f"objective {self.objective:.9g}, "
+        return f"{type(self).__name__}({self.status.name}, {size}{value}{BaseResult._effort(self)})"
+
+    def __str__(self) -> str:
+        return self.explain()
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(BaseResult):
     """Result of a linear complementarity problem, with its residuals and the record of the run.
@@ -103,29 +297,25 @@ class Result(BaseResult):
         the margin exceeds the tolerance. With another status the margin is smaller: `advice` reports it.
     """
 
-    z: FloatVector = field(repr=False)
-    w: FloatVector = field(repr=False)
-    status: Status
-    certificate: Certificate = field(repr=False)
-    algorithm: str
-    iterations: int
+    z: FloatVector
+    w: FloatVector
+    certificate: Certificate
     work: float
-    seconds: float
     setup_seconds: float
-    tolerance: float
-    history: tuple[Sample, ...] = field(default=(), repr=False)
-    stages: tuple[StageRecord, ...] = field(default=(), repr=False)
-    infeasibility: Any = field(default=None, repr=False)
+    infeasibility: Any = None
     absolute_tolerance: float = 0.0
-    begun: str = ""
     is_polished: bool = False
-    _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
-    _wants_bound: bool = field(default=False, repr=False)
-    _advice: Mapping[Status, str] = field(
-        default_factory=dict, repr=False
-    )  # advice of a status that replaces its default
+    _asked: Any = "auto"  # the algorithm, or its name
+    _wants_bound: bool = False
+    _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
 
-    __setstate__ = restore_state
+    RESIDUALS: ClassVar[tuple[str, ...]] = (
+        "relative_residual",
+        "natural_residual",
+        "euclidean_residual",
+        "bound_violation",
+        "complementarity",
+    )
 
     @classmethod
     def at(
@@ -219,23 +409,14 @@ class Result(BaseResult):
         """The relative residual."""
         return self.certificate.relative_residual
 
-    @property
-    def advice(self) -> str:
-        """Meaning of the status for this run, and the recommended next step after ``next:``."""
-        advice = self._advice.get(self.status, self.status.value)
-        if self.is_solved or self.has_no_solution:
-            happened, begins, to_do = advice.partition(NEXT)
-            return "; ".join([happened, *self._describe_scope("z")]) + begins + to_do
-        remarks = [stage.remark for stage in self.stages if stage.remark]
-        happened, begins, to_do = advice.partition(NEXT)
-        return "; ".join([happened, *remarks]) + begins + to_do
+    def _clauses(self) -> list[str]:
+        is_decided = self.is_solved or self.has_no_solution
+        return [] if is_decided else [stage.remark for stage in self.stages if stage.remark]
 
-    @np.errstate(all="ignore")
-    def explain(self) -> str:
-        """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
+    def _remarks(self) -> list[str]:
         from ...proofs.misleading import what_may_mislead
 
-        lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
+        lines = []
         if self.is_polished:
             lines.append("  polish: a linear solve on the active set of the last iterate gives z")
         if self.is_solved:
@@ -244,7 +425,7 @@ class Result(BaseResult):
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        return "\n".join([*lines, *what_may_mislead(self)])
+        return [*lines, *what_may_mislead(self)]
 
     def _effort(self) -> str:
         matrix = "F′" if self.certificate.is_linearised else "M"
@@ -269,22 +450,10 @@ class Result(BaseResult):
         return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
 
     def _numbers(self) -> dict[str, float]:
-        certificate, bound = self.certificate, self.error_bound
-        bounds = (
-            {}
-            if bound is None
-            else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
-        )
-        return {
-            "n": certificate.problem.n,
-            "relative_residual": certificate.relative_residual,
-            "natural_residual": certificate.natural_residual,
-            "euclidean_residual": certificate.euclidean_residual,
-            "bound_violation": certificate.bound_violation,
-            "complementarity": certificate.complementarity,
-            "work": self.work,
-            "setup_seconds": self.setup_seconds,
-            "tolerance": self.tolerance,
-            **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
-            **bounds,
-        }
+        numbers = {name: getattr(self.certificate, name) for name in self.RESIDUALS}
+        numbers |= {"work": self.work, "setup_seconds": self.setup_seconds}
+        if self.absolute_tolerance:
+            numbers["absolute_tolerance"] = self.absolute_tolerance
+        if (bound := self.error_bound) is not None:
+            numbers |= {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
+        return numbers

@@ -21,8 +21,7 @@ from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
-from ...core.solving.base_result import Outcome
-from ...core.solving.result import Result
+from ...core.solving.result import Outcome, Result
 from ...expressions.rows import Program, Rows
 from ...expressions.statement import SquareModel, Statement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram

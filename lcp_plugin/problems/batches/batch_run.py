@@ -19,8 +19,7 @@ from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.executors import run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
-from ...core.solving.base_result import BaseResult
-from ...core.solving.result import Result, StageRecord
+from ...core.solving.result import BaseResult, Result, StageRecord
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
@@ -204,12 +203,11 @@ class BatchRun:
     def _result_at(self, k: int, problem: Any) -> Any:
         share, iterations = self.seconds / len(self.status), int(self.iterations[k])
         settings, z = self.settings, self.z[k]
+        run = {"iterations": iterations, "seconds": share, "tolerance": settings.tolerance}
         if isinstance(self.problems, ProgramBatch):
             by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
             solution = QPSolution.of_rows(problem, z[: problem.n], z[problem.n :])
-            return QuadraticProgramResult(
-                self.status[k], solution, by, iterations, share, settings.tolerance
-            )
+            return QuadraticProgramResult(solution, status=self.status[k], algorithm=by, **run)
         if self.status[k] is not Status.SOLVED:
             options = {**self.options, "max_seconds": 0.0}
             found = solve_one(problem, self.problems.start(k), self.algorithm, options)
@@ -217,8 +215,8 @@ class BatchRun:
         if isinstance(problem, BoundedLeastSquares):
             with np.errstate(all="ignore"):
                 point = Optimality.of(Enclosures(problem), z, tolerance=settings.tolerance)
-                at = (Status.SOLVED, iterations, "normal equations", share, settings.tolerance)
-                return LeastSquaresResult.at(point, *at)
+                named = {"status": Status.SOLVED, "algorithm": "normal equations"}
+                return LeastSquaresResult.at(point, **named, **run)
         if isinstance(problem, LCP):
             stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
             return Result.at(problem, read_only(z[: problem.n]), stage, settings, share)

@@ -17,7 +17,7 @@ from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.progress import Callback, Progress
-from ...core.solving.result import Result, stage_lines
+from ...core.solving.result import Result
 from ...core.solving.run import Run
 from ...core.solving.run_log import RunLog
 from ...core.solving.stage import Stage
@@ -424,6 +424,8 @@ class ConeResult(Result):
 
     problem: Any = None
 
+    RESIDUALS = ("relative_residual", "natural_residual", "term_residual")
+
     @property
     def guarantee(self) -> None:  # type: ignore[override]
         """None: no convergence theorem of this package covers cones."""
@@ -448,16 +450,11 @@ class ConeResult(Result):
             f"{self.work:.1f} products of M with a vector"
         )
 
-    def explain(self) -> str:
-        """Return status, reliability and advice, a line each; then reason and stages."""
-        lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
-        if self.infeasibility is not None:
-            lines.append(str(self.infeasibility))
-        if isinstance(self.problem, FrictionalContact):
-            lines += self._contacts_in_words()
-        return "\n".join(lines)
+    def _remarks(self) -> list[str]:
+        lines = [str(self.infeasibility)] if self.infeasibility is not None else []
+        is_contact = isinstance(self.problem, FrictionalContact)
+        return lines + (self._contacts_in_words() if is_contact else [])
 
-    @np.errstate(all="ignore")
     def _contacts_in_words(self) -> list[str]:
         motion, problem = self.motion, self.problem
         slides = motion.touches & ~motion.sticks
@@ -472,12 +469,3 @@ class ConeResult(Result):
                 f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given"
             )
         return lines
-
-    def _numbers(self) -> dict[str, float]:
-        residuals = ("relative_residual", "natural_residual", "term_residual")
-        own = ("work", "setup_seconds", "tolerance", "absolute_tolerance")
-        numbers = {name: getattr(self.certificate, name) for name in residuals}
-        numbers |= {
-            name: getattr(self, name) for name in own[: 4 if self.absolute_tolerance else 3]
-        }
-        return {"n": self.problem.n, **numbers}

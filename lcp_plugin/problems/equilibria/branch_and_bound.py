@@ -452,20 +452,23 @@ class BranchAndBound:
             status = Status.STALLED
             if is_excluded:
                 status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
+        is_own = self.outside is None or self.tree
+        by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
         return EquilibriumResult(
             self.problem,
-            status,
             None if best is None else best.point,
             value,
             lower,
             bound_by,
-            self.nodes,
             self.relaxations.solved,
-            self.clock.read(),
-            self.tolerance,
             tuple(self.tree),
             self.descent,
             self.outside,
+            status=status,
+            algorithm=", ".join(by),
+            iterations=self.nodes,
+            seconds=self.clock.read(),
+            tolerance=self.tolerance,
         )
 
 

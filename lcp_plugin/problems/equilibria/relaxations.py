@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.settings import Status
-from ...core.solving.base_result import NEXT, BaseResult
+from ...core.solving.result import BaseResult
 from ...engines import engine_class
 from ...proofs.bounds import Curvature, constrained_curvature
 from ..programs.criterion import QPSolution
@@ -322,19 +322,17 @@ class EquilibriumResult(BaseResult):
         SCIP's last status and bound, if SCIP ran.
     """
 
-    problem: EquilibriumProgram = field(repr=False)
-    status: Status
-    x: FloatVector | None = field(repr=False)
+    _advice = ADVICE
+
+    problem: EquilibriumProgram
+    x: FloatVector | None
     value: float
     lower_bound: float
     bound_by: str | None
-    nodes: int
     programs: int
-    seconds: float
-    tolerance: float = field(repr=False)
-    tree: tuple[Node, ...] = field(repr=False)
-    descent: tuple[Cases, QPUnboundedness] | None = field(default=None, repr=False)
-    outside: ExternalBound | None = field(default=None, repr=False)
+    tree: tuple[Node, ...]
+    descent: tuple[Cases, QPUnboundedness] | None = None
+    outside: ExternalBound | None = None
 
     @property
     def gap(self) -> float:
@@ -345,9 +343,9 @@ class EquilibriumResult(BaseResult):
         return (self.value - self.lower_bound) / size if size > 0.0 else math.inf
 
     @property
-    def iterations(self) -> int:
-        """The number of nodes."""
-        return self.nodes
+    def nodes(self) -> int:
+        """The number of nodes, `iterations`."""
+        return self.iterations
 
     @np.errstate(all="ignore")
     def verify(self) -> bool:
@@ -437,43 +435,31 @@ class EquilibriumResult(BaseResult):
         return None if self.x is None else self.value
 
     @property
-    def algorithm(self) -> str:
-        """Name of the algorithm."""
-        if self.outside is None:
-            return "branch and bound"
-        return "SCIP, branch and bound" if self.tree else "SCIP"
-
-    @property
     def proof(self) -> EquilibriumResult | None:
         """The result itself, which can ``verify()``, if the status is proved; otherwise None."""
         return (
             self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
         )
 
-    @property
-    def advice(self) -> str:
-        """Meaning of the status for this search, followed by advice after ``next:``."""
+    def _advice_of_status(self) -> str:
         if self.is_solved and self.bound_by == "SCIP":
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
-        advice = ADVICE.get(self.status, self.status.value)
         if self.status is Status.STALLED and self.outside is not None:
-            advice = UNCONFIRMED.format(self.outside.status)
-        elif self.status is Status.STALLED and not self.problem.is_provable:
-            advice = (
+            return UNCONFIRMED.format(self.outside.status)
+        if self.status is Status.STALLED and not self.problem.is_provable:
+            return (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
                 f"installed, or does not load; next: {GLOBAL}; for a local way leave out the objective and "
                 "differentiate the followers: derivative(problem) in cvxpy, derivative(result)"
             )
-        elif self.status not in LIMITS:
-            return advice
-        found = (
-            "no solution was found so far"
-            if self.x is None
-            else "x is the best solution found so far"
-        )
-        happened, begins, to_do = advice.partition(NEXT)
-        return f"{happened}; {found}{begins}{to_do}"
+        return super()._advice_of_status()
+
+    def _clauses(self) -> list[str]:
+        if self.status not in (*LIMITS, Status.STALLED):
+            return []
+        found = "no solution was found" if self.x is None else "x is the best solution found"
+        return [f"{found} so far"]
 
     def _numbers(self) -> dict[str, float]:
         own = {

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
 from ...core.certificates.criterion import RowData
-from ...core.checks import BoolVector, FloatVector, derived_property, read_only, restore_state
+from ...core.checks import BoolVector, FloatVector, derived_property, read_only
 from ...core.deadline import Clock, OutOfTimeError, is_over
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.base_result import NEXT, BaseResult
 from ...core.solving.progress import Progress
-from ...core.solving.result import Sample, StageRecord
+from ...core.solving.result import BaseResult
 from ...core.solving.run import STATUS_OF, Callback, Run
 from ...core.solving.run_log import RunLog, say
 from ...core.solving.stage import Named, Stage
@@ -207,13 +206,13 @@ class LeastSquaresRun(Run):
         name = ", ".join(dict.fromkeys(stage.name for stage in ran)) or START
         return LeastSquaresResult.at(
             self.best,
-            self.status(end),
-            max(progress.iteration, 0),
-            name,
-            progress.clock.read(),
-            self.settings.tolerance,
-            tuple(progress.samples),
-            tuple(ran),
+            status=self.status(end),
+            algorithm=name,
+            iterations=max(progress.iteration, 0),
+            seconds=progress.clock.read(),
+            tolerance=self.settings.tolerance,
+            history=tuple(progress.samples),
+            stages=tuple(ran),
         )
 
     # --- the plan -----------------------------------------------------------------------------------------
@@ -284,6 +283,26 @@ class LeastSquaresRun(Run):
         yield Step(self.nearest, work=0.0, iterations=0)
 
 
+ADVICE = {
+    Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, rounding of the data excused",
+    Status.PRECISION_LIMIT: (
+        "the gradient is at rounding level, but no lower bound of the cost was found near it, as for a large sparse A "
+        "that fits b exactly; next: accept x if result.gap is small compared with result.cost, or raise l1 or ridge"
+    ),
+    Status.STALLED: (
+        "the gradient no longer falls: A is too ill-conditioned, or its rows or bounds differ too much in size; next: "
+        "add a ridge > 0, or rescale rows and columns"
+    ),
+    Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.x",
+    Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.x",
+    Status.INTERRUPTED: "stopped by Ctrl-C; next: continue from x, the best point so far",
+}
+OF_OPERATORS = {
+    Status.SOLVED: "of an operator: the gradient is at most tolerance · ‖AᵀWb‖∞",
+    Status.STALLED: "or the operator's products are not to the 16 digits of doubles",
+}
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LeastSquaresResult(BaseResult):
     """Result of a least-squares problem; attributes are named as in scipy, except `status`.
@@ -325,37 +344,20 @@ class LeastSquaresResult(BaseResult):
         The methods that ran.
     """
 
+    _advice = ADVICE
+
     x: FloatVector
     cost: float
-    fun: FloatVector = field(repr=False)
+    fun: FloatVector
     optimality: float
-    active_mask: NDArray[np.int_] = field(repr=False)
-    status: Status
-    nit: int
-    algorithm: str
-    seconds: float
-    tolerance: float
+    active_mask: NDArray[np.int_]
     is_proved: bool
-    problem: BoundedLeastSquares = field(repr=False)
-    _dual: FloatVector = field(repr=False)
-    history: tuple[Sample, ...] = field(default=(), repr=False)
-    stages: tuple[StageRecord, ...] = field(default=(), repr=False)
-
-    __setstate__ = restore_state
+    problem: BoundedLeastSquares
+    _dual: FloatVector
 
     @classmethod
-    def at(
-        cls,
-        judged: Optimality,
-        status: Status,
-        nit: int,
-        algorithm: str,
-        seconds: float,
-        tolerance: float,
-        history: tuple[Sample, ...] = (),
-        stages: tuple[StageRecord, ...] = (),
-    ) -> LeastSquaresResult:
-        """Return the result at a measured point."""
+    def at(cls, judged: Optimality, **run: Any) -> LeastSquaresResult:
+        """Return the result at a measured point, with the fields of the run."""
         problem, x = judged.enclosures.problem, judged.x
         mask = (x >= problem.upper).astype(np.int_)
         mask[x <= problem.lower] = -1
@@ -366,16 +368,10 @@ class LeastSquaresResult(BaseResult):
             fun=residual,
             optimality=judged.residual,
             active_mask=read_only(mask),
-            status=status,
-            nit=nit,
-            algorithm=algorithm,
-            seconds=seconds,
-            tolerance=tolerance,
             is_proved=problem.has_entries,
             problem=problem,
             _dual=judged.dual,
-            history=history,
-            stages=stages,
+            **run,
         )
 
     @derived_property
@@ -393,46 +389,26 @@ class LeastSquaresResult(BaseResult):
         return self.cost
 
     @property
-    def iterations(self) -> int:
-        """`nit`."""
-        return self.nit
+    def nit(self) -> int:
+        """`iterations`."""
+        return self.iterations
 
-    @property
-    def advice(self) -> str:
-        """Meaning of the status, and after ``next:`` the next step for the user."""
-        if not np.isfinite(self.fun).all():
-            return "A x is not finite; next: let the operator's products be finite doubles"
-        remark = "" if self.is_proved else OF_OPERATORS.get(self.status, "")
-        happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
-        return happened + remark + begins + to_do
+    def _advice_of_status(self) -> str:
+        if np.isfinite(self.fun).all():
+            return super()._advice_of_status()
+        return "A x is not finite; next: let the operator's products be finite doubles"
+
+    def _clauses(self) -> list[str]:
+        is_estimate = not self.is_proved and np.isfinite(self.fun).all()
+        return [OF_OPERATORS[self.status]] if is_estimate and self.status in OF_OPERATORS else []
 
     def _numbers(self) -> dict[str, float]:
-        return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
+        return {**super()._numbers(), "optimality": self.optimality}
 
     def describe_accuracy(self) -> str:
         """Return the optimality and the tolerance, as text."""
         above = f", at most {self.gap:.1e} above the least" if self.is_solved else ""
         return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"
-
-
-ADVICE = {
-    Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, rounding of the data excused",
-    Status.PRECISION_LIMIT: (
-        "the gradient is at rounding level, but no lower bound of the cost was found near it, as for a large sparse A "
-        "that fits b exactly; next: accept x if result.gap is small compared with result.cost, or raise l1 or ridge"
-    ),
-    Status.STALLED: (
-        "the gradient no longer falls: A is too ill-conditioned, or its rows or bounds differ too much in size; next: "
-        "add a ridge > 0, or rescale rows and columns"
-    ),
-    Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.x",
-    Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.x",
-    Status.INTERRUPTED: "stopped by Ctrl-C; next: continue from x, the best point so far",
-}
-OF_OPERATORS = {
-    Status.SOLVED: "; of an operator: the gradient is at most tolerance · ‖AᵀWb‖∞",
-    Status.STALLED: "; or the operator's products are not to the 16 digits of doubles",
-}
 
 
 RESIDUALS = (

@@ -16,7 +16,7 @@ from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
-from ...core.solving.base_result import Outcome
+from ...core.solving.result import Outcome
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..programs.criterion import QPSolution

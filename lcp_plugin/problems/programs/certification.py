@@ -24,7 +24,7 @@ from ...core.matrix import largest_products
 from ...core.problem_classes import class_of, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance
-from ...core.solving.base_result import BaseResult
+from ...core.solving.result import BaseResult
 from ...proofs.bounds import constrained_curvature, norm_above
 from ...proofs.exact import enclosures, quotient_above, sum_above
 from .criterion import QPSolution, excused_rows, least_size

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...auto import parse_call, solve_lcp
 from ...core.algorithm import Step
-from ...core.checks import FloatVector, restore_state, vector_option
+from ...core.checks import FloatVector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
     InvalidOption,
@@ -28,10 +28,10 @@ from ...core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
+from ...core.representation import describe_radius
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status, checked_callback
-from ...core.solving.base_result import NEXT, BaseResult
 from ...core.solving.progress import Progress
-from ...core.solving.result import Sample, StageRecord, stage_lines
+from ...core.solving.result import NEXT, BaseResult, Sample
 from ...core.solving.run import Run
 from ...core.solving.run_log import RunLog, say
 from ...core.solving.stage import Named, Stage
@@ -332,20 +332,12 @@ class QuadraticProgramResult(BaseResult):
         Proof that holds only by rounding, or only within a radius, so that it excludes no solution.
     """
 
-    status: Status
+    _advice = ADVICE
+
     solution: QPSolution
-    algorithm: str
-    iterations: int
-    seconds: float
-    tolerance: float
     proof: QPInfeasibility | QPUnboundedness | None = None
-    stages: tuple[StageRecord, ...] = ()
-    history: tuple[Sample, ...] = ()
-    begun: str = ""
     contradiction: str = ""
     doubtful: QPInfeasibility | QPUnboundedness | None = None
-
-    __setstate__ = restore_state
 
     @property
     def program(self) -> QuadraticProgram:
@@ -375,25 +367,28 @@ class QuadraticProgramResult(BaseResult):
             for name in ("inequality", "equality", "lower", "upper")
         }
 
-    @property
-    def advice(self) -> str:
-        """Meaning of the status for this program, and after ``next:`` the next step for the user."""
-        happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
+    def _advice_of_status(self) -> str:
+        happened, begins, to_do = super()._advice_of_status().partition(NEXT)
         if self.status is Status.PRECISION_LIMIT and self.doubtful is not None:
             happened = self.doubtful.doubt
-        words = [happened, *self._describe_scope("x")]
-        if not self.has_no_solution and self.program.is_convex is False:
-            words.append(
-                "P has a negative eigenvalue, at rounding level or of fixed unknowns"
-                if self.is_solved
-                else "P has a negative eigenvalue, so the program is not convex, unless this is a rounding error"
-            )
-        return "; ".join(words) + begins + to_do
+        return happened + begins + to_do
+
+    def _clauses(self) -> list[str]:
+        """Return the radius of a proof that does not exclude larger x, and the doubt whether the program is convex."""
+        if self.has_no_solution:
+            points = "" if self.proof is None else describe_radius(self.proof.radius, "x")
+            return [f"of {points}: a larger one is not excluded"] if points else []
+        if self.program.is_convex is not False:
+            return []
+        doubt = "at rounding level or of fixed unknowns"
+        if not self.is_solved:
+            doubt = "so the program is not convex, unless this is a rounding error"
+        return [f"P has a negative eigenvalue, {doubt}"]
 
     def _numbers(self) -> dict[str, float]:
         names = () if self.has_no_solution else ("primal_residual", "duality_gap")
         residuals = {name: float(getattr(self.solution, name)) for name in names}
-        return {**super()._numbers(), **residuals, "tolerance": self.tolerance}
+        return {**super()._numbers(), **residuals}
 
     def describe_accuracy(self) -> str:
         """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""
@@ -405,9 +400,6 @@ class QuadraticProgramResult(BaseResult):
                 "relative to its terms"
             )
         return f"{self.proof}\n{self.contradiction}" if self.contradiction else str(self.proof)
-
-    def _course(self) -> list[str]:
-        return [*super()._course(), *stage_lines(self.stages)]
 
 
 @np.errstate(all="ignore")
@@ -747,15 +739,15 @@ class ProgramRun(Run):
         if by == "auto" and best.name:
             by = f"auto: {best.name.removeprefix('auto: ')}"
         return QuadraticProgramResult(
-            status,
             solution,
-            by,
-            best.iterations,
-            self.progress.clock.read(),
-            self.settings.tolerance,
             self.proof,
-            self.progress.records(),
-            tuple(self.progress.samples),
+            status=status,
+            algorithm=by,
+            iterations=best.iterations,
+            seconds=self.progress.clock.read(),
+            tolerance=self.settings.tolerance,
+            stages=self.progress.records(),
+            history=tuple(self.progress.samples),
             doubtful=self.doubtful,
         )
 

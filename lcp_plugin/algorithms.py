@@ -17,7 +17,7 @@ True
 from __future__ import annotations
 
 from dataclasses import MISSING, fields
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from .core.algorithm import Algorithm, Step
@@ -62,11 +62,9 @@ __all__ = ["REGISTRY", "Algorithm", "Step", "algorithm_class", "create", "paper_
 
 
 def __getattr__(name: str) -> Any:
-    for place in REGISTRY.values():
-        module, _, word = place.partition(":")
-        if word == name:
-            return getattr(import_module(f".{module}", __package__), word)
-    classes = [place.rpartition(":")[2] for place in REGISTRY.values()]
+    classes = {place.partition(":")[2]: key for key, place in REGISTRY.items()}
+    if name in classes:
+        return algorithm_class(classes[name])
     hint = "" if name.startswith("_") else did_you_mean(name, classes)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
 
@@ -97,8 +95,7 @@ def algorithm_class(name: str) -> type[Algorithm]:
         if ".py" in name:
             hint += "; pass a class of your own as an object, in Python: solve(problem, Mine())"
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{hint}")
-    module, _, word = REGISTRY[name].partition(":")
-    found: type[Algorithm] = getattr(import_module(f".{module}", __package__), word)
+    found: type[Algorithm] = resolve_name(f"{__package__}.{REGISTRY[name]}")
     return found
 
 

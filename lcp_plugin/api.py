@@ -5,15 +5,14 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from functools import cache
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.lcp import LCP
-from .core.problem_classes import class_of, refusal, with_article
-from .core.settings import OF_CLASS
+from .core.problem_classes import CLASSES, class_of, refusal, with_article
 from .core.solving.result import Result
 
 if TYPE_CHECKING:
@@ -42,17 +41,6 @@ if TYPE_CHECKING:
     from .problems.programs.solving import QuadraticProgramResult
 
     Method = str | Algorithm
-
-# The function that solves each class of problem; the others need not be loaded.
-SOLVERS = {
-    "LCP": "auto:solve_lcp",
-    "NonlinearProblem": "problems.nonlinear.solving:solve_nonlinear",
-    "QuadraticProgram": "problems.programs.solving:solve_program",
-    "EquilibriumProgram": "problems.equilibria.branch_and_bound:minimize_over_solutions",
-    "BoundedLeastSquares": "problems.least_squares.solving:solve_least_squares",
-    "ConeProblem": "problems.cones.solving:solve_cones",
-    "FrictionalContact": "problems.cones.solving:solve_cones",
-}
 
 
 @overload
@@ -210,8 +198,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
 @cache
 def solver_of(name: str) -> Callable[..., Any]:
     """Return the function that solves a class of problem."""
-    module, _, function = SOLVERS[name].partition(":")
-    solver: Callable[..., Any] = getattr(import_module(f".{module}", __package__), function)
+    solver: Callable[..., Any] = resolve_name(f"{__package__}.{CLASSES[name].solver}")
     return solver
 
 
@@ -219,8 +206,8 @@ def solver_of(name: str) -> Callable[..., Any]:
 def options_of(name: str) -> Mapping[str, Any]:
     """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
     known = dict.fromkeys([*inspect.signature(solver_of(name)).parameters][1:])
-    if name in OF_CLASS:
-        known = dict.fromkeys([*known, *OF_CLASS[name].__annotations__])
+    if (typed := CLASSES[name].options) is not None:
+        known = dict.fromkeys([*known, *typed.__annotations__])
         del known["options"]
         if "x0" in known:  # which z0 is another name of
             known.pop("z0")

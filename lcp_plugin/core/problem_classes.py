@@ -1,28 +1,61 @@
-"""The problem classes, and the functions that take them."""
+"""The table of problem classes: solver, functions that take them, typed options, form of a batch."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
-CLASSES = (
-    "LCP",
-    "NonlinearProblem",
-    "QuadraticProgram",
-    "EquilibriumProgram",
-    "BoundedLeastSquares",
-    "ConeProblem",
-    "FrictionalContact",
-)
-# The classes that a function takes, or whose results it takes; LCP alone if it is not listed.
-TAKES: dict[str, tuple[str, ...]] = {
-    "solve": CLASSES,
-    "solve_batch": CLASSES,
-    "prepare": ("LCP", "QuadraticProgram"),
-    "march": ("LCP", "ConeProblem", "FrictionalContact"),
-    "trace": ("LCP", "QuadraticProgram", "BoundedLeastSquares"),
-    "derivative": ("LCP", "NonlinearProblem", "ConeProblem", "FrictionalContact"),
-    "certify": ("QuadraticProgram",),
+from .settings import ConeOptions, LeastSquaresOptions, NonlinearOptions
+
+
+class ProblemClass(NamedTuple):
+    """Row of the table of problem classes.
+
+    Attributes
+    ----------
+    solver : str
+        Module, from the package on, and function.
+    functions : str
+        Functions that take the class, or its results, in addition to `solve` and `solve_batch`.
+    options : type or None
+        Options that the solver passes on to Settings.
+    batch : str
+        Arguments with which one problem makes a batch.
+    """
+
+    solver: str
+    functions: str = ""
+    options: Any = None
+    batch: str = "[problem]"
+
+
+CONES = ProblemClass("problems.cones.solving:solve_cones", "march derivative", ConeOptions)
+CLASSES = {
+    "LCP": ProblemClass("auto:solve_lcp", "prepare march trace derivative", batch="problem, Q"),
+    "NonlinearProblem": ProblemClass(
+        "problems.nonlinear.solving:solve_nonlinear", "derivative", NonlinearOptions
+    ),
+    "QuadraticProgram": ProblemClass(
+        "problems.programs.solving:solve_program", "prepare trace certify", batch="program, C"
+    ),
+    "EquilibriumProgram": ProblemClass(
+        "problems.equilibria.branch_and_bound:minimize_over_solutions"
+    ),
+    "BoundedLeastSquares": ProblemClass(
+        "problems.least_squares.solving:solve_least_squares",
+        "trace",
+        LeastSquaresOptions,
+        "problem, B",
+    ),
+    "ConeProblem": CONES,
+    "FrictionalContact": CONES,
 }
+
+
+def classes_of(function: str) -> list[str]:
+    """Return the names of the classes that a function takes; LCP alone if the table does not name it."""
+    if function in ("solve", "solve_batch"):
+        return [*CLASSES]
+    return [name for name, row in CLASSES.items() if function in row.functions.split()] or ["LCP"]
 
 
 def class_of(problem: Any) -> str | None:
@@ -40,14 +73,9 @@ def class_of(problem: Any) -> str | None:
     return None
 
 
-def takes(function: str, problem: Any) -> bool:
-    """Return whether a function takes a problem of this class."""
-    return class_of(problem) in TAKES.get(function, ("LCP",))
-
-
 def refusal(function: str, given: Any) -> str:
     """Return the error message for an argument that a function does not accept."""
-    *most, last = TAKES.get(function, ("LCP",))
+    *most, last = classes_of(function)
     needs = with_article(f"{', '.join(most)} or {last}" if most else last)
     step = ""
     if function == "derivative":

@@ -339,12 +339,3 @@ class EquilibriumOptions(Limits, total=False):
     callback: Callable[[Any], Any] | None
     verbose: bool
     prove: bool
-
-
-#: Classes whose solvers pass these options on to Settings.
-OF_CLASS: dict[str, Any] = {
-    "NonlinearProblem": NonlinearOptions,
-    "BoundedLeastSquares": LeastSquaresOptions,
-    "ConeProblem": ConeOptions,
-    "FrictionalContact": ConeOptions,
-}

@@ -47,7 +47,7 @@ from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitablePro
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, row_numbers
-from ..core.problem_classes import class_of, refusal, takes
+from ..core.problem_classes import class_of, classes_of, refusal
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..core.solving.result import Result, StageRecord
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
@@ -476,7 +476,7 @@ def _begin(
     """Return the marches before their first steps; raise an error for invalid data."""
     n = getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
-        if not takes("march", one):
+        if class_of(one) not in classes_of("march"):
             raise InvalidOption(refusal("march", one))
         if not isinstance(one, LCP) and states.keys() - {"z0"}:
             raise InvalidOption(

@@ -14,7 +14,8 @@ import pytest
 import lcp_plugin
 from lcp_plugin import LCP, Status
 from lcp_plugin.algorithms import create
-from lcp_plugin.api import SOLVERS, options_of, solver_of
+from lcp_plugin.api import options_of, solver_of
+from lcp_plugin.core.problem_classes import CLASSES
 from lcp_plugin.interfaces.nl.model import CODES
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
@@ -37,7 +38,7 @@ def default_tolerance(name: str) -> float:
 def test_cheat_sheet_has_the_defaults_of_the_classes() -> None:
     """Bounds, tolerances and the name of the start are those of the signatures."""
     found = rows("cheat_sheet", "class")
-    assert {row[0].strip("`").partition("(")[0] for row in found} == {*SOLVERS}
+    assert {row[0].strip("`").partition("(")[0] for row in found} == {*CLASSES}
     for row in found:
         name, _, arguments = row[0].strip("`)").partition("(")
         parameters = inspect.signature(getattr(lcp_plugin, name)).parameters
@@ -74,7 +75,7 @@ def test_solved_has_the_tolerance_of_every_class() -> None:
         for classes, default, *_ in rows("solved", "class")
         for name in re.findall(r"\w+", classes)
     }
-    assert found == {name: default_tolerance(name) for name in SOLVERS}
+    assert found == {name: default_tolerance(name) for name in CLASSES}
 
 
 M = np.array([[4.0, -1.0, 0.5], [-2.0, 5.0, 1.0], [0.25, -1.5, 3.0]])

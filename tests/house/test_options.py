@@ -13,15 +13,16 @@ from mypy import api as mypy
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.api import solver_of
 from lcp_plugin.core import settings
+from lcp_plugin.core.problem_classes import CLASSES
 from lcp_plugin.core.settings import DEFAULTS, OF_SOLVE
 from lcp_plugin.engines import ENGINES
 
 
-@pytest.mark.parametrize("kind", settings.OF_CLASS)
+@pytest.mark.parametrize("kind", [name for name, row in CLASSES.items() if row.options])
 def test_the_typed_options_of_a_class_are_those_of_its_solver(kind: str) -> None:
     """Those that the solver does not name are fields of Settings; z0 is another name of x0."""
     named = set(signature(solver_of(kind)).parameters) - {"problem", "algorithm", "options"}
-    typed = set(settings.OF_CLASS[kind].__annotations__)
+    typed = set(CLASSES[kind].options.__annotations__)
     assert named - {"x0", "z0"} <= typed
     assert typed - named - {"x0", "z0"} <= set(DEFAULTS)
 

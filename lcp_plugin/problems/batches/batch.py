@@ -16,7 +16,7 @@ from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
 from ...core.matrix import has_positive_diagonal, inverse_residual_scale, row_splits
-from ...core.problem_classes import class_of, refusal, takes
+from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
 from ...engines import ENGINES
 from ...methods.banded import banded_passes
@@ -32,12 +32,6 @@ from .instances import Listed, RightSides, Stacked, Worlds
 from .program_batch import ProgramBatch
 
 P = TypeVar("P", LCP, QuadraticProgram)
-# The arguments with which one problem of a class makes a batch.
-MANY = {
-    "LCP": "problem, Q",
-    "QuadraticProgram": "program, C",
-    "BoundedLeastSquares": "problem, B",
-}
 
 
 @np.errstate(all="ignore")
@@ -219,9 +213,8 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
         _refuse_algorithm(q)
         return RightSides(M, q, lower, upper, z0)
     if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
-        write = MANY.get(name, "[problem]")
         raise InvalidProblem(
-            f"solve_batch needs many problems, got one {name}; write solve_batch({write})"
+            f"solve_batch needs many problems, got one {name}; write solve_batch({CLASSES[name].batch})"
         )
     if isinstance(M, Sequence) and (not len(M) or any(map(class_of, M))):
         for k, one in enumerate(M):
@@ -229,8 +222,6 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
                 raise InvalidProblem(
                     f"item {k} of the batch: {refusal('solve_batch', one)}; write LCP(M, q)"
                 )
-            if not takes("solve_batch", one):
-                raise InvalidProblem(refusal("solve_batch", one))
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
         return Listed(M, z0)
     held = M if isinstance(M, LCP) else None

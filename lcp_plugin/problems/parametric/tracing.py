@@ -13,7 +13,7 @@ from ...core.checks import FloatVector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
-from ...core.problem_classes import class_of, refusal, takes
+from ...core.problem_classes import class_of, classes_of, refusal
 from ...core.settings import DEFAULTS, Settings
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..programs.conversion import conditions
@@ -137,9 +137,9 @@ class Line:
     def __init__(
         self, problem: Any, along: Any, start: float, stop: float, tolerance: float | None
     ) -> None:
-        if not takes("trace", problem):
+        if (name := class_of(problem)) not in classes_of("trace"):
             raise InvalidOption(refusal("trace", problem))
-        self.family = FAMILIES[class_of(problem) or ""]
+        self.family = FAMILIES[name]
         usual = (
             PROGRAM_TOLERANCE if isinstance(problem, QuadraticProgram) else DEFAULTS["tolerance"]
         )

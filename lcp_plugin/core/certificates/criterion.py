@@ -22,7 +22,8 @@ rounding errors included, and if every row i satisfies the componentwise test
   that underflow explains is also tolerated.
 - A tolerated row with v_i > 2⁻⁴² T_i must also be harmless. Its error e = D⁻¹(v + |M − D| e), D = m_ii if positive,
   otherwise d_i, is carried through the tolerated rows, and through each row k with Σ_i |m_ki| e_i > 10⁻⁶ T_k. It must
-  stay within 10⁻⁸ ‖z_P‖∞, in any units of the rows.
+  stay within 10⁻⁸ ‖z_P‖∞, in any units of the rows. If e does not settle in 50 steps (a far field, or rows whose |M − D|
+  exceeds D), e solves M e = w in the rows of the tolerated unknowns and of those off their bounds.
 - A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then z passes only if it is
   near the solution of the linear system of its active rows, which is not singular, or near one that a search finds.
 - Rows with |r_i| ≤ absolute tolerance are not compared with their terms.
@@ -174,7 +175,8 @@ class RowData:
         limit = np.minimum(reference, self.active_reference(at))
         high = self.bound_residuals(moved, at, limit)
         relative = np.where(high == 0.0, 0.0, high / limit)
-        terms = self.term_residuals(moved, at, power)
+        is_near = (self.worst(relative) <= tolerance).any()
+        terms = self.term_residuals(moved, at, power, tolerance if is_near else -1.0)
         found = Measured(moved, self.worst(relative), False, terms=self.worst(terms), rows=at)
         is_open = ~(high <= absolute)
         if absolute:
@@ -274,7 +276,9 @@ class RowData:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
         return largest_products(self.absolute, x)
 
-    def term_residuals(self, z: FloatVector, at: RowsAtPoint, power: float = POWER) -> FloatVector:
+    def term_residuals(
+        self, z: FloatVector, at: RowsAtPoint, power: float = POWER, goal: float = np.inf
+    ) -> FloatVector:
         """Return the least tolerance at which each row passes the componentwise test; ∞ and NaN pass at none.
 
         Parameters
@@ -284,17 +288,24 @@ class RowData:
             The rows at z.
         power : float
             Exponent of the tolerance next to T_i.
+        goal : float
+            The errors of tolerated rows are looked at only if the other rows pass at this tolerance.
         """
         violation = at.violation
         is_open = ~(violation <= NEGLIGIBLE * at.terms) | ~np.isfinite(at.terms)
         if not self.anywhere(is_open):
             return np.zeros(z.shape)
-        is_open &= ~(self._is_excused(z, at) | (violation <= self.underflow(z)))
+        is_open &= ~(violation <= self.underflow(z))
         demand = self.demand
         least = (violation / at.terms) ** (1.0 / power)
         of_demand = np.where(demand > 0.0, (violation / demand) ** (1.0 / DEMAND_POWER), 0.0)
         least = np.where(is_open, np.maximum(least, of_demand), 0.0)
-        return np.where(np.isfinite(least), least, np.inf)
+        least = np.where(np.isfinite(least), least, np.inf)
+        is_excused = is_open & self._is_excused(z, at)
+        found = np.where(is_excused, 0.0, least)
+        if self.anywhere(is_excused) and (self.worst(found) <= goal).any():
+            found = np.where(is_excused & self._is_harmful(z, at, is_excused), least, found)
+        return found
 
     def are_refuted(
         self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any, is_open: Any = True
@@ -362,9 +373,7 @@ class RowData:
         has_unit = ~is_candidate | is_at_bound | (times(self.absolute, is_at_bound) > 0.0)
         leads = has_unit & (is_small | (at.terms <= LEADING * of_z))
         is_led = self.follow_chains(leads, is_small, z)
-        excused = is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
-        is_open = excused & ~(at.violation <= NEGLIGIBLE * at.terms)
-        return excused & ~self._is_harmful(z, at, is_open) if self.anywhere(is_open) else excused
+        return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
 
     def _is_harmful(self, z: FloatVector, at: RowsAtPoint, is_open: BoolVector) -> Any:
         """Return the rows of the components in which errors of the open rows are not harmless, bool."""
@@ -381,28 +390,35 @@ class RowData:
             is_rising, errors = after > SETTLED * errors, after
             if not self.anywhere(is_rising):
                 return is_harmful
-        errors = self.carried_errors(d, np.where(is_open & ~is_harmful, at.violation, 0.0))
+        errors = self.carried_errors(z, np.where(is_open & ~is_harmful, at.w, 0.0))
         return is_harmful | (self.largest(~(errors <= limit) * 1.0) > 0.0)
 
-    def carried_errors(self, d: FloatVector, v: FloatVector) -> FloatVector:
-        """Return e with D e = v + |M − diag(M)| e, v ≥ 0; ∞ if the series diverges or a factorization is too large."""
+    def carried_errors(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        """Return |e| with M e = w in the rows with w_i ≠ 0 or z_i off its bounds, e_i = 0 elsewhere.
+
+        ∞ if this system is singular, or too large for a factorization.
+        """
         from scipy.sparse import csc_array, diags_array
         from scipy.sparse.linalg import splu
 
+        is_free = ((self.lower < z) & (z < self.upper)) | (w != 0.0)
         e: Any
-        A, d, none = self.absolute, d + np.abs(self.diagonal), np.full(v.shape, np.inf)
+        M, on, off = self.M, is_free * 1.0, ~is_free * 1.0
         try:
-            if isinstance(A, np.ndarray):
-                e = np.linalg.solve(np.eye(v.shape[-1]) * d[..., None] - A, v[..., None])[..., 0]
+            if isinstance(M, np.ndarray):
+                M = np.where(is_free[..., None] & is_free[..., None, :], M, 0.0)
+                e = np.linalg.solve(M + np.eye(w.shape[-1]) * off[..., None], w[..., None])[..., 0]
             else:
-                i, j = A.nonzero()
-                if not v.shape[-1] * float(np.abs(i - j).max(initial=0)) ** 2 <= MOST_FACTORED:
-                    return none
-                e = splu(csc_array(diags_array(d) - A)).solve(np.ascontiguousarray(v.T)).T
+                i, j = M.nonzero()
+                if not w.shape[-1] * float(np.abs(i - j).max(initial=0)) ** 2 <= MOST_FACTORED:
+                    return np.full(w.shape, np.inf)
+                e = np.empty(w.shape)
+                for k in np.ndindex(w.shape[:-1]):
+                    part = diags_array(on[k]) @ M @ diags_array(on[k]) + diags_array(off[k])
+                    e[k] = splu(csc_array(part)).solve(w[k])
         except (np.linalg.LinAlgError, RuntimeError):  # singular
-            return none
-        converges: Any = (e >= 0.0) & (times(A, e) <= (1.0 + LEADING) * d * e)
-        return np.where(converges.all(-1)[..., None], e, none)
+            return np.full(w.shape, np.inf)
+        return np.abs(e)
 
     @cached_property
     def diagonal(self) -> FloatVector:

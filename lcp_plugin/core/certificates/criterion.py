@@ -22,8 +22,8 @@ rounding errors included, and if every row i satisfies the componentwise test
   that underflow explains is also tolerated.
 - A tolerated row with v_i > 2⁻⁴² T_i must also be harmless. Its error e = D⁻¹(v + |M − D| e), D = m_ii if positive,
   otherwise d_i, is carried through the tolerated rows, and through each row k with Σ_i |m_ki| e_i > 10⁻⁶ T_k. It must
-  stay within 10⁻⁸ ‖z_P‖∞, in any units of the rows. If e does not settle in 50 steps (a far field, or rows whose |M − D|
-  exceeds D), e solves M e = w in the rows of the tolerated unknowns and of those off their bounds.
+  stay within 10⁻⁸ ‖z_P‖∞, in any units of the rows. If e does not settle in 50 steps (a far field, or rows in which
+  |M − D| exceeds D), e solves M e = w in the rows of the tolerated unknowns and of those off their bounds.
 - A row with v_i > tolerance^(1/4) a_i > 0 passes only because rounding may explain v_i. Then z passes only if it is
   near the solution of the linear system of its active rows, which is not singular, or near one that a search finds.
 - Rows with |r_i| ≤ absolute tolerance are not compared with their terms.

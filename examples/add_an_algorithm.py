@@ -27,9 +27,7 @@ import scipy.sparse.linalg
 import typer
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.algorithms import Algorithm, Step
-from lcp_plugin.core.algorithm import check_flag, check_positive
-from lcp_plugin.evidence.drawing import STYLE
+from lcp_plugin.algorithms import Algorithm, Step, check_flag, check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +117,7 @@ def main(out: Path = Path()) -> None:
     game = LCP(
         [[0.0, 1.0], [-1.0, 0.0]], [-0.5, 0.5], upper=1.0
     )  # matching pennies: each tosses a coin
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(figsize=(5.4, 5.0), layout="constrained")
     for looks_ahead, color, label in (
         (False, "#D55E00", "without the look ahead"),

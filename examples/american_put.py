@@ -21,7 +21,6 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, gallery, march
-from lcp_plugin.evidence.drawing import STYLE
 from lcp_plugin.evidence.free_boundary import free_boundary
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
@@ -64,7 +63,7 @@ def main(out: Path = Path()) -> None:
         f"check: the prices differ from a binomial tree by at most {abs(ours - tree).max():.4f} EUR"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     left.plot(spot, payoff, color="#999999", linestyle="--", label="exercise at once")
     left.plot(spot[1:-1], value, color="#0072B2", linewidth=1.8, label="value of the option")

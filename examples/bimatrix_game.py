@@ -24,7 +24,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import LCP, all_solutions
-from lcp_plugin.evidence.drawing import STYLE
 
 A = np.array([[6, 0, 1], [2, 5, 0], [0, 1, 3]])
 B = np.array([[3, 1, 0], [0, 5, 2], [1, 0, 6]])
@@ -67,7 +66,7 @@ def main(out: Path = Path()) -> None:
         f"check: {len(ours)} equilibria here, {len(apart)} by supports; the same up to {max(apart):.1e}"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, panels = plt.subplots(1, 2, figsize=(9.4, 4.4), layout="constrained")
     corners = np.array([[0, 0], [1, 0], [0.5, np.sqrt(3) / 2]])
     for axes, player in zip(panels, ("row", "column"), strict=True):

@@ -16,7 +16,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 GRAVITY, MASS, WIDTH, HEIGHT = 9.81, 2.0, 0.3, 0.1  # m/s², kg, m, m
 STEP, STEPS = 0.025, 20  # s, –
@@ -46,7 +45,7 @@ def speed_after(angle: float, friction: float) -> tuple[float, float]:
 
 def main(out: Path = Path()) -> None:
     """Tilt the slope for three coefficients, compare the speeds, save a figure into the folder OUT."""
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
     degrees, worst = np.linspace(0.0, 45.0, 46), 0.0
     for friction, color in zip(FRICTIONS, ("#0072B2", "#D55E00", "#009E73"), strict=True):

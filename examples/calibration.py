@@ -24,7 +24,6 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, derivative, gallery, march
-from lcp_plugin.evidence.drawing import STYLE
 
 SPOT, RATE = 100.0, 0.05  # EUR, 1/year
 STRIKES, YEARS = np.linspace(76.0, 105.0, 10), np.linspace(0.25, 2.0, 10)
@@ -122,7 +121,7 @@ def main(out: Path = Path()) -> None:
         f"check: vega differs from a central difference by at most {abs(bumped / vega[some] - 1).max():.1e}, relatively"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, middle, last) = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
     shape = YEARS.size, STRIKES.size
     field = left.pcolormesh(

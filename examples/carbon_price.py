@@ -15,7 +15,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 COST, EMITS, DAMAGE, LIMIT = np.array([2.0, 5.0]), np.array([0.9, 0.4]), 3.0, 2.0
 
@@ -54,7 +53,7 @@ def main(out: Path = Path()) -> None:
         values.append(float(cp.Problem(cp.Maximize(own), pairs).solve(method="LCP")))
     print(f"check: no price of the grid is better by more than {max(max(values) - best, 0.0):.1e}")
 
-    with plt.rc_context(STYLE):
+    with plt.style.context(Path(__file__).with_name("plots.mplstyle")):
         figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
         axes.plot(grid, values, ".-", label="market solved at each price")
         axes.plot([float(tax.value)], [best], "o", label="found")

@@ -26,7 +26,6 @@ import typer
 from scipy.optimize import LinearConstraint, milp
 
 from lcp_plugin import LCP, complements, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 POINTS = 41
 STIFFNESS = 2e4  # kN/m, of the cover as a beam with springs to the flange
@@ -109,7 +108,7 @@ def _by_integers(
 
 
 def _draw(lift: np.ndarray, force: np.ndarray, bolts: np.ndarray, out: Path) -> None:
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (above, below) = plt.subplots(
         2, 1, figsize=(9.0, 5.4), sharex=True, layout="constrained"
     )

@@ -22,7 +22,6 @@ import typer
 from scipy.optimize import minimize_scalar
 
 from lcp_plugin import optimal
-from lcp_plugin.evidence.drawing import STYLE
 
 COST, SCALE = np.array([10.0, 8.0, 6.0, 4.0, 2.0]), 5.0
 BETA, ELASTICITY = np.array([1.2, 1.1, 1.0, 0.9, 0.8]), 1.1
@@ -80,7 +79,7 @@ def main(out: Path = Path()) -> None:
         f"and alone no firm could earn more than {regret:.1e} besides"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     for i, color in enumerate(("#D55E00", "#0072B2", "#009E73", "#B07D00", "#6A4C93")):
         curve = np.array(outputs)[:, i]

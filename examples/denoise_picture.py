@@ -24,7 +24,6 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 SIZE, WEIGHT, NOISE = 96, 0.28, 0.2  # pixels, λ, standard deviation in units of the grey scale
 
@@ -59,7 +58,7 @@ def main(out: Path = Path()) -> None:
         f"check: the energy {above:.6f} is at most {(above - below) / above:.1e} above the least, relatively"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, panels = plt.subplots(1, 3, figsize=(11.4, 4.2), layout="constrained")
     titles = [
         "True picture",

@@ -26,7 +26,6 @@ import typer
 from scipy.optimize import minimize
 
 from lcp_plugin import LCP, Certificate, derivative, prepare, solve
-from lcp_plugin.evidence.drawing import STYLE
 from lcp_plugin.evidence.free_boundary import free_boundary
 
 SIZE, EVALUATIONS = 200, 24  # nodes along each side; solves, each with its gradient
@@ -112,7 +111,7 @@ def main(out: Path = Path()) -> None:
         f"check: in a random direction the gradient differs from a difference by {error:.1e}, relatively"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(12, 3.9), layout="constrained")
     nodes, shape = membrane.nodes, (SIZE, SIZE)
     for axes, field, colors, title, top in (

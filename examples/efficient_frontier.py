@@ -21,7 +21,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import QuadraticProgram, trace
-from lcp_plugin.evidence.drawing import STYLE
 
 ASSETS, LIMIT = 10, 0.4
 NAMES = (
@@ -96,7 +95,7 @@ def main(out: Path = Path()) -> None:
         f"{NAMES[int(np.argmax(slope.x))]} and sells {NAMES[int(np.argmin(slope.x))]}"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11.0, 4.6), width_ratios=[1, 1.3], layout="constrained"
     )

@@ -23,7 +23,6 @@ import typer
 from matplotlib.ticker import PercentFormatter
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 MARKETS = "New York", "Chicago", "Topeka"
 CAPACITY, DEMAND = np.array([350.0, 600.0]), np.array([325.0, 300.0, 275.0])  # cases
@@ -83,7 +82,7 @@ def main(out: Path = Path()) -> None:
         f"check: without San Diego, sales differ from those of the greatest surplus by {differs:.1e} cases"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.7), layout="constrained")
     for axes, curves, title in (
         (left, sold, "Cases sold"),

@@ -22,7 +22,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 GOODS = (
     "capital, later",
@@ -117,7 +116,7 @@ def main(out: Path = Path()) -> None:
         f"check: with the baskets of a convex solver, markets differ from cleared ones by {most:.1e} units"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left_axes, right_axes) = plt.subplots(1, 2, figsize=(9.6, 3.8), layout="constrained")
     left_axes.barh(GOODS, p, color="#0072B2")
     left_axes.set(

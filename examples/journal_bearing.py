@@ -22,7 +22,6 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from lcp_plugin import gallery, solve
-from lcp_plugin.evidence.drawing import STYLE
 from lcp_plugin.evidence.free_boundary import FreeBoundary, free_boundary
 
 ECCENTRICITY, SIZE = 0.6, 140
@@ -71,7 +70,7 @@ def main(out: Path = Path()) -> None:
         f"the place where the film tears by {abs(torn_at - torn):.2f}°"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.8, 4.2), layout="constrained")
     image = left.pcolormesh(along, angle, film, shading="nearest", cmap="cividis", rasterized=True)
     figure.colorbar(image, ax=left, label="pressure").outline.set_visible(False)

@@ -22,7 +22,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import BoundedLeastSquares, solve, trace
-from lcp_plugin.evidence.drawing import STYLE
 
 SAMPLES, GENES, TRUE = 80, 200, {3: 2.0, 17: -1.5, 60: 1.0, 101: 1.0, 150: -0.7}
 
@@ -73,7 +72,7 @@ def main(out: Path = Path()) -> None:
         f"check: twenty solves differ from the path by at most {max(differences):.1e}, and cvxpy's by {in_cvxpy:.1e}"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11.0, 4.6), width_ratios=[1.5, 1], layout="constrained"
     )

@@ -21,7 +21,6 @@ import typer
 from scipy.optimize import least_squares
 
 from lcp_plugin import LCP, derivative, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 PLANTED, GUESS = np.array([0.30, 0.50, 0.20]), np.array([0.45, 0.30, 0.40])
 MASS, GRAVITY, PULL = 1.0, 9.81, 0.25  # kg, m/s², m/s
@@ -99,7 +98,7 @@ def main(out: Path = Path()) -> None:
         f"{abs(learned - PLANTED).max():.1e}"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(10.4, 4.4), width_ratios=[1.5, 1], layout="constrained"
     )

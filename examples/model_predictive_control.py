@@ -30,7 +30,6 @@ import typer
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
 from lcp_plugin import LCP, prepare, solve, solve_batch
-from lcp_plugin.evidence.drawing import STYLE
 
 ROPE, GRAVITY, LIMIT = 3.0, 9.81, 0.5  # m, m/s², m/s²
 STEP, AHEAD, SECONDS = 0.15, 40, 12.0  # s, steps of a plan, s
@@ -119,7 +118,7 @@ def main(out: Path = Path()) -> None:
     cut = [START]
     for _ in u:
         cut.append(A @ cut[-1] + B @ np.clip(-K @ cut[-1], -LIMIT, LIMIT))
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(9.6, 4.0), layout="constrained", width_ratios=[1.15, 1]
     )

@@ -16,7 +16,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 
 def main(out: Path = Path()) -> None:
@@ -33,7 +32,7 @@ def main(out: Path = Path()) -> None:
 
     outputs = np.linspace(0, 10, 201)
     sold = np.maximum((8 - outputs) / 2, 0)
-    with plt.rc_context(STYLE):
+    with plt.style.context(Path(__file__).with_name("plots.mplstyle")):
         figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
         axes.plot(outputs, (9 - outputs - sold) * outputs, label="income where the fringe answers")
         axes.plot([float(x.value)], [income], "o", label="found")

@@ -27,7 +27,6 @@ from scipy.optimize import LinearConstraint, milp
 from scipy.sparse.csgraph import shortest_path
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 SIDE = 3  # nodes along each side of the town
 TOWN = [(i, i + 1) for i in range(SIDE**2) if (i + 1) % SIDE] + [
@@ -150,7 +149,7 @@ def _earned(costs: np.ndarray, tolls: np.ndarray) -> float:
 def _draw(
     tolls: np.ndarray, is_highway: np.ndarray, history: list[tuple[float, float]], out: Path
 ) -> None:
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (town, search) = plt.subplots(1, 2, figsize=(10.4, 4.4), layout="constrained")
     for road, toll, is_owned in zip(ROADS, tolls, is_highway, strict=True):
         (x, y), (dx, dy) = PLACES[road[0]], PLACES[road[1]] - PLACES[road[0]]

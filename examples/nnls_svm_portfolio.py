@@ -23,7 +23,6 @@ import scipy.optimize
 import typer
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 PENALTY = 2.0  # C of the support vector machine
@@ -134,7 +133,7 @@ def portfolio(axes: plt.Axes, random: np.random.Generator) -> float:
 
 def main(out: Path = Path()) -> None:
     """Solve all three, compare each with another method, and save a figure into the folder OUT."""
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, panels = plt.subplots(1, 3, figsize=(12.6, 4.0), layout="constrained")
     random = np.random.default_rng(3)
     print(

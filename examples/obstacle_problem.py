@@ -21,8 +21,7 @@ import scipy.sparse as sp
 import typer
 from scipy.optimize import brentq
 
-from lcp_plugin import LCP, gallery, solve
-from lcp_plugin.evidence.drawing import draw
+from lcp_plugin import LCP, solve
 
 SIZE = 120  # nodes along each side, the edge not counted
 
@@ -58,16 +57,9 @@ def main(out: Path = Path()) -> None:
         f"{abs(result.z - exact[1:-1, 1:-1].ravel()).max():.1e} (mesh width {nodes[1] - nodes[0]:.3f})"
     )
 
-    scene = gallery.Scene(
-        problem=problem,
-        description="A membrane over a ball",
-        grid=(SIZE, SIZE),
-        coordinates=(nodes[1:-1],) * 2,
-        axis_labels=("y", "x"),
-        unknown="height u",
-        active_means="the membrane touches",
-    )
-    draw(result, out / "obstacle_problem.png", scene)
+    axes = result.plot(shape=(SIZE, SIZE))
+    axes.set(xlabel="node along x", ylabel="node along y")
+    axes.figure.savefig(out / "obstacle_problem.png", dpi=150)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,6 @@ from skfem import Basis, ElementTriP1, ElementTriP2, MeshTri, MeshTri2
 from skfem.models.poisson import laplace, mass
 
 from lcp_plugin import LCP, analyze, error_bound, solve
-from lcp_plugin.evidence.drawing import HEIGHTS, STYLE
 
 EDGE = 2.0  # the radius of the circle
 NODES = (250, 1000, 4000, 16000)  # inside of it, about
@@ -111,11 +110,11 @@ def draw(out: Path, widths: np.ndarray, errors: np.ndarray, orders: list[float])
     """Save the figure."""
     mesh = disk(PICTURED)
     u, _ = membrane(Basis(mesh, ElementTriP1()))
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(9.4, 4.3), layout="constrained", width_ratios=[1.15, 1]
     )
-    image = left.tripcolor(*mesh.p, mesh.t.T, u, shading="gouraud", cmap=HEIGHTS)
+    image = left.tripcolor(*mesh.p, mesh.t.T, u, shading="gouraud", cmap="cividis")
     left.triplot(*mesh.p, mesh.t.T, color="white", linewidth=0.25)
     touches = u == ball(np.hypot(*mesh.p))
     left.plot(*mesh.p[:, touches], ".", color="#D55E00", markersize=3.5)

@@ -19,6 +19,7 @@ doi:10.1080/13504869600000015 (tree).
 """
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -26,8 +27,6 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, derivative, march
-from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.problems.march import MarchDerivative
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
 SIZE, MARCHES, STEPS, KEPT = (
@@ -38,7 +37,7 @@ SIZE, MARCHES, STEPS, KEPT = (
 )  # unknowns, marches, steps of each; every twelfth is drawn
 LEVELS = 1001, 4001, 4001  # of the trees for each Greek
 
-Leg = tuple[MarchDerivative, float, float]  # of one march: the shares of A in M and in C
+Leg = tuple[Any, float, float]  # of one march: its derivative, the shares of A in M and in C
 
 
 def operator(x: np.ndarray) -> tuple[sp.sparray, np.ndarray, list[tuple[sp.sparray, np.ndarray]]]:
@@ -188,7 +187,7 @@ def main(out: Path = Path()) -> None:
     node, to_spot = SIZE // 2, np.array([1 / STRIKE, 1.0, 1.0])
     both = backwards(node, done, changes) * to_spot / kept[-1][:, node]
     print(f"check: backwards they are the same at the money to {abs(both - 1).max():.1e}")
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, panels = plt.subplots(
         2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1]
     )

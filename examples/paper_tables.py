@@ -18,8 +18,6 @@ import typer
 
 from lcp_plugin import gallery
 from lcp_plugin.algorithms import create, paper_options
-from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.evidence.study import Table
 
 TOLERANCE, DELTA, MAX_ITERATIONS = 1e-5, 4.0, 1000
 
@@ -79,9 +77,11 @@ def main(out: Path = Path()) -> None:
     heads = ("algorithm", "n", "paper IT", "IT", "paper Res", "Res", "paper CPU", "CPU")
     for example in (1, 2):
         rows = [cell[1:] for cell in computed if cell.example == example]
-        print(Table(f"The paper's Table {example}, δ = {DELTA:g}", heads, rows))
+        print(f"The paper's Table {example}, δ = {DELTA:g}\n", *(f"{head:>11}" for head in heads))
+        for row in rows:
+            print(*(f"{cell:>11}" for cell in row))
 
-    plt.rcParams.update(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, every = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained", sharey=True)
     for example, axes in zip((1, 2), every, strict=True):
         own = [cell for cell in computed if cell.example == example]

@@ -23,7 +23,6 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, prepare, solve, solve_batch
-from lcp_plugin.evidence.drawing import STYLE
 from lcp_plugin.evidence.free_boundary import free_boundary
 
 SIZE = 49  # nodes along each side, the edge not counted
@@ -64,7 +63,7 @@ def main(out: Path = Path()) -> None:
         f"the last from the fully plastic one by {abs(torque[-1] / fully_plastic - 1):.2%}"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(10.4, 4.4), width_ratios=[1.35, 1], layout="constrained"
     )

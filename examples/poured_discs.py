@@ -19,7 +19,6 @@ import typer
 from matplotlib.patches import Circle
 
 from lcp_plugin import FrictionalContact, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 DISCS, RADIUS, MASS, GRAVITY, FRICTION = 30, 0.1, 1.0, 9.81, 0.4  # m, kg, m/s²
 STEP, STEPS, HALF, REACH = 0.01, 1000, 0.5, 0.03  # s, of the box and of possible contacts: m
@@ -108,7 +107,7 @@ def main(out: Path = Path()) -> None:
         f"discs overlap by {overlap / RADIUS:.1e} of their radius"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(
         1, len(FILM), figsize=(12.0, 4.6), sharey=True, layout="constrained"
     )

@@ -23,7 +23,6 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, Certificate, box, complements
-from lcp_plugin.evidence.drawing import HEIGHTS, STYLE
 from lcp_plugin.evidence.free_boundary import free_boundary
 
 HEAT, LIMIT, SIZE = 12.0, 1.2, 99
@@ -58,14 +57,14 @@ def main(out: Path = Path()) -> None:
         A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT)
     )  # the heat as it is at the answer
     edge = free_boundary(Certificate.of(frozen, u), coordinates=(x, x))
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 4.1), layout="constrained")
     for axes, values, title in (
         (left, u, "Temperature"),
         (right, cooled, "Heat that is taken away"),
     ):
         picture = axes.pcolormesh(
-            x, x, values.reshape(SIZE, SIZE), cmap=HEIGHTS, shading="nearest", rasterized=True
+            x, x, values.reshape(SIZE, SIZE), cmap="cividis", shading="nearest", rasterized=True
         )
         figure.colorbar(picture, ax=axes, shrink=0.85).outline.set_visible(False)
         edge.draw(axes, color="white", linewidth=1.2)

@@ -16,7 +16,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import LCP, FrictionalContact, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 GRAVITY, MASS, SLOPE, FRICTION, STEP = 9.81, 2.0, np.radians(25.0), 0.4, 0.01  # m/s², kg, –, –, s
 EDGES = {4: "#0072B2", 8: "#D55E00", 16: "#009E73"}
@@ -49,7 +48,7 @@ def main(out: Path = Path()) -> None:
         f"check: with the cone it slides at most {abs(aside).max():.1e}° aside, and its speed is off by "
         f"{abs(speeds - expected).max():.1e} m/s"
     )
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
     for edges, color in EDGES.items():
         found = []

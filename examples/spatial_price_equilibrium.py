@@ -22,7 +22,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 REGIONS = 12
 
@@ -60,7 +59,7 @@ def main(out: Path = Path()) -> None:
         f"check: the prices of the greatest surplus differ by {abs(price - (c - d * (Y @ x.value))).max():.1e} EUR/t"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(figsize=(8.4, 5.6), layout="constrained")
     for i, j in trade:
         axes.annotate(

@@ -19,7 +19,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import LCP, FrictionalContact, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 GRAVITY, MASS, RADIUS, FRICTION = 9.81, 0.5, 0.05, 0.3  # m/s², kg, m, –
 RINGS, SHARE, STEPS = 5, 0.25, 40  # of points; of the time that is left, a step; and how many
@@ -82,7 +81,7 @@ def ratios(start: float, edges: int | None = None) -> tuple[np.ndarray, np.ndarr
 
 def main(out: Path = Path()) -> None:
     """Stop a disc from four starts, compare the ratios at the end, save a figure into the folder OUT."""
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     ends = []
     for start in STARTS:

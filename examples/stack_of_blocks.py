@@ -23,7 +23,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 BLOCKS, WIDTH, HEIGHT, GRAVITY = 6, 1.0, 0.3, 9.81  # –, m, m, m/s²; each block weighs 1 kg
 INERTIA = (WIDTH**2 + HEIGHT**2) / 12
@@ -95,7 +94,7 @@ def draw(
 
 def main(out: Path = Path()) -> None:
     """Solve a stable tower and one that tips over, check the forces, save a figure into the folder OUT."""
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, panels = plt.subplots(1, 2, figsize=(9.6, 4.1), layout="compressed")
     for axes, boldness in zip(panels, (0.85, 1.15), strict=True):
         centre, ends = tower(boldness)

@@ -14,6 +14,7 @@ Source: Anitescu, Potra, Nonlinear Dynamics 14, 1997, doi:10.1023/A:100829232890
 """
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,8 +22,6 @@ import typer
 from matplotlib.patches import Rectangle
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.problems.contact import ContactMotion
 
 BLOCKS, PULLED, FRICTION = 10, 5, 0.4  # the ground is below block 0
 MASS, WIDTH, HEIGHT, GRAVITY, STEP = 1.0, 1.0, 0.1, 9.81, 0.01  # kg, m, m, m/s², s
@@ -46,7 +45,7 @@ def rows_of_contacts() -> tuple[np.ndarray, np.ndarray]:
     return normals, tangents
 
 
-def pulled(force: float) -> tuple[ContactMotion, np.ndarray]:
+def pulled(force: float) -> tuple[Any, np.ndarray]:
     """Return impulses and slip of the contacts after one step, and the velocities of the blocks, shape (10, 3)."""
     normals, tangents = rows_of_contacts()
     velocities = np.tile([0.0, -STEP * GRAVITY, 0.0], BLOCKS)
@@ -84,7 +83,7 @@ def main(out: Path = Path()) -> None:
         f"the speeds from the closed form by {worst_speed:.1e} m/s"
     )
 
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(10.4, 4.4), width_ratios=[1, 1.2], layout="constrained"
     )

@@ -20,7 +20,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 M = np.array([[2.0, 1.0], [1.0, 2.0]])
 q = np.array([-5.0, 1.0])
@@ -49,7 +48,7 @@ def main(out: Path = Path()) -> None:
     cones = [("$e_1$", "$e_2$"), ("$-M_1$", "$e_2$"), ("$e_1$", "$-M_2$"), ("$-M_1$", "$-M_2$")]
     says = ["z = 0", "z₁ > 0, w₂ > 0", "w₁ > 0, z₂ > 0", "w = 0"]
     unit = {name: np.array(edge) / np.linalg.norm(edge) for name, edge in edges.items()}
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
     for (first, second), text, color in zip(
         cones, says, ["#56B4E9", "#E69F00", "#009E73", "#CC79A7"], strict=True

@@ -17,7 +17,6 @@ import numpy as np
 import typer
 
 from lcp_plugin import complements
-from lcp_plugin.evidence.drawing import STYLE
 
 COST, CAPACITY, FIXED = map(
     np.array, ([2.0, 4.0, 3.0, 6.0], [5.0, 8.0, 4.0, 9.0], [20.0, 45.0, 12.0, 30.0])
@@ -53,7 +52,7 @@ def main(out: Path = Path()) -> None:
         f"check: welfare differs from the best of all sixteen by {abs(welfare - every[best]):.1e}"
     )
 
-    with plt.rc_context(STYLE):
+    with plt.style.context(Path(__file__).with_name("plots.mplstyle")):
         figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
         ordered = sorted(every.items(), key=lambda one: one[1])
         colors = ["C1" if choice == best else "C0" for choice, _ in ordered]

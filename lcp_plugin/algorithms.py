@@ -20,7 +20,7 @@ from dataclasses import MISSING, fields
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
-from .core.algorithm import Algorithm, Step
+from .core.algorithm import Algorithm, Step, check_flag, check_positive
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.settings import OF_SOLVE
 from .engines import ENGINES, engine_class
@@ -58,7 +58,16 @@ REGISTRY = {
     "npsplitting": "methods.npsplitting:NPSplitting",
 }
 
-__all__ = ["REGISTRY", "Algorithm", "Step", "algorithm_class", "create", "paper_options"]
+__all__ = [
+    "REGISTRY",
+    "Algorithm",
+    "Step",
+    "algorithm_class",
+    "check_flag",
+    "check_positive",
+    "create",
+    "paper_options",
+]
 
 
 def __getattr__(name: str) -> Any:

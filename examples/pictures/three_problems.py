@@ -12,7 +12,6 @@ import typer
 from PIL import Image
 
 from lcp_plugin import gallery, march, solve
-from lcp_plugin.evidence.drawing import STYLE
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from stack_of_blocks import BLOCKS, GRAVITY, INERTIA, contact_problem, draw, tower
@@ -65,7 +64,7 @@ def pile(axes: plt.Axes) -> None:
 
 def main(out: Path = Path()) -> None:
     """Solve the three problems and save their figure into the folder OUT."""
-    plt.style.use(STYLE)
+    plt.style.use(Path(__file__).parents[1] / "plots.mplstyle")
     figure = plt.figure(figsize=(10.4, 3.5), layout="constrained")
     places = figure.add_gridspec(1, 3, width_ratios=[1.05, 1, 1])
     membrane(figure.add_subplot(places[0], projection="3d"))

@@ -54,6 +54,7 @@ NAMES = (
     *("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control"),
     *("add_an_algorithm", "learn_friction", "cournot_oligopoly"),
 )
+STYLE = 'Path(__file__).with_name("plots.mplstyle")', '"../plots.mplstyle"'  # in a notebook
 OF_SCRIPTS = (
     "import typer",
     "from pathlib import Path",
@@ -76,7 +77,7 @@ def examples() -> list[str]:
 
 def cells_of(name: str) -> Iterator[tuple[str, str]]:
     """Yield the kind and the text of each cell: the docstring, imports, functions, then the steps of main."""
-    script = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    script = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").replace(*STYLE)
     tree, lines = ast.parse(script), script.splitlines()
     title, _, story = (ast.get_docstring(tree) or "").partition("\n")
     yield (
@@ -146,7 +147,7 @@ def notebook(name: str) -> str:
     namespace: dict[str, Any] = {"__name__": "notebook"}
     cells: list[dict[str, Any]] = []
     count = 0
-    with plt.rc_context():
+    with plt.rc_context(), contextlib.chdir(NOTEBOOKS):
         for kind, text in cells_of(name):
             cell = {"cell_type": kind, "metadata": {}, "source": text.splitlines(keepends=True)}
             if kind == "code":

@@ -102,3 +102,16 @@ def test_extras_of_install_commands_exist() -> None:
     for file in (*SOURCES, *PAGES):
         for extra in re.findall(r"'\.\[(\w+)\]'", file.read_text(encoding="utf-8")):
             assert extra in project["optional-dependencies"], f"{file.name}: {extra}"
+
+
+def test_examples_import_public_modules_only() -> None:
+    """Each import of a script or a page is one that the policy in CHANGELOG.md promises to keep."""
+    text = (ROOT / "examples" / "manual" / "CHANGELOG.md").read_text(encoding="utf-8")
+    public = re.findall(r"`(lcp_plugin[\w.]*)`", text.partition("Everything else may")[0])
+    for file in [*PAGES, *(ROOT / "examples").rglob("*.py")]:
+        for module, names in re.findall(
+            r"^ *(?:from|import) (lcp_plugin[\w.]*)(?: import (.+))?", file.read_text("utf-8"), re.M
+        ):
+            assert module in public or f"{module}.{names.split()[0]}" in public, (
+                f"{file.name}: {module}"
+            )

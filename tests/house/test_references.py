@@ -105,7 +105,7 @@ def test_extras_of_install_commands_exist() -> None:
 
 
 def test_examples_import_public_modules_only() -> None:
-    """Each import of a script or a page is one that the policy in CHANGELOG.md promises to keep."""
+    """Each import of a script or a page is of a module that CHANGELOG.md lists as public."""
     text = (ROOT / "examples" / "manual" / "CHANGELOG.md").read_text(encoding="utf-8")
     public = re.findall(r"`(lcp_plugin[\w.]*)`", text.partition("Everything else may")[0])
     for file in [*PAGES, *(ROOT / "examples").rglob("*.py")]:

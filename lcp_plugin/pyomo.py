@@ -79,7 +79,7 @@ try:
     from pyomo.opt import Solution, SolverFactory, SolverResults, SolverStatus, TerminationCondition
 except ImportError as error:
     raise ImportError(
-        "lcp_plugin.pyomo needs pyomo; install it with: pip install '.[pyomo]'"
+        "lcp_plugin.pyomo needs pyomo; install it with: pip install pyomo (the extra [pyomo])"
     ) from error
 
 from . import __version__

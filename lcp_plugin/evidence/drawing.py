@@ -86,7 +86,7 @@ def require_matplotlib() -> Any:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise LCPError(
-            "a picture needs matplotlib; install it with: pip install '.[report]'"
+            "a picture needs matplotlib; install it with: pip install matplotlib (the extra [report])"
         ) from error
     return Figure
 

@@ -52,7 +52,7 @@ def register_with_qpsolvers() -> None:
         from qpsolvers.solve_problem import solve_function
     except ImportError as error:
         raise ImportError(
-            "register_with_qpsolvers needs qpsolvers; install it with: pip install '.[qpsolvers]'"
+            "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers (the extra [qpsolvers])"
         ) from error
     solve_function[NAME] = solve_problem
     for names in (available_solvers, dense_solvers, sparse_solvers):

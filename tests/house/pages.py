@@ -64,6 +64,11 @@ PICTURES = EXAMPLES / "pictures"
 LARGEST = 100_000  # bytes
 
 
+def masked(text: str) -> str:
+    """Return a text without its times and residuals, which differ between runs and machines."""
+    return re.sub(r"[\d.]+(?: s\b|e-\d+)", "…", text)
+
+
 def guide(name: str) -> str:
     """Return a page of the manual, in Markdown."""
     return (EXAMPLES / "manual" / f"{name}.md").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched. Needs the extra ``[learn]``.
+"""Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched. Needs the extra ``[torch]`` or ``[jax]``.
 
 The layers run on the CPU. The CPU build of PyTorch is sufficient and much smaller.
 

@@ -559,8 +559,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
             )
     raise UnsupportedModel(
         f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
-        "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install "
-        "'.[global]')"
+        "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install pyscipopt)"
     )
 
 

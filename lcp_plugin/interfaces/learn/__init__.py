@@ -1,6 +1,6 @@
-"""Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched. Needs the extra ``[torch]`` or ``[jax]``.
+"""Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched.
 
-The layers run on the CPU. The CPU build of PyTorch is sufficient and much smaller.
+Install the extra ``[torch]`` or ``[jax]``. The layers run on the CPU. The CPU build of PyTorch is sufficient and much smaller.
 
 In PyTorch::
 

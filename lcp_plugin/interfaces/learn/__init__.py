@@ -1,6 +1,6 @@
 """Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched.
 
-Install the extra ``[torch]`` or ``[jax]``. The layers run on the CPU. The CPU build of PyTorch is sufficient and much smaller.
+Install the extra ``[torch]`` or ``[jax]``. The layers run on the CPU. The CPU build of PyTorch is sufficient.
 
 In PyTorch::
 

@@ -8,9 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-AT_LEAST = 0.1  # seconds
-
-
 # Until when, on the clock that compilation stops, and whether that is enforced.
 _limit: ContextVar[tuple[float, bool]] = ContextVar("limit", default=(math.inf, False))
 
@@ -121,7 +118,7 @@ def seconds_left() -> float:
     ...     seconds_left()
     0.1
     """
-    return max(_limit.get()[0] - _now(), AT_LEAST)
+    return max(_limit.get()[0] - _now(), 0.1)
 
 
 def enforced_seconds_left() -> float:

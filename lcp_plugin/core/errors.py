@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
 LONG_LIST = 20  # longer lists of names are not printed next to a guess
-CLOSE = 0.6  # of 1, which is the same word
 
 
 class LCPError(Exception):
@@ -77,7 +76,7 @@ def did_you_mean(
     written |= {name: repr(name) for name in of_solve}
     hints += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
     close = [name for name in sorted(written) if len(str(word)) > 2 and name.startswith(str(word))]
-    close = close or get_close_matches(str(word).lower(), sorted(written), 1, CLOSE)
+    close = close or get_close_matches(str(word).lower(), sorted(written), 1, 0.6)
     if not close:
         return f"; {'; '.join(hints)}"
     return f"; did you mean {written[close[0]]}? ({'; '.join(hints)})"

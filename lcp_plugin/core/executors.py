@@ -13,8 +13,6 @@ from typing import Any
 
 from .errors import InvalidOption, LCPError
 
-MAX_WAIT = 1e6  # seconds; the waiting for a result is then repeated
-
 
 def run_on(
     executor: Executor,
@@ -48,7 +46,8 @@ def run_on(
                 break
         while waiting:
             left = 0.0 if lost else seconds_left()
-            for future in wait(waiting, min(max(left, 0.0), MAX_WAIT), FIRST_COMPLETED)[0]:
+            # After 10⁶ seconds the waiting for a result is repeated
+            for future in wait(waiting, min(max(left, 0.0), 1e6), FIRST_COMPLETED)[0]:
                 k = waiting.pop(future)
                 try:
                     value, raised = future.result()

@@ -22,7 +22,7 @@ from ..core.checks import FloatVector
 from ..core.matrix import largest_in_rows
 from .engine import EngineAnswer, ProgramData
 
-STEPS, ROUNDS = 15, 2
+ROUNDS = 2
 # With 2⁻⁵⁰, rounding errors left a gap of 4e-5 in an optimal control problem of 18 009 unknowns; with 2⁻⁴², 5e-7.
 SHIFTS = 2.0**-26, 2.0**-42  # δ relative to the largest entry of its row
 
@@ -72,7 +72,7 @@ def polish_steps(
         for shift in SHIFTS:
             if (solve := shifted_solver(*blocks, shift)) is None:
                 return
-            for _ in range(STEPS):
+            for _ in range(15):
                 gradient = program.P @ x + program.c + transposed @ y
                 step = solve(np.concatenate([-gradient[free], (right - rows @ x)[of_rows]]))
                 if not np.isfinite(step).all():

@@ -14,7 +14,6 @@ from ..core.checks import FloatVector
 from ..core.matrix import largest_in_rows, scale_by
 from .engine import EngineAnswer, ProgramData
 
-FAR = 1e7  # times the lower quartile of all right-hand sides: larger ones are unlikely to be active
 FORBIDDING = 1e14  # times the lower quartile of all costs: larger ones forbid x_j off its bound
 MODEST = 2.0**-30  # costs between this and its inverse are left unchanged
 MOST = 0.9  # share of costs and right-hand sides that scaling brings to at most about 1
@@ -140,7 +139,8 @@ def without_far_limits(given: ProgramData) -> ProgramData:
     """
     known = np.abs(np.concatenate([given.h, given.b, given.lower, given.upper]))
     known = known[np.isfinite(known) & (known > 0.0)]
-    far = FAR * max(1.0, float(np.quantile(known, 0.25))) if known.size else np.inf
+    # Right-hand sides larger than 10⁷ times the lower quartile are unlikely to be active
+    far = 1e7 * max(1.0, float(np.quantile(known, 0.25))) if known.size else np.inf
     is_fixed = given.lower == given.upper
     h = np.where(given.h >= far, np.inf, given.h)
     lower = np.where((given.lower <= -far) & ~is_fixed, -np.inf, given.lower)

@@ -125,7 +125,6 @@ def _call_daqp(
     return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]
 
 
-INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
 INVALID_SETTINGS = -10  # status of PIQP
 PIQP_SAYS = {
     1: EngineStatus.OPTIMAL,
@@ -169,7 +168,7 @@ class PIQP(Engine):
             else _to_csc(P)
         )
         equations = (_to_csc(A), program.b) if p else (None, None)
-        is_limit = program.h < INFINITE
+        is_limit = program.h < 1e30  # limits of rows that PIQP leaves out, and prints that it does
         G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
         rows = (_to_csc(G), None, h) if h.size else (None, None, None)
         solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)

@@ -48,9 +48,8 @@ from ..systems.definiteness import factorised, symmetric_part
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
 PLAIN, GAP, SADDLE = "quadratic program", "gap quadratic program", "quadratic program with rows"
-ACCURATE_TOLERANCE, ROUGH_TOLERANCE = 1e-7, 1e-3  # of our criterion, for a point to be compared
+ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
 DIFFERENCE_RATIO = 1e-6
-POLISH_ROUNDS = 3
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
 TIME_LIMITS = {
     **dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit"),
@@ -212,7 +211,7 @@ def cross_validate(
         return found("not comparable", reason)
     if is_false or not np.isfinite(ours.z).all():
         return found("mismatch", f"our status {status} is false, {name} is accurate: {residuals}")
-    if not ours.meets(Settings(tolerance=ROUGH_TOLERANCE if is_claimed else ACCURATE_TOLERANCE)):
+    if not ours.meets(Settings(tolerance=1e-3 if is_claimed else ACCURATE_TOLERANCE)):
         return found("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
         return found(
@@ -382,7 +381,7 @@ class ConvexForm:
 def polish(certificate: Certificate) -> Certificate:
     """Return the solution of the equations on the certificate's own active set, if it is better."""
     best, problem = certificate, certificate.problem
-    for _ in range(POLISH_ROUNDS):
+    for _ in range(3):
         at_bounds = classify(problem, best.z, best.w)
         solved = solve_active_set(problem, *at_bounds, near=best.z)
         found = best if solved is None else Certificate.of(problem, solved.z)

@@ -65,19 +65,9 @@ MARKERS = "osD^v<>phX*P"
 DASHES = ("-", "--", "-.", ":")
 JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.1  # width of a journal's column, and of its page
-HEIGHT_RATIO, MAX_COLUMNS = 0.78, 3
-MARKERS_PER_LINE = 7
-LEGEND_LINE_INCHES, LETTERS_PER_INCH = 0.17, 13
-NAME_INCHES, LETTER_INCHES = 0.5, 0.055  # of a line and its space in a legend, of a letter
 ACTIVE, FREE = "#D55E00", "#0072B2"
 LABELS = ("layer", "row", "column")
 PANEL_INCHES = (4.9, 4.4)
-MAX_LARGE_DOTS = 60
-ZERO_RATIO = (
-    0.1  # a residual of 0 is drawn at this share of the least number on its logarithmic axis
-)
-MAX_LINES, MAX_NAMES = 40, 10  # unknowns drawn; unknowns that a legend names
-MAX_BREAKPOINTS = 60  # that are drawn as lines
 
 
 def require_matplotlib() -> Any:
@@ -129,15 +119,15 @@ def look_of(family: str, k: int) -> dict[str, Any]:
 @contextmanager
 def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[Any]]:
     """Yield axes with these titles, of a figure as wide as a column, or as a page; at the end, one legend below."""
-    columns = min(len(titles), MAX_COLUMNS)
+    columns = min(len(titles), 3)
     rows = -(-len(titles) // columns)
     width = width or (COLUMN_WIDTH if columns == 1 else PAGE_WIDTH)
-    height = rows * HEIGHT_RATIO * width / columns
+    height = rows * 0.78 * width / columns
     with styled(JOURNAL):
         figure = require_matplotlib()(figsize=(width, height), layout="constrained")
         every = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, title in zip(every, titles, strict=False):
-            axes.set_title(textwrap.fill(title, int(LETTERS_PER_INCH * width / columns)))
+            axes.set_title(textwrap.fill(title, int(13 * width / columns)))
         for axes in every[len(titles) :]:
             axes.set_axis_off()
         yield [*every[: len(titles)]]
@@ -148,16 +138,17 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
             if k % columns and axes.get_ylabel() == every[k - 1].get_ylabel():
                 axes.yaxis.label.set_visible(False)
         longest = max(map(len, named))
-        count = max(1, min(len(named), int(width / (NAME_INCHES + LETTER_INCHES * longest))))
+        # Inches of a line and its space, and of a letter
+        count = max(1, min(len(named), int(width / (0.5 + 0.055 * longest))))
         look = {"fontsize": LABEL_SIZE, "handlelength": 2.4, "columnspacing": 1.0}
         figure.legend([*named.values()], [*named], loc="outside lower center", ncols=count, **look)
-        figure.set_size_inches(width, height + math.ceil(len(named) / count) * LEGEND_LINE_INCHES)
+        figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)
 
 
 def draw_curve(axes: Any, x: Any, y: Any, label: str, look: Mapping[str, Any], **more: Any) -> None:
     """Draw a curve with some markers; ``is_solved=False`` ends it in a cross."""
     is_solved = more.pop("is_solved", True)
-    marks = np.unique(np.linspace(0, max(len(x) - 1, 0), MARKERS_PER_LINE).astype(int))
+    marks = np.unique(np.linspace(0, max(len(x) - 1, 0), 7).astype(int))
     label = label if is_solved else f"{label} ✕"
     axes.plot(x, y, markevery=[*marks], label=label, zorder=3, **look, **more)
     if not is_solved:
@@ -313,7 +304,7 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
         axes.plot(where, np.where(active, x, np.nan), color=ACTIVE, linewidth=3.0)
     else:
         axes.locator_params(axis="x", integer=True)
-        size = 6.0 if x.size <= MAX_LARGE_DOTS else 2.5
+        size = 6.0 if x.size <= 60 else 2.5
         for chosen, color in ((~active, FREE), (active, ACTIVE)):
             axes.plot(where[chosen], x[chosen], ".", color=color, markersize=size, rasterized=True)
     if active.any():
@@ -391,7 +382,8 @@ def _draw_residuals(axes: Any, result: Any) -> None:
     ).reshape(-1, 2)
     seconds, residuals = samples.T
     positive = [*residuals[residuals > 0.0], result.tolerance or 1.0]
-    edge = ZERO_RATIO * min(positive)
+    # A residual of 0 is drawn at a tenth of the least number on its logarithmic axis
+    edge = 0.1 * min(positive)
     axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
     if (residuals == 0.0).any():
         last = seconds[residuals == 0.0][0]
@@ -434,7 +426,7 @@ def plot_path(path: ParametricPath, *, axes: Any = None, rows: Sequence[int] | N
     n = every.shape[1]
     if rows is None:
         order = np.argsort(-np.ptp(every, axis=0), kind="stable")
-        rows = sorted(order[:MAX_LINES].tolist())
+        rows = sorted(order[:40].tolist())  # unknowns drawn
     chosen = np.asarray(rows)
     is_whole = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
     if not is_whole or not ((chosen >= 0) & (chosen < n)).all():
@@ -444,11 +436,11 @@ def plot_path(path: ParametricPath, *, axes: Any = None, rows: Sequence[int] | N
 
         with styled():
             _, axes = plt.subplots(figsize=(7.2, 4.0), layout="constrained")
-    for value in path.breakpoints if len(path) <= MAX_BREAKPOINTS else ():
+    for value in path.breakpoints if len(path) <= 60 else ():  # that are drawn as lines
         axes.axvline(value, color="#dddddd", linewidth=0.7, zorder=0)
     for j in chosen:
         axes.plot(theta, every[:, j], linewidth=1.4, label=f"x[{j}]")
-    if chosen.size <= MAX_NAMES:
+    if chosen.size <= 10:  # unknowns that a legend names
         axes.legend(fontsize=7.5, loc="best")
     axes.set(xlabel="parameter", ylabel="x" if chosen.size == n else f"x, {chosen.size} of {n}")
     return axes

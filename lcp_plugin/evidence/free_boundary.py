@@ -32,7 +32,6 @@ from ..core.matrix import largest_in_rows
 from ..core.solving.result import Result
 
 FAR = 1.5  # the level of a node that no bound is near to
-NO_FORCE = 1e-12  # of the terms of its row
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +126,7 @@ def contact_level(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
         force = sign * (M @ np.where(known, bound, z) + problem.q)
         touches, gap = known & (z == bound), sign * (z - np.where(known, bound, z))
         force = np.where(touches, np.maximum(force, sign * w), force)
-        presses = force > NO_FORCE * (
-            abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q)
-        )
+        presses = force > 1e-12 * (abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q))
         pulls = np.where(presses, force, 1.0)
         pressed = np.where(presses, np.clip(0.5 - sign * w / pulls, -0.5, 0.5), -0.5)
         free = np.where(presses, np.minimum(0.5 + coupling * gap / pulls, FAR), 0.5)

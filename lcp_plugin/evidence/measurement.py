@@ -28,7 +28,6 @@ from ..gallery.scene import Scene
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
 SINGLE_POINTS = ("reference", "polish")  # families
-SAMPLING_RATIO = 1.08  # ratio of the iterations of two samples
 FAMILIES = {
     **dict.fromkeys(("npj", "npgs", "npsor", "npaor", "npsplitting"), "projected-type (NP)"),
     **dict.fromkeys(("pj", "pgs", "psor", "paor"), "projected relaxation (P)"),
@@ -167,7 +166,8 @@ def run(
     def record(sample: Sample, z: FloatVector) -> bool:
         nonlocal due
         if sample.iteration >= due:
-            due = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLING_RATIO))
+            # The iterations of two samples have this ratio
+            due = max(sample.iteration + 1, math.ceil(sample.iteration * 1.08))
             samples.append((sample.iteration, sample.work, sample.seconds, *measure(z)))
         return False
 

@@ -24,9 +24,6 @@ from .study import csv_text
 
 Progress = Callable[[int, int, str], Any]
 
-MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
-MISLEADING = 1e-3
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -85,7 +82,7 @@ class Atlas:
     def misleading(self) -> tuple[Cell, ...]:
         """The cells that are SOLVED with an error of more than a thousandth, because M is ill-conditioned."""
         return tuple(
-            cell for cell in self.cells if cell.status == "SOLVED" and cell.true_error > MISLEADING
+            cell for cell in self.cells if cell.status == "SOLVED" and cell.true_error > 1e-3
         )
 
     def explain(self) -> str:
@@ -166,7 +163,7 @@ def stability_atlas(
         cases = [(family, case) for family, case in cases if case.problem.n <= 2500]
     cells: list[Cell] = []
     for (family, case), one in product(cases, entrants):
-        cells.append(_cell(family, case, one, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS))
+        cells.append(_cell(family, case, one, 5_000 if quick else 50_000))
         if progress is not None:
             progress(len(cells), len(cases) * len(entrants), f"{case.stress}: {one.label}")
     return Atlas(tuple(cells))

@@ -102,8 +102,6 @@ def sphere_solution(r: Field) -> Field:
 
 # --- Wind -------------------------------------------------------------------------------------------------------
 
-PULL = 10.0
-
 
 @scene_builder
 def convection_diffusion(
@@ -138,7 +136,7 @@ def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any
     """Return the test problem of a membrane above the ground that the force f pulls up and down."""
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
-    force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
     q: FloatVector = (-scale / (size + 1) ** 2 * force).ravel()
     return Scene(
         problem=LCP(M, q),

@@ -28,7 +28,6 @@ NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan"
 NO_NUMBER = re.compile(rb"(?im)^(?!%)(?:(?:" + NUMBER + rb")(?:[ \t\r]+|$)|[ \t\r]+)*+(\S+)")
-MOST_UNSEEN = 10_000_000  # rows or columns that a file may announce with less than a byte for each
 WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
 
@@ -81,7 +80,8 @@ def read_matrix_market(source: Path) -> Any:
         rows, columns, count, form, field, symmetry = mminfo(source)
         if field not in NUMBERS or symmetry not in SYMMETRIES:
             raise ValueError(f"{symmetry} matrices of {field} numbers are not supported")
-        if max(rows, columns) > max(MOST_UNSEEN, len(content)) or count > len(content):
+        # 10⁷ rows or columns may be announced with less than a byte for each
+        if max(rows, columns) > max(10_000_000, len(content)) or count > len(content):
             size = f"{rows} {columns} {count}"
             raise ValueError(f"its size line announces {size}, and it has {len(content)} bytes")
         if wrong := NO_NUMBER.search(content):  # scipy reads 1,5 and 1x as 1
@@ -188,8 +188,6 @@ DENSE = (
     "Aeq",
 )  # matrices; everything else in a .mat file is a vector
 MOST_ROWS = 10**8
-# Bytes, and times the compressed size: sparse arrays of a problem shrink about tenfold, a matrix of zeros 1000-fold.
-LARGE_UNPACKED, LARGE_RATIO = 2**30, 100
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
@@ -370,7 +368,9 @@ def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
             one for one in archive.zip.infolist() if one.filename.removesuffix(".npy") in wanted
         ]
         packed, size = sum(one.compress_size for one in parts), sum(one.file_size for one in parts)
-        if size > max(LARGE_UNPACKED, LARGE_RATIO * packed):
+        # Bytes, and times the compressed size: sparse arrays of a problem shrink about tenfold, a matrix of zeros
+        # 1000-fold.
+        if size > max(2**30, 100 * packed):
             raise UnreadableFile(
                 f"cannot read {source}: its {packed} bytes unpack to {size}, almost all of them repetitions; save "
                 "a sparse matrix as the arrays data, indices, indptr and shape"

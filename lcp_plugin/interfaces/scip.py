@@ -47,7 +47,6 @@ BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near
 FEASIBLE = (
     1e-7  # SCIP tightens it to 1e-10; of less, a build without GMP prints a line per linear program
 )
-LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
 STDERR = 2
 FAILED = "SCIP:"  # start of SCIP's error messages
 
@@ -116,7 +115,7 @@ def minimize(
     lower, upper = problem.bounds(problem.all_cases)
     if (lower > upper).any():
         return ScipAnswer("infeasible", None, math.inf, math.inf, 0)
-    for feasible in (FEASIBLE, LESS_FEASIBLE):
+    for feasible in (FEASIBLE, 1e-6):  # SCIP's own: its linear programs may do better
         model = _Model(problem, ends)
         found = model.solved(tolerance, max_nodes, feasible)
         if not found.status.startswith(FAILED):

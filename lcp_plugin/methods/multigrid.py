@@ -180,7 +180,6 @@ class Multigrid(Algorithm):
         yield from MultigridRun(self, problem).iterates(z0)
 
 
-PATIENCE = 12  # cycles that may pass without an accepted one
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
 
@@ -225,7 +224,7 @@ class Safeguard:
             least_diagonal = float(self.problem.diagonal.min(initial=np.inf))
             if change < -max(noise, 1e-4 * least_diagonal * self.residual * self.residual):
                 self._accept(z, residual, slack)
-        return self.idle < PATIENCE
+        return self.idle < 12  # cycles that may pass without an accepted one
 
     def restore(self, z: FloatVector) -> None:
         """Overwrite z by the accepted iterate, from which other corrections are tried."""

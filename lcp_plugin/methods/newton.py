@@ -220,7 +220,6 @@ class NewtonState:
         return solution
 
 
-PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one per row up to PATIENT_ROWS
 PATIENT_ROWS = 250
 ROUNDS = 3
 
@@ -305,7 +304,8 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
     Return whether the last set reproduced itself with a regular block: only rounding errors remain.
     """
     problem = state.problem
-    patience = LARGE_PATIENCE if state.is_large else PATIENCE + min(problem.n, PATIENT_ROWS)
+    # Full steps without a smaller residual or fewer changes, plus one per row up to PATIENT_ROWS
+    patience = LARGE_PATIENCE if state.is_large else 30 + min(problem.n, PATIENT_ROWS)
     lowest, fewest, idle = math.inf, problem.n + 1, 0
     previous = classify(problem, state.z, state.w)
     while idle < patience and not state.is_known(*previous):

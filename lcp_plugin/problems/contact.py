@@ -42,8 +42,6 @@ from ..core.solving.result import Result
 FloatArray = NDArray[np.float64]
 
 SYMMETRIC = 1e-8  # of the largest entry
-STICKS = 1e-8  # of the largest velocity given: what is slower sticks
-DENSE_UP_TO = 300  # velocities of bodies whose dense matrices stay dense
 UNIT = 1e-6  # by which the length of a direction may differ from 1
 NOT_DEFINITE = (
     "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
@@ -87,7 +85,7 @@ class ContactMotion:
 
 def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
     """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given`: velocities without them."""
-    still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
+    still = 1e-8 * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]  # what is slower sticks
     with np.errstate(all="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
     return ContactMotion(
@@ -355,7 +353,8 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
     parts = [rectangular_matrix(*part, None, None) for part in zip(flat, names, strict=True)]
-    is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > DENSE_UP_TO
+    # Velocities of bodies whose dense matrices stay dense
+    is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > 300
     if is_sparse:
         parts = [
             canonical_csr(sp.csr_array(part), name) for part, name in zip(parts, names, strict=True)

@@ -18,8 +18,6 @@ from ..core.representation import format_count
 from ..core.settings import Status
 
 T = TypeVar("T")
-LARGEST_CHUNK = 256  # problems between two checks of the clock
-CHUNKS_A_THREAD = 32  # small chunks, so that all threads end at about the same time
 
 
 class AnswerSequence(Sequence[T]):
@@ -122,7 +120,8 @@ class AnswerSequence(Sequence[T]):
 def run_in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
     """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C no further chunk starts."""
     threads = min(threads, MAX_THREADS)
-    size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)
+    # Small chunks, so that all threads end at about the same time, and 256 problems between two checks of the clock
+    size = min(max(count // (32 * threads), 1), 256)
     ends = [*range(0, count, size), count]
     if threads == 1 or len(ends) <= 2:
         for first, end in pairwise(ends):

@@ -18,10 +18,6 @@ from ..core.errors import InvalidProblem, NotConverged
 from ..core.lcp import LCP
 
 FloatMatrix = NDArray[np.float64]
-DIGITS = (
-    2.0**3
-)  # times the smallest difference from a best payoff is a unit at most: no difference is lost
-SMALLEST_UNIT = 2.0**-900  # of payoffs up to 1: costs do not overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +171,8 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     least, most = (
         _power_of_two(float(size)) for size in (missed[missed > 0.0].min(), missed.max())
     )
-    unit = max(min(most, DIGITS * least), SMALLEST_UNIT)
+    # Costs do not overflow
+    unit = max(min(most, 2.0**3 * least), 2.0**-900)  # no difference is lost
     costs: FloatMatrix = 1.0 + missed / unit
     return costs
 

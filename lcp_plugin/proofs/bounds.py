@@ -292,8 +292,6 @@ class ActiveSetSteps:
         return w, on_lower, ~(on_lower | (at.below <= -step))
 
 
-DENSE_FREE_ROWS_UP_TO = 500  # free rows: a few milliseconds
-ACTIVE_SET_STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
 GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
 EXACT = 1e-14  # relative error after a step
 ROUNDING = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
@@ -365,7 +363,7 @@ def _settled(
     """
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
-    for _ in range(ACTIVE_SET_STEPS):
+    for _ in range(8):  # from a solved problem one settles all rows, or two
         following = steps.next_point(at)
         if following is None:
             return None
@@ -442,7 +440,7 @@ def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
     """Return LAPACK's estimate of ‖(S M_FF)⁻¹‖∞, ∞ if that is singular, None beyond 500 rows."""
     from scipy.linalg import lapack
 
-    if free.size > DENSE_FREE_ROWS_UP_TO:
+    if free.size > 500:  # free rows: a few milliseconds
         return None
     block = problem.M[free][:, free]
     block = (block.toarray() if sp.issparse(block) else block) / problem.residual_scale[free, None]
@@ -453,7 +451,6 @@ def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
     return 1.0 / reciprocal if reciprocal > 0.0 else np.inf
 
 
-DENSE_UP_TO = 3000
 SPARSE_UP_TO = 30_000
 OUTWARD = 1.0 + 2.0**-36  # more than the rounding of sums of 2 · SPARSE_UP_TO terms of one sign
 UNDERFLOW = 1e-290  # far more than all that underflows in a factorization of a matrix of unit size
@@ -516,7 +513,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     exponents = unit_diagonal(diagonal)
     scale = np.ldexp(1.0, exponents.row)
     is_dense = matrix.is_dense or matrix.n <= 200
-    is_dense = is_dense and matrix.n <= DENSE_UP_TO
+    is_dense = is_dense and matrix.n <= 3000
     part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponents)
     if not np.isfinite(blur):
         return None
@@ -632,8 +629,6 @@ SMALL = 1000  # up to here every stage is cheap
 REFINEMENT_STEPS = (
     12  # each takes two digits off the bound, at the cost of a third of a linear solve
 )
-# possible improvement, relative to a lower bound of the error
-SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
@@ -783,7 +778,8 @@ class BestBound:
     @property
     def is_sharp(self) -> bool:
         """True if the error is proved to be nearly as large as its bound."""
-        enough = SHARP_ENOUGH_SMALL if self.z.size <= SMALL else SHARP_ENOUGH_LARGE
+        # Possible improvement, relative to a lower bound of the error
+        enough = 0.05 if self.z.size <= SMALL else 0.5
         distance = distance_above(self.near.high, self.near.low, self.z)
         error = float((distance - self.near_y).max(initial=0.0))
         return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
@@ -835,8 +831,6 @@ def relative_to(infinity: float, size: float) -> float:
     return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
 
 
-EXACT_BLOCK = 40  # rows; exact elimination then takes a tenth of a second; at 60 six times as long
-OUTWARD_MARGIN = 1.0 + 2.0**-40  # more than the rounding of a margin of a few operations
 UNKNOWN = "P could not be shown to be positive semidefinite"
 
 
@@ -960,11 +954,13 @@ def _weights(P: sp.csr_array) -> FloatVector | None:
     dominance = lower_end(*comparison_product(P, np.ones(P.shape[0])))
     if (dominance >= 0.0).all():
         return dominance
-    if P.shape[0] <= EXACT_BLOCK and has_nonnegative_pivots(exact_symmetric_part(P)):
+    # Exact elimination of 40 rows takes a tenth of a second, of 60 six times as long
+    if P.shape[0] <= 40 and has_nonnegative_pivots(exact_symmetric_part(P)):
         return np.zeros(P.shape[0])
     to_rounding = is_semidefinite_to_rounding(P)
     if to_rounding is not True:
         return None if to_rounding is False else np.full(P.shape[0], -np.inf)
     diagonal = np.array(P.diagonal())
     unit = sp.csr_array(sp.diags_array(np.where(diagonal > 0.0, 1.0, 0.0)))
-    return np.asarray(-semidefinite_margin(unit) * OUTWARD_MARGIN * diagonal)
+    # More than the rounding of a margin of a few operations
+    return np.asarray(-semidefinite_margin(unit) * (1.0 + 2.0**-40) * diagonal)

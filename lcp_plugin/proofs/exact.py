@@ -301,7 +301,6 @@ def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:
 EXACT_SIZE = 10  # rows; minors of doubles are long numbers
 MOST_UNKNOWNS = 600
 MOST_ENTRIES = 4_000_000
-MOST_BITS = 24_000  # digits of a block's determinant, about: some seconds
 # Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
 PRIMES = (33554393, 33554383, 33554371)
 LIMB = 22
@@ -629,7 +628,7 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
         return None
     at, chosen = rank_profile(whole)
     longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
-    if len(at) * longest > MOST_BITS:
+    if len(at) * longest > 24_000:  # digits of a block's determinant, about: some seconds
         return None
     block = [[whole[i][k] for k in chosen] for i in at]
     values = solve_exactly(block, [int(right[i] * scales[i] * common) for i in at])

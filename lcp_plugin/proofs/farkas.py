@@ -45,7 +45,6 @@ BoolVector = NDArray[np.bool_]
 
 DECISIVE = 1e-3  # no tolerance in use is as large: the search ends if one row has this margin
 WIDE = 1e8  # times the size of the data: a proof within a smaller radius does not count
-MOST_SUSPECTS = 8  # rows that look contradictory in floating point and are checked exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,8 @@ class LinearConstraints:
         suspects = np.flatnonzero(most > 0.0)
         with np.errstate(all="ignore"):
             order = np.argsort(-most[suspects] / self.weights[suspects], kind="stable")
-        for i in suspects[order][:MOST_SUSPECTS].tolist():
+        # Rows that look contradictory in floating point and are checked exactly
+        for i in suspects[order][:8].tolist():
             yield i, 1 if missing[0, i] > 0.0 else -1
 
 
@@ -262,16 +262,10 @@ NEGLIGIBLE = 1e-12
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
-POLISHES = 2  # the second removes the rounding of the first
-MOST_DENSE = 1_000_000  # entries; .1 s
-MOST_SHRUNK = 2.0**20  # HiGHS drops coefficients below 1e-9
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
 MOST, LEAST = 1e5, 1e-6
 ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
-CONTRADICTION = 1e-9  # the linear program cannot distinguish less from 0
-NEAR_ENOUGH = 0.5  # of the margin predicted by the linear program
 KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
-SLACK = 0.1  # of the norm of v, for all of its entries together
 
 
 Multipliers = FloatVector | Sequence[Rational]
@@ -352,7 +346,7 @@ class FarkasProgram:
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None if that is none.
         """
-        wanted, found = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Any]()
+        wanted, found = 0.5 * self.margin_of(answer.optimum), list[Any]()
         for y in self._tried(answer):
             found += filter(None, [proven(y)])
             is_enough = found and found[-1].radius == math.inf and found[-1].margin >= wanted
@@ -386,7 +380,7 @@ class FarkasProgram:
         form = self._form
         size, count = slacks.shape
         both = sp.hstack([sp.eye_array(size), slacks], format="csc")  # v = the rest + slacks · t
-        largest = SLACK * size / (count * form.norm.sum())
+        largest = 0.1 * size / (count * form.norm.sum())
         result = linear_program(
             np.repeat([0.0, -1.0], [size, count]),
             form.equations @ both,
@@ -422,7 +416,8 @@ class FarkasProgram:
             for side in (values, units)
         )
         place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
-        scale = 2.0 / power_of_two(np.clip(norm, 1.0, MOST_SHRUNK))
+        # HiGHS drops coefficients below 1e-9
+        scale = 2.0 / power_of_two(np.clip(norm, 1.0, 2.0**20))
         signed = np.repeat([1.0, -1.0, 1.0, -1.0], [kind.size for kind in kinds]) * scale
         equations = sp.csc_array(
             sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place]
@@ -468,9 +463,9 @@ class FarkasProgram:
         Dependent equalities become independent by rounding: singular values at rounding level count as 0.
         """
         support, tight = self._tight(y, TIGHT[-1])
-        if support.size * tight.size <= MOST_DENSE:
+        if support.size * tight.size <= 1_000_000:  # entries; .1 s
             rows = self.matrix.T.tocsr()[tight][:, support].toarray()
-            for _ in range(POLISHES):
+            for _ in range(2):  # the second removes the rounding of the first
                 y = y.copy()
                 y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
         unscaled: FloatVector = y * self.rows
@@ -555,7 +550,8 @@ def best_proof(
         tried.append(unit)
         farkas = FarkasProgram(stated(unit), unit, pivots)
         answer = farkas.solve()
-        if answer is None or answer.optimum > -CONTRADICTION:  # they seem consistent
+        # The linear program cannot distinguish less from 0
+        if answer is None or answer.optimum > -1e-9:  # they seem consistent
             continue
         proof = None if exactly else proven(farkas.polished(answer))
         if proof is None or not proof.excludes(ENOUGH):

@@ -281,7 +281,6 @@ def longest_row(matrix: Matrix) -> int:
 DENSE_UP_TO = (
     1000  # unknowns: two seconds; beyond, products of a matrix far from normal give few digits
 )
-POWER_STEPS = 200  # that choose the rows
 
 
 def spectral_radius(problem: LCP, facts: IterationFacts) -> float | None:
@@ -334,7 +333,7 @@ def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
     except np.linalg.LinAlgError:
         return None
     v = np.ones(problem.n)
-    for _ in range(POWER_STEPS if len(rights) > 1 else 0):
+    for _ in range(200 if len(rights) > 1 else 0):
         grown = inverse @ np.max([R @ v for R in rights], axis=0)
         v = 0.5 * (v + grown / grown.max(initial=1e-300))
     row = np.argmax([R @ v for R in rights], axis=0)

@@ -15,10 +15,6 @@ from .bounds import error_bound, estimated_error, free_rows
 if TYPE_CHECKING:
     from ..core.solving.result import Result
 
-STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
-FAR = 1e-2  # part of ‖z‖∞
-# unknowns; passes over M that a run has cost: a bound costs less than either
-BOUND_UP_TO, BOUND_PASSES = 1000, 100.0
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
@@ -47,7 +43,8 @@ def _stiffness(result: Result) -> str:
     relative = result.certificate.relative_residual
     if result.error_bound is not None:
         factor = result.error_bound.relative / relative if relative > 0.0 else 0.0
-        if not factor > STIFF_FACTOR:
+        # An error so much larger than the residual is worth a word
+        if not factor > 1e3:
             return ""
         return f"stiff: the error may be {factor:.0e} times the residual; trust the bound"
     if not result.is_solved:
@@ -58,7 +55,8 @@ def _stiffness(result: Result) -> str:
         return _nearness_to_singular(result)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
     problem = result.certificate.problem
-    if problem.n > BOUND_UP_TO and result.work < BOUND_PASSES:
+    # A bound costs less than a run of 100 passes over M, or is of few unknowns
+    if problem.n > 1000 and result.work < 100.0:
         return f"{stiff} of z{_advised(result)}"
     try:
         bound = error_bound(problem, result.z)
@@ -75,7 +73,7 @@ def _nearness_to_singular(result: Result) -> str:
     problem = result.certificate.problem
     residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
     error = estimated_error(problem, result.z, result.w, residual)
-    if error is None or not error > FAR * size:
+    if error is None or not error > 1e-2 * size:  # part of ‖z‖∞
         return ""
     system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
     if system.is_singular and (same := system.determined_slack) is not None:

@@ -40,10 +40,9 @@ from ..systems.free_systems import FreeSystem
 from .exact import ZERO, Rational, integer_matrix, rounded_down
 from .farkas import DECISIVE, WIDE, FarkasCertificate, LinearConstraints
 
-TOUCHING = 1e-9  # of the largest movement: an unknown at a bound that moves so little stays there
 # Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
 MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
-NAMED, NAMED_FROM = 4, 1e-6  # unknowns, and of the largest movement
+NAMED = 4
 
 
 def _left(P: Any, d: FloatVector) -> float:
@@ -63,7 +62,7 @@ def moved_unknowns(d: Any) -> str:
     'unknown 1'
     """
     sizes = np.abs(np.array([float(value) for value in d]))
-    moving = np.flatnonzero(sizes > NAMED_FROM * sizes.max(initial=0.0)).tolist()
+    moving = np.flatnonzero(sizes > 1e-6 * sizes.max(initial=0.0)).tolist()
     named = ", ".join(map(str, moving[:NAMED]))
     if len(moving) > NAMED:
         return f"unknowns {named}, … ({len(moving)} of {len(d)})"
@@ -94,7 +93,8 @@ def is_minimizer_beyond_radius(P: Any, c: FloatVector, direction: Any, left: Any
     """
     d = np.array([float(value) for value in direction])
     sizes, diagonal = np.abs(d), P.diagonal()
-    rows = np.flatnonzero((sizes > TOUCHING * sizes.max(initial=0.0)) & (diagonal > 0.0))
+    # An unknown at a bound that moves so little stays there
+    rows = np.flatnonzero((sizes > 1e-9 * sizes.max(initial=0.0)) & (diagonal > 0.0))
     with np.errstate(all="ignore"):  # an overflow counts as no
         stiffness = np.square((abs(P) @ sizes)[rows] / np.sqrt(diagonal[rows])).min(initial=np.inf)
         resisted = sum(abs(float(value)) * sizes[j] for j, value in left.items() if j < d.size)
@@ -115,7 +115,6 @@ def is_at_rest(P: Any, direction: Any) -> bool:
 
 SAFE_RANGE = (1e-290, 1e290)
 LOWER, SLACKLESS, UPPER, FIXED = "lower", "zero", "upper", "fixed"
-FEW = 500  # rows up to which all of M is kept in integers
 Margins = tuple[float, float]
 
 
@@ -240,7 +239,8 @@ class Choices(NamedTuple):
 
     def contradiction(self, y: Mapping[int, Rational]) -> FarkasCertificate:
         """Return the Farkas certificate of a vector, by row, if its signs are right."""
-        rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
+        # All of M is kept in integers up to 500 rows
+        rows = integer_matrix(self.problem.matrix) if self.problem.n <= 500 else None
         return FarkasCertificate(
             self, {i: Fraction(value) for i, value in y.items() if value}, rows
         )
@@ -357,10 +357,6 @@ class Infeasibility(NoSolutionProof):
         return f"Infeasibility({self})"
 
 
-NEAR = 1e-4  # of the largest unknown
-DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
-
-
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
     """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
 
@@ -384,7 +380,8 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     """
     if problem.n == 0:
         return None
-    effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
+    # A minute or so of the linear program
+    effort = 20_000_000 // max(problem.n, 400) if effort_limit is None else effort_limit
     row = contradictory_row(problem)
     if row is not None and row.margin >= DECISIVE:
         return row
@@ -398,7 +395,7 @@ def has_solution_near(problem: LCP, z: FloatVector) -> bool:
     data = row_data(problem)
     at = data.rows(z)
     step = FreeSystem(problem.matrix, at.is_active).solve(-at.w)
-    if step is None or not np.abs(step).max() <= NEAR * np.abs(z).max():
+    if step is None or not np.abs(step).max() <= 1e-4 * np.abs(z).max():
         return False
     x = np.clip(z + step, problem.lower, problem.upper)
     after = data.rows(x)

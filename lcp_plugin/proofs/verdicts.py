@@ -87,7 +87,6 @@ __all__ = [
 
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
 TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose one is often enough
-SMALLEST_WEIGHT = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +200,7 @@ def decide(M: Any) -> HVerdict:
             return HVerdict(
                 False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked", not_h_vector=read_only(y)
             )
-        weights = np.maximum(np.abs(x) / np.abs(x).max(), SMALLEST_WEIGHT)
+        weights = np.maximum(np.abs(x) / np.abs(x).max(), 1e-30)
     return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
 
 
@@ -212,10 +211,6 @@ def _centred(v: FloatVector) -> FloatVector:
         return v
     middle = int(np.frexp(positive.max())[1] + np.frexp(positive.min())[1]) // 2
     return np.ldexp(v, -middle)
-
-
-LARGEST_SIZE = 16  # a third of a second; the time doubles with each row
-MOST_BITS = 160  # of an entry, beyond 10 rows
 
 
 def is_p_matrix_by_recursion(M: Any) -> bool | None:
@@ -239,7 +234,8 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
     columns = [shortened(column) for column in zip(*exact_rows(M), strict=True)]
     rows = [list(row) for row in zip(*columns, strict=True)]
     bits = max((entry.bit_length() for row in rows for entry in row), default=0)
-    return None if len(rows) > 10 and bits > MOST_BITS else has_positive_minors(rows)
+    # Entries beyond 160 bits are too long for more than 10 rows
+    return None if len(rows) > 10 and bits > 160 else has_positive_minors(rows)
 
 
 def nonpositive_pair(M: Any) -> tuple[int, int] | None:
@@ -264,9 +260,7 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
     return None
 
 
-DENSE_LIMIT = 500
 SYMMETRIC_TO_ROUNDING = 64 * UNIT
-SMALLEST_DIAGONAL = 2.0**-960  # of a symmetric part, whose subnormal entries are rounded absolutely
 UNDECIDED = "undecided: singular up to rounding"
 
 
@@ -412,7 +406,7 @@ def p_matrix(matrix: Matrix) -> Verdict:
         return early
     if (pair := _nonpositive_pair(matrix)) is not None:
         return pair
-    if matrix.n <= LARGEST_SIZE:
+    if matrix.n <= 16:  # a third of a second; the time doubles with each row
         value = is_p_matrix_by_recursion(matrix.csr)
         if value is not None:
             return Verdict(value, "recursive Schur complements in integers")
@@ -484,7 +478,7 @@ def _is_well_rounded(matrix: Matrix) -> bool:
         return True
     diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
     return bool(
-        (diagonal >= SMALLEST_DIAGONAL).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND
+        (diagonal >= 2.0**-960).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND
     )
 
 
@@ -505,7 +499,7 @@ def sparse_symmetric_part(matrix: Matrix) -> Any:
 def symmetric_part_of(matrix: Matrix) -> Any:
     """(M + Mᵀ)/2, dense where that is faster."""
     part = sparse_symmetric_part(matrix)
-    return part.toarray() if matrix.n <= DENSE_LIMIT or matrix.is_dense else part
+    return part.toarray() if matrix.n <= 500 or matrix.is_dense else part
 
 
 @fact
@@ -514,7 +508,6 @@ def can_factorise(matrix: Matrix) -> bool:
     return factor_fits(sparse_symmetric_part(matrix))
 
 
-LINE = 100
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
@@ -709,7 +702,7 @@ def matrix_of(M: Any) -> Matrix:
 
 def wrapped(title: str, text: str) -> list[str]:
     """Return the text next to its title, in lines of at most 100 columns."""
-    return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [
+    return textwrap.wrap(text, 100, initial_indent=title, subsequent_indent=" " * len(title)) or [
         title.rstrip()
     ]
 

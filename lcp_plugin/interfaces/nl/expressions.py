@@ -118,7 +118,6 @@ def value_of(rule: Arithmetic | Function, operands: list[Any]) -> Any:
 
 
 UNKNOWNS = 0  # the key of the only source that is not a function
-MOST_FILL = 4  # largest fill when definitions are substituted, relative to the entries
 MOST_NESTED = 1000  # functions in one another: derivatives go through every level
 SUMS = (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION)
 
@@ -187,7 +186,8 @@ class _ExpressionReader:
         self._uses = _counted_uses(content)
         forests = (content.trees, content.objective_trees, content.defined_trees)
         size = sum(trees.values.size for trees in forests)
-        self._capacity = MOST_FILL * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
+        # Substituted definitions may fill in four times the entries
+        self._capacity = 4 * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
         for k in range(content.defined_trees.size):
             self._define(k)
         self.results = [

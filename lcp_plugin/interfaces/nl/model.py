@@ -129,7 +129,6 @@ CODES = {
     Status.STALLED: 500,
     Status.DIVERGED: 501,
 }
-MAX_SEARCH_NODES = 1000  # of a search that the user did not request
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +267,7 @@ class ComplementarityModel(NLModel):
         if (limit := options.get("max_seconds")) is not None:
             limit = max(limit - found.seconds, 0.0)
         try:
-            other = self.search().solve(max_iterations=MAX_SEARCH_NODES, max_seconds=limit)
+            other = self.search().solve(max_iterations=1000, max_seconds=limit)
         except UnsupportedModel:
             return None
         return other if other.is_solved or other.result.has_no_solution else None
@@ -417,7 +416,6 @@ KINDS = {
     "QuadraticProgram": "a quadratic program",
     "EquilibriumProgram": "an objective with complementarities",
 }
-ROUNDING = 2.0**-40  # of the terms of a row without unknowns
 
 
 def read_nl(path: str | PathLike[str]) -> NLModel:
@@ -661,7 +659,7 @@ class FileStatement:
         if empty.size:
             sizes = sizes_of(content, np.nan_to_num(self.known), empty)
             off = found.offset[empty] - right[empty]
-            wrong = np.abs(off) > ROUNDING * (sizes + np.abs(right[empty]))
+            wrong = np.abs(off) > 2.0**-40 * (sizes + np.abs(right[empty]))
             for k in np.flatnonzero(wrong)[:1]:
                 raise UnsupportedModel(
                     f"{content.row(empty[k])} holds no unknown, and its sides differ by {off[k]:g}: no point "

@@ -350,7 +350,6 @@ class NLContent:
 
 
 ENDING = ".nl"
-SHOWN = 40  # bytes of a line that a message quotes
 #: How many numbers follow the letter of a segment; a name follows in S.
 HEADS = {
     letter: count for count, all in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in all
@@ -365,7 +364,6 @@ NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
 IS_AS_STATED = 4  # a bound with this code may be 1e20
 LINES = 10  # of the head, which are text in binary files too
-MOST_LINE_BYTES, MOST_DIGITS = 4096, 18  # of a line of the head, and of a number in it
 #: Lines of the head after the first: how many numbers are required, and their names; a star marks a number of items
 #: in the file, each of at least a byte.
 HEAD = """\
@@ -423,7 +421,7 @@ def _place(data: bytes, fault: NLSyntaxError) -> str:
     line = data.count(b"\n", 0, begin) + 1
     if data[:1] == b"b" and line > LINES:
         return f"byte {begin}"
-    text = data[begin : begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
+    text = data[begin : begin + 40].split(b"\n")[0].decode("ascii", errors="replace")
     return f"line {line} ({text!r})"
 
 
@@ -437,7 +435,7 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
     lines, begin = [b""], 0
     header = SimpleNamespace(is_binary=data[:1] == b"b", places=[0])  # of its lines, from 1 on
     for _ in range(LINES):
-        end = data.find(b"\n", begin, begin + MOST_LINE_BYTES)
+        end = data.find(b"\n", begin, begin + 4096)
         if end < 0:
             raise NLSyntaxError(begin, f"an .nl file begins with {LINES} short lines of numbers")
         lines.append(data[begin:end])
@@ -480,7 +478,7 @@ def _read_head_line(
     """Take in the numbers of a line, zeros for those that may be missing; so many bytes follow the head."""
     needed, *called = names.split()
     words = line.split(b"#")[0].split()[: len(called)]
-    is_whole = b"".join(words).isdigit() and max(map(len, words)) <= MOST_DIGITS
+    is_whole = b"".join(words).isdigit() and max(map(len, words)) <= 18
     if len(words) < int(needed) or not is_whole:
         what = f"{needed} integers or more are needed: {' '.join(called)}"
         raise NLSyntaxError(header.places[number], what)

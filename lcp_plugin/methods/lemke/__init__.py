@@ -24,7 +24,6 @@ from ..newton import classify, is_near, solve_active_set
 from .pivoting_path import CanonicalBox, canonical_box
 
 CAREFUL_BLOCK = 5
-ENTRIES_PER_STEP = 5e5  # touched: a point of a path is measured after a millisecond of pivots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +178,8 @@ class Lemke(Algorithm):
                         return True
                     outcome = LOST
                     break
-                if path.entries - path.reported >= ENTRIES_PER_STEP:
+                # A point of a path is measured after a millisecond of pivots
+                if path.entries - path.reported >= 5e5:
                     yield box.recover(path.z), path.touched()
             if outcome != LOST:
                 break

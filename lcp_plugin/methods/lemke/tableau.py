@@ -20,7 +20,6 @@ KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
 SIDE, BASIC, PLACE, OTHER, CANDIDATE, START = range(6)  # rows of `whole`
 AT_LOWER, BETWEEN, AT_UPPER, FIXED, NOT_STARTED = 0, 1, 2, 3, 4
 HELD = 8  # pivots whose products are added to a large tableau at once
-SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 TIE = 1e-12
 OWN_BOUND, NOTHING = -1, -2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
@@ -203,7 +202,7 @@ def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  
     for i in range(n):
         rate = direction * matrix[i, column]
         to_bound = (real[LOW, i] if rate < 0.0 else real[HIGH, i]) - real[KEPT, i]
-        distance = max(to_bound / rate, 0.0) if abs(rate) > SMALLEST_PIVOT else np.inf
+        distance = max(to_bound / rate, 0.0) if abs(rate) > 1e-11 else np.inf
         real[DISTANCE, i] = distance
         nearest = distance if distance < nearest else nearest
     if not nearest < np.inf:

@@ -42,8 +42,6 @@ __all__ = [
 
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
-NEAR = 1e-4  # of the largest unknown: a point so near to a solution is one up to rounding
-FEW_ROWS, FEW_ACTIVE_SETS = 24, 4096  # the search takes milliseconds, at most a quarter of a second
 DEFAULT_NODES = 200_000
 SHOWN = 6  # vertices of a face in a printed solution
 
@@ -315,7 +313,8 @@ def is_near_solution(problem: LCP, z: FloatVector) -> bool | None:
     if isinstance(outcome, SearchLimitReached):
         return None
     distances = [float(np.abs(one.z - z).max()) for one in outcome.solutions]
-    if min(distances) <= NEAR * np.abs(z).max():
+    # A point so near to a solution is one up to rounding
+    if min(distances) <= 1e-4 * np.abs(z).max():
         return True
     is_known = len(distances) < 50 and all(one.is_isolated for one in outcome.solutions)
     return False if is_known else None
@@ -330,7 +329,8 @@ def has_few_active_sets(problem: LCP) -> bool:
     """Return whether a search is likely to end before restarts of other methods: at most 4096 active sets, n ≤ 24."""
     bounds = 1 + (problem.lower > -np.inf) + (problem.upper < np.inf)
     count = np.prod(np.where(problem.lower < problem.upper, bounds, 1), dtype=np.float64)
-    return problem.n <= FEW_ROWS and bool(count <= FEW_ACTIVE_SETS)
+    # The search takes milliseconds, at most a quarter of a second
+    return problem.n <= 24 and bool(count <= 4096)
 
 
 def _choices(problem: LCP) -> int:

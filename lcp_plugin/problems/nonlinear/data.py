@@ -386,10 +386,6 @@ def _pattern(pattern: Any) -> sp.csc_array:
 
 # Shares of the step to the projected point: a derivative that is wrong by a half explains no residual.
 NEARBY = 2.0**-6 / np.arange(1, 5)
-ASIDE = 2.0**-30  # of x_i: the least distance; 1 − e⁻ˣ must round differently there, for small x
-GROWTH = 2.0**-6  # of an unknown that is not small
-SMALL = 2.0**-10  # of the largest unknown of a component
-PRECISION = 1e-8  # of the reference: smaller rounding errors of F do not count, for any tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -449,7 +445,8 @@ class NonlinearCertificate(Certificate):
         """Return whether x passes the criterion, no unknown grows, and rounding errors of F are small."""
         if not super().meets(settings, solved, power=power) or self.growing.any():
             return False
-        limit = max(settings.goal, PRECISION) * self.references[0]
+        # Smaller rounding errors of F do not count, for any tolerance
+        limit = max(settings.goal, 1e-8) * self.references[0]
         scale, at = self.problem.residual_scale, self._rows
         is_doubtful = at.is_active & (EPSILON * at.terms > limit * scale)
         return not (is_doubtful.any() and (is_doubtful & (self.noise > limit)).any())
@@ -465,8 +462,8 @@ class NonlinearCertificate(Certificate):
         slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
         step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
         is_free = (x > lcp.lower) & (x < lcp.upper)
-        size = np.maximum(np.abs(x), SMALL * row_data(lcp).largest(np.abs(x)))
-        return np.asarray(is_free & (step * np.sign(x) > GROWTH * size))
+        size = np.maximum(np.abs(x), 2.0**-10 * row_data(lcp).largest(np.abs(x)))
+        return np.asarray(is_free & (step * np.sign(x) > 2.0**-6 * size))
 
     @derived_property
     def noise(self) -> FloatVector:
@@ -477,7 +474,8 @@ class NonlinearCertificate(Certificate):
         """
         problem, x = self.problem, self.z
         step = -scaled_residual(problem, x, self.value)
-        step = np.copysign(np.maximum(np.abs(step), ASIDE * np.abs(x)), step)
+        # 1 − e⁻ˣ must round differently at that distance, for small x
+        step = np.copysign(np.maximum(np.abs(step), 2.0**-30 * np.abs(x)), step)
         errors = []
         for share in NEARBY:
             near = np.clip(x + share * step, problem.lower, problem.upper)

@@ -36,20 +36,11 @@ from ...methods.lemke import Lemke
 from ...methods.newton import fischer_burmeister
 from .data import DENSE_PATTERN_UP_TO, Linearization, Linearizations, NonlinearProblem
 
-SUFFICIENT = 1e-4
-SHORTER = 30  # times a step is halved
-GROWTH = 10.0  # of the residual, by which a full step may miss the least one
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
 FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
 SMALLEST_TOLERANCE = 1e-14
-ENOUGH = 0.1  # of the tolerance of the run: a linearization needs no smaller residual
-PATIENCE = 25  # steps without a residual clearly below the residuals of the window before it
-GROWN = 3  # steps with small residuals from which an unknown grows
-WINDOW, GAIN = 12, 0.95  # a jump of the residual may start a long decrease
-RESTARTS, SMALL = 4, 1000  # starts; unknowns, beyond which a new start is too expensive
-PATHS = 2  # of pivots
-NEARLY_THERE = 1e-4  # of the way from the start to x°
+RESTARTS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +82,8 @@ class JosephyNewton(Algorithm):
         """Yield the start, then the point of each step, until no step or restart helps."""
         run = _NewtonRun(self, self.points.at(z0))
         yield run.step()
-        for _ in range(RESTARTS if problem.n <= SMALL else 0):
+        # Beyond 1000 unknowns a new start is too expensive
+        for _ in range(RESTARTS if problem.n <= 1000 else 0):
             yield from run.steps()
             if not run.start_elsewhere(problem):
                 return
@@ -119,20 +111,23 @@ class _NewtonRun:
 
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
-        latest, since, grown = deque([self._progress(self.here)], maxlen=WINDOW), 0, 0
-        while since < PATIENCE and (following := self._next_point()) is not None:
+        # A jump of the residual may start a long decrease
+        latest, since, grown = deque([self._progress(self.here)], maxlen=12), 0, 0
+        # 25 steps without a residual clearly below the residuals of the window before it
+        while since < 25 and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
             self.options.points.keep(following)
             yield self.step()
             size = self._progress(following)
-            since = 0 if size < GAIN * min(latest) else since + 1
+            # A jump of the residual may start a long decrease
+            since = 0 if size < 0.95 * min(latest) else since + 1
             latest.append(size)
             if since and self._is_at_floor():
                 return
             is_small = following.residual <= self.options.tolerance
             grown = grown + 1 if is_small and following.certificate.growing.any() else 0
-            if grown == GROWN:
+            if grown == 3:  # steps with small residuals from which an unknown grows
                 end = np.where(following.certificate.growing, np.abs(following.x), np.inf)
                 self.options.points.limit = np.minimum(self.options.points.limit, end)
                 return
@@ -142,7 +137,7 @@ class _NewtonRun:
         origin, data = self.options.points.origin, row_data(point.lcp)
         errors = np.abs(data.residual(origin.x, origin.value))
         left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
-        is_reached = (data.largest(errors) == 0.0) & (left <= NEARLY_THERE * way)
+        is_reached = (data.largest(errors) == 0.0) & (left <= 1e-4 * way)
         x = np.where(is_reached, origin.x, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.residual <= point.residual else point
@@ -183,11 +178,11 @@ class _NewtonRun:
 
     def _search(self, target: FloatVector, *, is_newton: bool) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
-        here, allowed = self.here, GROWTH * min(point.residual for point in self.recent)
+        here, allowed = self.here, 10.0 * min(point.residual for point in self.recent)
         worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
-        for k in range(SHORTER):
+        for k in range(30):
             x = target if k == 0 else here.x + 0.5**k * (target - here.x)
-            point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
+            point, least = self._at(x), (1.0 - 1e-4 * 0.5**k) * worst
             if np.array_equal(x, here.x) or not np.isfinite(point.value).all():
                 continue
             is_better = self._merit(point) < least  # ∞ gains nothing on ∞
@@ -240,8 +235,9 @@ class _NewtonRun:
         x = self.here.x
         step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
         relative = self.here.residual
+        # A linearization needs no smaller residual than a tenth of the tolerance
         enough = (
-            max(ENOUGH * self.options.tolerance / relative, SMALLEST_TOLERANCE)
+            max(0.1 * self.options.tolerance / relative, SMALLEST_TOLERANCE)
             if relative > 0.0
             else FORCING
         )
@@ -277,7 +273,7 @@ def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iter
         if stage.algorithm in tried:
             return
         if tried and isinstance(stage.algorithm, Lemke):
-            stage.algorithm = Lemke(restarts=PATHS)
+            stage.algorithm = Lemke(restarts=2)
         tried.append(stage.algorithm)
         yield stage
         if isinstance(stage.algorithm, Lemke):
@@ -300,7 +296,6 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
 
 
 CHECKED = 2.0**-20, 2.0**-10  # steps
-WRONG = 0.1  # of the terms of a row, with both steps
 ELSEWHERE = "F or its derivative is not finite at the start given, projected onto them"
 
 
@@ -578,7 +573,7 @@ def jacobian_warning(point: Linearization) -> str:
     quotients = [(problem.value(x + step * direction) - point.value) / step for step in CHECKED]
     wrong = np.minimum(*(np.abs(one - slope) / (terms + np.abs(one)) for one in quotients))
     wrong = np.where(np.isfinite(wrong), wrong, 0.0)
-    if not wrong.max(initial=0.0) > WRONG:
+    if not wrong.max(initial=0.0) > 0.1:
         return ""
     i = int(np.argmax(wrong))
     return (

@@ -27,16 +27,8 @@ from ..least_squares.data import BoundedLeastSquares
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
 ROUNDING = 1e-12  # error of a z or a w relative to its terms; smaller rates count as 0
-MOST_CONDITION = 1e13  # of a regular block
-SINGULAR = 1e-12  # singular values relative to the largest
 CONSISTENT = 1e-9  # of the terms of a free row: largest residual of a singular system
-MISSED = 1e3  # times ROUNDING: largest violation of its step by a row at the start
 LOST = 1e5  # times ROUNDING: largest violation of its step by a row on a path
-AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
-SHORT = 1e-14  # of the way: a piece of rounding alone, which the next one takes in
-AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is lost
-MOST_CHANGES = 200  # per row, and 10 000 besides
-MAX_EXPONENT = 500  # of the units of rows and unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +66,7 @@ class MonotoneGraphs:
     @classmethod
     def of_matrix(cls, M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Self:
         """Return the graphs of an LCP, M a CSR array, the vectors of shape (2, n)."""
-        exponents = equilibrating_exponents(M, EQUILIBRATING_PASSES, MAX_EXPONENT)
+        exponents = equilibrating_exponents(M, EQUILIBRATING_PASSES, 500)
         rows, units = (np.ldexp(1.0, part) for part in exponents)
         scaled = scale_matrix(M, exponents)
         by_columns = scaled.tocsc()
@@ -245,13 +237,13 @@ class Follower:
         self.steps = problem.steps_of(t, z, w)
         self._columns: dict[int, FloatVector] = {}
         motion = self._settle(z)
-        is_off = motion is None or bool((motion.outside > MISSED).any())
+        is_off = motion is None or bool((motion.outside > 1e3).any())
         self.motion = None if is_off else motion
 
     def lines(self, stop: float) -> Iterator[Segment]:
         """Yield the lines up to stop, or to where the path is lost."""
         begin, stuck, changed = self.begin, 0, None
-        for _ in range(MOST_CHANGES * self.n + 10_000):
+        for _ in range(200 * self.n + 10_000):
             motion = self.motion
             if motion is None or (motion.outside > LOST).any():
                 return
@@ -261,9 +253,11 @@ class Follower:
                 if back < -motion.slow[row]:  # the path turns
                     return
             length, changed = motion.first_end()
-            is_last = changed is None or length >= stop - self.t - AT_GOAL * stop
+            # A breakpoint so near the last value is none
+            is_last = changed is None or length >= stop - self.t - 1e-10 * stop
             end = stop if is_last else self.t + length
-            if end - begin > SHORT * stop or is_last:
+            # A piece of rounding alone, which the next one takes in
+            if end - begin > 1e-14 * stop or is_last:
                 rate = motion.z[1]
                 yield Segment(
                     begin,
@@ -275,7 +269,8 @@ class Follower:
             if is_last or changed is None:
                 return
             stuck = stuck + 1 if length <= ROUNDING * stop else 0
-            if stuck > AT_ONE_PLACE * self.n + 100:
+            # A path is lost after so many changes without moving on
+            if stuck > 2 * self.n + 100:
                 return
             self.t, (row, way) = end, changed
             self.steps[row] += way
@@ -325,14 +320,14 @@ def _solve_block(
     """
     factor, pivots, info = lapack.dgetrf(np.ascontiguousarray(block))
     norm = float(np.abs(block).sum(axis=0).max())
-    if not info and norm > 0.0 and lapack.dgecon(factor, norm)[0] * MOST_CONDITION > 1.0:
+    if not info and norm > 0.0 and lapack.dgecon(factor, norm)[0] * 1e13 > 1.0:
         solution, _ = lapack.dgetrs(factor, pivots, right.T)
         for _ in range(2):
             solution = solution + lapack.dgetrs(factor, pivots, right.T - block @ solution)[0]
         return np.asarray(solution.T)
     there = np.array([near, np.zeros_like(near)])
     missing = right - there @ block.T
-    found = there + np.linalg.lstsq(block, missing.T, rcond=SINGULAR)[0].T
+    found = there + np.linalg.lstsq(block, missing.T, rcond=1e-12)[0].T
     terms = np.abs(right) + sizes * np.abs(found).sum(axis=1, keepdims=True)
     left = np.abs(right - found @ block.T)
     return found if (left <= CONSISTENT * terms).all() else None

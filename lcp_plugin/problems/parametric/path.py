@@ -21,10 +21,7 @@ from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..programs.criterion import QPSolution
 
-NEARLY = 100.0  # times the tolerance: up to here the status is PRECISION_LIMIT
 SHOWN = 8  # breakpoints in a paragraph
-INSIDE = 1e-5  # of a part of a segment: distance from its begin and end at which it is checked
-MIDST = 0.3819660112501051  # of a segment: integers would cancel at a simple fraction
 SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 
@@ -110,7 +107,8 @@ class PathPoint(Outcome):
     @cached_property
     def status(self) -> Status:
         """Status by the criterion of the problem class."""
-        tolerance, near = self._tolerance, NEARLY * self._tolerance
+        # Up to 100 times the tolerance the status is PRECISION_LIMIT
+        tolerance, near = self._tolerance, 100.0 * self._tolerance
         if isinstance(self.problem, LCP):
             found = self.certificate
             is_solved = found.meets(Settings(tolerance=tolerance))
@@ -205,8 +203,9 @@ class Path(Outcome):
         """The worst status of each segment, in its interior and just inside its begin and end."""
         found = []
         for piece in self.pieces:
-            middle = piece.begin + MIDST * (piece.end - piece.begin)
-            inner = (end + INSIDE * (middle - end) for end in (piece.begin, piece.end))
+            # Integers would cancel at a simple fraction
+            middle = piece.begin + 0.3819660112501051 * (piece.end - piece.begin)
+            inner = (end + 1e-5 * (middle - end) for end in (piece.begin, piece.end))
             known = [self.at(theta, piece).status for theta in (middle, *inner)]
             found.append(next(one for one in WORST_FIRST if one in known))
         return found

@@ -24,10 +24,8 @@ from .following import Follower, MonotoneGraphs, Segment
 from .path import Path, PathPoint, Piece
 
 MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
-MET = 1e-12  # of their terms: rounding error by which equal bounds may cross
 BOUNDS = ("lower", "upper")
 BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is restarted
-AT_END = 1e-6  # of a stretch: how much a piece may fall short of it
 SAME = 1e-4  # largest change of a solution over the shortest of these distances
 
 
@@ -203,7 +201,8 @@ class Line:
 
     def _room(self, low: FloatVector, high: FloatVector) -> FloatVector:
         size = np.nan_to_num(np.abs(low), posinf=0.0) + np.nan_to_num(np.abs(high), posinf=0.0)
-        return np.where(np.abs(high - low) <= MET * size, 0.0, high - low)
+        # Rounding error by which equal bounds may cross
+        return np.where(np.abs(high - low) <= 1e-12 * size, 0.0, high - low)
 
     def at(self, theta: float) -> Any:
         """Return the problem at θ."""
@@ -407,7 +406,7 @@ class _Trace:
         """
         t, begin = follower.t, self.reached
         assert follower.motion is not None
-        if follower.motion.first_end(-1.0)[0] >= (t - begin) * (1.0 - AT_END):
+        if follower.motion.first_end(-1.0)[0] >= (t - begin) * (1.0 - 1e-6):
             follower.begin = begin
         else:
             z, rate = follower.motion.z

@@ -35,12 +35,9 @@ from .solving import QuadraticProgramResult, solve_program
 from .value_bounds import DualBounds, FeasiblePoint, FeasiblePoints, implied_box, objective_bounds
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
-SHARE = 0.5  # of a time limit: for multipliers, so that proofs have as much time
-ALMOST = 1e-9  # residuals of a program below which no other form is tried
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
-LOOSE = 10.0  # times the tolerance: errors of multipliers
 
 
 @np.errstate(all="ignore")  # a bound that overflows proves nothing
@@ -272,7 +269,7 @@ class ProgramProofs:
     @derived_property
     def own_solution(self) -> QPSolution | None:
         """Solution of the program by a built-in solve; None if the time is over or the solve fails."""
-        with suppress(LCPError), time_limit(SHARE * seconds_left()):  # a proof takes time as well
+        with suppress(LCPError), time_limit(0.5 * seconds_left()):  # a proof takes time as well
             return solve_program(self.program, prove_infeasibility=False).solution
         return None
 
@@ -298,8 +295,9 @@ class ProgramProofs:
 
         By default the allowed gap is 1e-9 relative to the terms of the objective.
         """
+        # No other form is tried below that
         enough = value - (
-            ALMOST * size_of_objective(self.program, x)[0] if allowed is None else allowed
+            1e-9 * size_of_objective(self.program, x)[0] if allowed is None else allowed
         )
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
@@ -606,7 +604,7 @@ def multiplier_error(
     The gradient is compared with its largest term, and wrong signs count by their effect on the gradient. y · slack is
     compared with the terms of the objective, `size`, and of the constraint.
     """
-    rows, most = program.constraints, LOOSE * tolerance
+    rows, most = program.constraints, 10.0 * tolerance  # errors of multipliers
     columns = sp.csr_array(rows.matrix.T)
     wrong = np.where(rows.is_equality, 0.0, np.maximum(-y, 0.0))
     left = np.abs(program.P @ x + program.c + columns @ y) + abs(columns) @ wrong

@@ -61,8 +61,6 @@ if TYPE_CHECKING:
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
 EXCUSED = 2.0**-44  # of the unknowns that matter: rounding error of a row
-MATTERS = 1e-6  # of the objective's terms: unknowns with smaller terms do not matter
-REACH = 1e4  # times its size, an unknown without a bound is moved
 UNIT = 2.0**-53
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 LEAST_SIZE = (
@@ -286,7 +284,8 @@ class PrimalDualPoint:
             units = self.matrices.fit[0]
             at_most = units * self._largest_by_component(self.matters / units)[of]
             by_terms = size[of] / np.maximum(self.size_of_gradient, TINY)
-            far = REACH * np.maximum(np.maximum(self.of_x, by_terms), at_most)
+            # An unknown without a bound is moved so many times its size
+            far = 1e4 * np.maximum(np.maximum(self.of_x, by_terms), at_most)
             reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
             shake = np.minimum(shake, at_most)
         # NaN, which is the gradient of an overflow, stays NaN
@@ -326,7 +325,8 @@ class PrimalDualPoint:
     def matters(self) -> FloatVector:
         """Sizes of unknowns whose terms are a relevant part of the objective's terms; 0 for the remaining unknowns."""
         part = self.objective[self.matrices.components.of_unknown]
-        return np.where(self.size_of_gradient * self.of_x >= MATTERS * part, self.of_x, 0.0)
+        # Unknowns with smaller terms do not matter
+        return np.where(self.size_of_gradient * self.of_x >= 1e-6 * part, self.of_x, 0.0)
 
     def _size(self, of_y: FloatVector | None) -> tuple[FloatVector, Any]:
         """Return the size of the gap of each component, and the least size for its terms at rounding level.

@@ -54,17 +54,10 @@ from .program_matrices import Constraints, FoldedRows, stationarity, sums_and_te
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-SURE = 1e-3  # of the tolerance: an exact proof of unboundedness is stronger than an answer
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
-LARGEST_SOUGHT = 5000  # variables and rows of a program that is worth the linear programs
-MOST_NONZEROS = 1_000_000
-MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
-LARGEST_DENSE = 1500
-NOISE = 1e-9  # of the largest multiplier
 CANCELS = 1e-6  # of the terms of a sum that a linear program takes for 0
 MOST_NAMED = 4  # constraints in a sentence
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
-NARROW = 1e-7  # a slack that may be none
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +300,8 @@ class QPUnboundedness:
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x is optimal at this tolerance, or for an exact proof at a thousandth of it."""
-        least = (SURE if self.is_exact else 1.0) * tolerance
+        # An exact proof of unboundedness is stronger than an answer
+        least = (1e-3 if self.is_exact else 1.0) * tolerance
         return not self.leaves_rows and self.margin > least and self.violation <= ROWS
 
     @property
@@ -424,14 +418,16 @@ def _prove_by_programs(
     """Return a proof that linear programs find."""
     if not _is_sought(program) or is_over():
         return None
-    exactly = exactly or sum(program.matrices.entries) <= MANY_NONZEROS
+    # Beyond, fractions take longer than the linear program
+    exactly = exactly or sum(program.matrices.entries) <= 10_000
     return prove_infeasible(program, exactly=exactly) or prove_unbounded(program, exactly=exactly)
 
 
 def _is_sought(program: QuadraticProgram) -> bool:
     """Return whether a program is worth linear programs."""
-    is_small = program.n + program.constraints.rows <= LARGEST_SOUGHT
-    return is_small and sum(program.matrices.entries) <= MOST_NONZEROS
+    # Larger programs are not worth the linear programs
+    is_small = program.n + program.constraints.rows <= 5000
+    return is_small and sum(program.matrices.entries) <= 1_000_000
 
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
@@ -456,7 +452,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
 
 def balance_multipliers(program: QuadraticProgram, y: FloatVector) -> FloatVector:
     """Return multipliers of the rows, without noise, moved so that the sums which a bound does not take up cancel."""
-    y = np.where(np.abs(y) > NOISE * np.abs(y).max(initial=0.0), y, 0.0)
+    y = np.where(np.abs(y) > 1e-9 * np.abs(y).max(initial=0.0), y, 0.0)
     used, rows = np.flatnonzero(y), program.matrices.rows
     sums, terms = sums_and_terms(rows, y)
     is_open = np.isinf(program.lower) | np.isinf(program.upper)
@@ -562,7 +558,7 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
     from scipy.linalg import qr
 
     filled = np.flatnonzero(np.diff(P.indptr))
-    if not 0 < filled.size <= LARGEST_DENSE:
+    if not 0 < filled.size <= 1500:
         return filled
     dense = P[filled][:, filled].toarray()
     root = np.sqrt(np.maximum(dense.diagonal(), 0.0))
@@ -625,7 +621,8 @@ def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector
     x = np.clip(unit * answer.x[:-1], program.lower, program.upper)
     rows = most[is_row[most]]
     value = scale[rows] * (constraints.matrix[rows] @ x - limit[rows])
-    tight = rows[np.abs(value) <= MET] if answer.x[-1] <= NARROW else rows[:0]
+    # A slack that may be none
+    tight = rows[np.abs(value) <= MET] if answer.x[-1] <= 1e-7 else rows[:0]
     at_bound = (x <= program.lower) | (x >= program.upper)
     near = zip(short(x / unit, 1 << 52), rational(unit), at_bound, rational(x), strict=True)
     guess = [exact if stuck else few * one for few, one, stuck, exact in near]

@@ -37,7 +37,6 @@ from .no_minimum import (
 from .program_matrices import Constraints, FoldedRows, ProgramMatrices
 
 VECTORS = "c", "h", "b", "lower", "upper"
-SYMMETRIC_TO = 1e-12
 CANCELS = 1e-9  # of the objective: rounding that matters
 
 
@@ -391,4 +390,4 @@ def symmetric(P: Any) -> tuple[Any, float]:
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j of the largest relative difference, or None if at rounding level."""
-    return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)
+    return mismatch(M, largest_in_rows(M), 1e-12)

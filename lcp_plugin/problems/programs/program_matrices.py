@@ -36,17 +36,9 @@ if TYPE_CHECKING:
     from .no_minimum import QPInfeasibility, QPUnboundedness
     from .program import QuadraticProgram
 
-UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
-SPARSE, SPARSE_UP_TO = (
-    0.3,
-    1e7,
-)  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
-SINGLE_PRECISION = 2.0**-24
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
-PASSES, PASSES_WITHOUT_FIT = 3, 10  # of equilibration
-DENSE_FIT = 150  # unknowns and rows whose fit is a dense system
-FIT_TO, FIT_STEPS = 1e-3, 60
+FIT_TO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +95,13 @@ class ProgramMatrices:
     @cached_property
     def engine_units(self) -> tuple[FloatVector, FloatVector]:
         """Units of unknowns and of rows, from the fit, in which the largest entries of P, G and A are about 1."""
-        return self._equilibrate(*self.fit, PASSES)
+        return self._equilibrate(*self.fit, 3)
 
     @cached_property
     def largest_units(self) -> tuple[FloatVector, FloatVector]:
         """Units in which the largest entries are about 1, without a fit, so that tiny entries have no influence."""
         n, m = self.P.shape[0], self.rows.shape[0]
-        return self._equilibrate(np.ones(n), np.ones(m), PASSES_WITHOUT_FIT)
+        return self._equilibrate(np.ones(n), np.ones(m), 10)
 
     def _equilibrate(
         self, units: FloatVector, rows: FloatVector, passes: int
@@ -165,7 +157,7 @@ class ProgramMatrices:
     def fit(self) -> tuple[FloatVector, FloatVector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         P, C = self.measured[:2]
-        if sp.issparse(P) or sum(C.shape) > DENSE_FIT:
+        if sp.issparse(P) or sum(C.shape) > 150:  # unknowns and rows whose fit is a dense system
             return fitted_units(self.gradient, self.rows)
         return fit_units_of(P, C)
 
@@ -233,7 +225,7 @@ class ProgramMatrices:
             P = self.sparse_P - sp.diags_array(np.minimum(d, 0.0))
         d = np.where(d > 0.0, d, largest_in_rows(sp.csr_array(P)))
         unit = scaled_to(P, 1.0 / np.sqrt(or_one(d)))
-        return unit is None or factorised(unit, n * SINGLE_PRECISION) is not None
+        return unit is None or factorised(unit, n * 2.0**-24) is not None  # of single precision
 
     @cached_property
     def hessian(self) -> Matrix:
@@ -298,7 +290,7 @@ def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> FloatVector:
     x, rest, inverse = np.zeros(b.size), b, 1.0 / (A.diagonal() + d)
     direction = inverse * rest
     size = rest @ direction
-    for _ in range(FIT_STEPS):
+    for _ in range(60):
         if not rest @ rest > (FIT_TO * FIT_TO) * (b @ b):
             break
         product = A @ direction + d * direction
@@ -351,9 +343,10 @@ def _powers(exponents: FloatVector) -> FloatVector:
 
 def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
     """Return whether a program with these counts of unknowns, rows and entries is small or dense: for daqp."""
-    if not (0 < n <= UP_TO and m <= ROWS_UP_TO):
+    if not (0 < n <= 400 and m <= 1500):
         return False
-    return n * n * (n + m) <= SPARSE_UP_TO or sum(entries) >= SPARSE * n * (n + m)
+    # Sparse factors take more multiplications, of which fewer than .3 n² (n + m) are nonzero, more quickly
+    return n * n * (n + m) <= 1e7 or sum(entries) >= 0.3 * n * (n + m)
 
 
 def as_array(matrix: Any) -> FloatVector:
@@ -517,7 +510,6 @@ def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
     )
 
 
-LARGEST_SHOWN = 1000  # unknowns of a P whose eigenvalues are computed for a message
 ROUNDED = 1e-2  # of the largest eigenvalue: a negative one that rounding to some digits may cause
 
 
@@ -549,7 +541,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
         if ProgramMatrices(P[free][:, free], none, none).is_nearly_semidefinite:
             return
     shown, repair = "P has a negative eigenvalue", ""
-    if program.n <= LARGEST_SHOWN:
+    if program.n <= 1000:  # unknowns of a P whose eigenvalues are computed for a message
         values = np.linalg.eigvalsh(as_array(P))
         shown = f"the smallest eigenvalue of P is {values[0]:.3g}"
         if -values[0] <= ROUNDED * values[-1]:

@@ -74,7 +74,6 @@ ATTEMPTS = (  # engine, tolerance of its own, units
     ("clarabel", 1e-12, GIVEN),
     ("clarabel", 1e-9, SIDES),
 )
-SHORT_ROW = 64.0  # entries of P; longer sums have larger rounding errors, below which PIQP takes all its steps
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -141,7 +140,8 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
     matrices = program.matrices
     for name, tolerance, units in ATTEMPTS:
         length = matrices.sparse_P.nnz / max(program.n, 1) if name == "piqp" else 0.0
-        factor = max(1.0, length / SHORT_ROW)  # 16 for a dense kernel matrix of 1 000 rows
+        # Longer sums have larger rounding errors, below which PIQP takes all its steps
+        factor = max(1.0, length / 64.0)  # 16 for a dense kernel matrix of 1 000 rows
         options = dict.fromkeys(TOLERANCES[name], tolerance * factor) if tolerance else {}
         if engine is not None:
             if name == engine.name:
@@ -281,16 +281,6 @@ def _shorten_message(error: Exception) -> str:
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
-DOUBTFUL = 1e-10  # violation of rows, above which a proof of infeasibility is searched first
-FEW = (
-    300  # unknowns and rows of a program whose LCP is tried where no external solver has a solution
-)
-# Tolerance of a run on the LCP: so small that x nearly always passes the program's own test.
-OF_THE_LCP = 1e-12
-SHARED = 20.0  # all external solvers together may take this many times the seconds of the first one
-LEAST_SHARED = 2.0  # seconds of the processor: a smaller program is given to every engine
-MAX_STEPS = 2**31 - 1  # of an external solver, which counts in 32 bits
-SMALL_RESIDUAL = 1e-4  # relative residual of the LCP: x is tested below it
 
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
@@ -543,7 +533,8 @@ class ProgramRun(Run):
             # Pivots on thousands of rows take minutes; external solvers are next.
             yield self.lcp_stage("auto", {}, ends_before="lemke")
         yield from self.engine_stages(None)
-        if not is_lcp_first and reduced.n + rows <= FEW:
+        # The LCP of a small program is tried if no external solver has a solution
+        if not is_lcp_first and reduced.n + rows <= 300:
             yield self.lcp_stage("auto", {})
 
     def with_proof(self, plan: Iterator[Stage]) -> Iterator[Stage]:
@@ -569,10 +560,13 @@ class ProgramRun(Run):
                 return
             steps = {}
             if "max_iterations" in self.wishes:
-                steps[asked.steps] = min(self.wishes["max_iterations"], MAX_STEPS)
+                steps[asked.steps] = min(
+                    self.wishes["max_iterations"], 2**31 - 1
+                )  # it counts in 32 bits
             one = type(asked)(**{**asked.options, **steps})
             yield Stage(one, one.solves, steps=self._engine_steps(one, units))
-            most = min(most, max(SHARED * (time.thread_time() - began), LEAST_SHARED))
+            # All engines may take 20 times the first one's seconds; a small program is given to each of them
+            most = min(most, max(20.0 * (time.thread_time() - began), 2.0))
 
     def _engine_steps(self, engine: Engine, units: str) -> Iterator[Step]:
         """Yield the start and the point of an external solver."""
@@ -616,10 +610,11 @@ class ProgramRun(Run):
         if wishes["max_seconds"] == math.inf:
             del wishes["max_seconds"]
         try:
+            # So small a tolerance that x nearly always passes the program's own test
             result = solve_lcp(
                 problem,
                 algorithm,
-                tolerance=OF_THE_LCP,
+                tolerance=1e-12,
                 callback=partial(self._ends_run, ends_before),
                 **wishes,
             )
@@ -648,7 +643,8 @@ class ProgramRun(Run):
             return True
         if sample.label == ends_before:
             return True
-        if sample.residual is None or sample.residual > SMALL_RESIDUAL:
+        # x is tested below that residual of the LCP
+        if sample.residual is None or sample.residual > 1e-4:
             return False
         n, tolerance = self.program.n, self.settings.tolerance
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
@@ -669,7 +665,8 @@ class ProgramRun(Run):
         if found is None or not self.settings.prove_infeasibility:
             return end
         primal, _, tolerated = found.errors
-        is_in_doubt = tolerated > 1.0 or primal > DOUBTFUL or self._is_far(found.solution.x)
+        # If rows are violated, a proof of infeasibility is searched first
+        is_in_doubt = tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
         if (found.passes and is_in_doubt) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else TerminationReason.NO_SOLUTION

@@ -55,16 +55,9 @@ SLACKS = (
     2.0**-46,
     2.0**-36,
 )  # of the terms of a component: small and large, above the rounding of least squares
-NOISE = 2.0**-44  # of the largest multiplier
 ROUNDS = (
     4  # of least squares: a repair of some components may break components that were correct before
 )
-NEAR = 2.0**-20  # of its terms: a component that least squares leave unchanged
-DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
-MOST_PASSES = (
-    10_000  # a chain of equalities needs one pass per link; a pass tests only rows with new bounds
-)
-EXACT_UP_TO = 150  # dependent equations in rationals: 100 of them take .4 s, 200 take 1.7 s
 Box = tuple[FloatVector, FloatVector]
 
 
@@ -191,7 +184,8 @@ class DualBounds:
             if not (asked & (np.abs(target - s) > 0.1 * slack * size)).any():
                 break
             # What is nearly zero must not become wrong by what is put right elsewhere.
-            near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
+            # A component that least squares leave unchanged
+            near = np.flatnonzero(asked & (is_free | (sign * s <= 2.0**-20 * size)))
             movable = np.flatnonzero(self._is_movable(at))
             v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
             at = self.admit(v[: at.x.size], v[at.x.size :])
@@ -219,7 +213,8 @@ class DualBounds:
         lots = independent_rows(
             [{j: entry for j, entry in row.items() if movable[j]} for row in rows]
         )
-        if max(map(len, lots), default=0) > EXACT_UP_TO:
+        # Dependent equations in rationals: 100 of them take .4 s, 200 take 1.7 s
+        if max(map(len, lots), default=0) > 150:
             return -np.inf
         exact = solved_nearby(rows, target, guess, movable.tolist())
         if exact is None or any(y < 0 for y in exact[n : n + m]):
@@ -287,7 +282,7 @@ class DualBounds:
 
 def _without_rounding(y: FloatVector) -> FloatVector:
     """Return multipliers with 0 for entries at rounding level, because degenerate multipliers must be 0."""
-    return np.where(np.abs(y) <= NOISE * np.abs(y).max(initial=0.0), 0.0, y)
+    return np.where(np.abs(y) <= 2.0**-44 * np.abs(y).max(initial=0.0), 0.0, y)
 
 
 def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
@@ -314,7 +309,7 @@ def _sum_above(values: FloatVector) -> float:
 
 def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
     """Return the shortest least squares solution, accurate to rounding for a small matrix; 0 if it overflows."""
-    if matrix.shape[0] * matrix.shape[1] <= DENSE_UP_TO:
+    if matrix.shape[0] * matrix.shape[1] <= 1_000_000:  # entries of a least squares problem; .1 s
         try:
             found = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
         except np.linalg.LinAlgError:
@@ -346,7 +341,8 @@ def implied_box(program: QuadraticProgram) -> Box:
     limit = np.concatenate([program.h[limited], program.b, -program.b])
     by_column = sp.csc_array(rows)
     touched = np.arange(limit.size)
-    for _ in range(MOST_PASSES):
+    # A chain of equalities needs one pass per link; a pass tests only rows with new bounds
+    for _ in range(10_000):
         was_open = np.isinf(lower), np.isinf(upper)
         _tighten(rows[touched], limit[touched], lower, upper)
         closed = np.flatnonzero(
@@ -385,11 +381,7 @@ def _tighten(
     np.maximum.at(lower, column[below], -most_of_x[below])
 
 
-EXACT_ROWS_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
-SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
-NEAR_ROW = 1e-9  # of a row's size: rows that a point is moved off
-DENSE_EQUATIONS_UP_TO = 4_000_000  # entries of equality rows that are treated as one dense matrix
-MOST_BITS, TINY = 400, 1e-290  # of the unit of a row; above the underflow of a sum
+TINY = 1e-290  # above the underflow of a sum
 OUTWARD = 1.0 + 2.0**-30  # above the rounding of a sum of nonnegative terms
 
 
@@ -434,7 +426,8 @@ class FeasiblePoints:
     def inside(self) -> Vector | None:
         """Feasible point in rational numbers, as far inside as a linear program finds; None for a large program."""
         program = self.program
-        if program.b.size > EXACT_ROWS_UP_TO or program.n + program.constraints.rows > SMALL:
+        # 100 equations take .4 s, 200 take 1.7 s; the points of 2000 rows are checked in a second
+        if program.b.size > 100 or program.n + program.constraints.rows > 2000:
             return None
         return feasible_point(program)
 
@@ -443,7 +436,7 @@ class FeasiblePoints:
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
         value, size = rows.matrix @ x - rows.limit, _sizes(self.program, x)
-        tight = np.flatnonzero(is_row & (rows.is_equality | (value >= -NEAR_ROW * size)))
+        tight = np.flatnonzero(is_row & (rows.is_equality | (value >= -1e-9 * size)))
         at_bound = (x <= self.program.lower) | (x >= self.program.upper)
         free = np.flatnonzero(~at_bound)
         right = np.where(rows.is_equality, -value, np.minimum(-value - slack * size, 0.0))[tight]
@@ -497,11 +490,12 @@ def distance_of_equations(
     free = np.flatnonzero((program.lower < x) & (x < program.upper))
     B, radius = sp.csr_array(program.A)[:, free], np.zeros(x.size)
     p, n = B.shape
-    if max(p * n, p * p) > DENSE_EQUATIONS_UP_TO:
+    # Larger equality rows are not treated as one dense matrix
+    if max(p * n, p * p) > 4_000_000:
         return None
     B = B.toarray()
     _, exponent = np.frexp(np.abs(B).max(axis=1, initial=0.0))
-    if (np.abs(exponent) > MOST_BITS).any() or not np.isfinite(excess).all():
+    if (np.abs(exponent) > 400).any() or not np.isfinite(excess).all():
         return None
     B, r = np.ldexp(B, -exponent[:, None]), np.ldexp(excess, -exponent)
     product, sizes = B @ B.T, np.abs(B) @ np.abs(B).T

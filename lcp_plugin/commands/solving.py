@@ -296,6 +296,7 @@ def check_place(path: Path) -> None:
 def compile_everything() -> str:
     """Compile what is not in the cache yet; return a line with the seconds."""
     from ..problems.batches.batch import solve_batch
+    from ..problems.least_squares.data import BoundedLeastSquares
     from ..problems.march import march
     from ..problems.programs.program import QuadraticProgram
     from ..problems.sensitivity import derivative
@@ -324,6 +325,8 @@ def compile_everything() -> str:
     solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, gallery.build("bimatrix_game").problem):
         solve(problem)
+    solve_batch([dense] * 64)  # as many as the compiled loop needs
+    solve_batch(BoundedLeastSquares(dense.M, dense.q), np.ones((64, dense.n)))
     solve_batch([contact, contact])
     solve_batch([QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])])
     program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])

@@ -1,16 +1,15 @@
-"""Small dense problems, one or a stack, by numpy only: sweeps of NPSOR, active-set iterations, Lemke's path.
+"""Small dense problems: one by numpy only, many in a compiled loop (:mod:`lcp_plugin.core.kernels.small_lcps`).
 
-Two sweeps guess the active set. A round, an active-set iteration, solves w = 0 on the free rows, with all other rows
-at their bounds, and changes every violated row. If the rounds end without a solution, Lemke's path follows
-w = M z + q + t r from large t to t = 0. The first axis of arrays counts problems: M has shape (B, n, n), or (1, n, n)
-if they share it; the vectors have shape (B, n).
+Two sweeps of NPSOR guess the active set. A round, an active-set iteration, solves w = 0 on the free rows, with all
+other rows at their bounds, and changes every violated row. If the rounds end without a solution, Lemke's path follows
+w = M z + q + t r from large t to t = 0. The loop over many problems follows the path at once. In arrays of many
+problems the first axis counts them: M has shape (B, n, n), or (1, n, n) if they share it; the vectors have shape
+(B, n).
 
 References
 ----------
 Kumar, Deepmala, Das (sweeps). Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6 (active sets). Lemke 1965,
 doi:10.1287/mnsc.11.7.681. Lemke, Howson 1964, doi:10.1137/0112033 (games).
-
-Small dense problems by numpy: sweeps, active-set iterations, pivots.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
 from typing import Any, ClassVar
 
@@ -27,21 +27,16 @@ from numpy.linalg import LinAlgError
 from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import RowData, row_data, times
 from ..core.certificates.measured import Measured
-from ..core.checks import BoolVector, FloatVector
+from ..core.checks import BoolVector, FloatVector, read_only
+from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
 
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
-SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
-PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
-SMALLEST = (
-    1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
-)
 WELL_CONDITIONED = 1e8
-CHUNK = 2**17  # entries of matrices that stay in the cache
-LOW, FREE, HIGH = 0, 1, 2  # side of z_i: at its lower bound, between the bounds, at its upper bound
+LOOP_FROM, LOOP_UP_TO = 32, 70  # problems, unknowns; fewer problems do not wait for a compilation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,18 +126,6 @@ def _components(sizes: FloatVector) -> Any:
     return None if (labels == labels[:, :1]).all() else labels
 
 
-def select_problems(stack: RowData, items: Any) -> RowData:
-    """Return the problems of a stack with these numbers as a stack."""
-    labels = stack.labels
-    if labels is not None:
-        labels = np.unique(labels[items], return_inverse=True)[1].reshape(-1, labels.shape[1])
-    parts: dict[str, Any] = {name: getattr(stack, name)[items] for name in ("q", "lower", "upper")}
-    for name in ("M", "absolute", "scale"):
-        whole = getattr(stack, name)
-        parts[name] = whole if len(stack.M) == 1 else whole[items]
-    return RowData(**parts, labels=labels)
-
-
 def measure(data: RowData, z: FloatVector, tolerance: float) -> Measured:
     """Measure points at the ends of linear solves, within their bounds, without values whose products underflow."""
     size = np.abs(z)
@@ -151,15 +134,22 @@ def measure(data: RowData, z: FloatVector, tolerance: float) -> Measured:
     return data.measure(z, tolerance, power=1.0)
 
 
+def suits_loop(count: int, n: int) -> bool:
+    """Return whether the compiled loop solves so many problems of n unknowns; it never depends on what is compiled."""
+    return count >= LOOP_FROM and n <= LOOP_UP_TO and find_spec("numba") is not None
+
+
 def solve_stack(
     M: FloatVector,
     q: FloatVector,
     lower: FloatVector,
     upper: FloatVector,
-    starts: FloatVector | None,
+    starts: FloatVector | None = None,
+    *,
     tolerance: float,
+    is_compiled: bool,
 ) -> tuple[FloatVector, FloatVector, Any, BoolVector]:
-    """Return points of problems (B, n) after iterations and paths of all problems at once.
+    """Return points of problems (B, n) by the compiled loop or, one problem after another, by numpy.
 
     Returns
     -------
@@ -167,92 +157,113 @@ def solve_stack(
     residual, iterations, is_solved : array, shape (B,)
         Relative residual; 0 if the point is the start, else 1; whether it is a solution.
     """
-    stack = stack_of(M, q, lower, upper)
-    first = guess(stack) if starts is None else np.broadcast_to(starts, stack.q.shape)
-    ends = stack.start if first is None else rounds_of_stack(stack, first)
-    found = measure(stack, ends, tolerance)
-    has_free = ((stack.lower == -np.inf) & (stack.upper == np.inf)).any(1)
-    items = np.flatnonzero(~found.passes & ~has_free)
-    if items.size:
-        few = select_problems(stack, items)
-        of_paths = measure(few, paths(few), tolerance)
-        for table, values in zip(found[:3], of_paths[:3], strict=True):
-            table[items] = values
-    begun = stack.start if starts is None else starts
-    return found.z, found.residual, (found.z != begun).any(1).astype(int), found.passes
+    data = M, q, lower, upper, starts, tolerance
+    z, residual, is_solved = _solve_in_loop(*data) if is_compiled else _solve_each(*data)
+    begun = np.clip(0.0, lower, upper) if starts is None else starts
+    return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
-def guess(stack: RowData) -> FloatVector | None:
+def points_in_loop(
+    M: FloatVector,
+    q: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    starts: FloatVector | None,
+    tolerance: float,
+) -> tuple[FloatVector, FloatVector]:
+    """Return z of the compiled loop, NaN in column 0 of a lost path, and bounds of the relative residuals.
+
+    A bound < ∞ implies the stopping criterion; ∞ means that it is to be measured.
+    """
+    from ..core.kernels.small_lcps import solve_problems
+
+    starts = np.empty((1, 0)) if starts is None else starts
+    tilts = np.random.default_rng(1).uniform(1.0, 2.0, q.shape[1])
+    data = (read_only(np.ascontiguousarray(one)) for one in (M, q, lower, upper, starts, tilts))
+    z, residual = np.empty(q.shape), np.empty(len(q))
+    solve_problems(*data, float(tolerance), z, residual)
+    return z, residual
+
+
+def _solve_in_loop(
+    M: FloatVector, q: FloatVector, lower: Any, upper: Any, starts: Any, tolerance: float
+) -> tuple[FloatVector, FloatVector, BoolVector]:
+    """Return z, residual and is_solved; the criterion measures the points on which the loop does not decide."""
+    z, residual = points_in_loop(M, q, lower, upper, starts, tolerance)
+    is_solved = residual < np.inf
+    rest = np.flatnonzero(~is_solved & np.isfinite(z[:, 0]))
+    if rest.size:
+        own = M if len(M) == 1 else M[rest]
+        found = measure(stack_of(own, q[rest], lower[rest], upper[rest]), z[rest], tolerance)
+        z[rest], residual[rest], is_solved[rest] = found[:3]
+    return z, residual, is_solved
+
+
+def _solve_each(
+    M: FloatVector, q: FloatVector, lower: Any, upper: Any, starts: Any, tolerance: float
+) -> tuple[FloatVector, FloatVector, BoolVector]:
+    """Return z, residual and is_solved of the first candidate of each problem."""
+    z, residual, is_solved = np.empty(q.shape), np.empty(len(q)), np.zeros(len(q), bool)
+    for k in range(len(q)):
+        data = first_of(stack_of(M[k % len(M)][None], q[k], lower[k], upper[k]))
+        _, point, _ = next(candidates(data, data.start if starts is None else starts[k]))
+        z[k], residual[k], is_solved[k] = measure(data, point, tolerance)[:3]
+    return z, residual, is_solved
+
+
+def first_of(stack: RowData) -> RowData:
+    """Return the first problem of a stack, without the axis that counts problems."""
+    bounds, labels = (
+        (stack.lower[0], stack.upper[0]),
+        None if stack.labels is None else stack.labels[0],
+    )
+    return RowData(stack.M[0], stack.absolute[0], stack.q[0], *bounds, stack.scale[0], labels)
+
+
+def active_set_points(
+    M: FloatVector, q: FloatVector, lower: Any, upper: Any, sides: Any, is_compiled: bool
+) -> FloatVector:
+    """Return z_i at the bound that `sides` names, w_i = 0 if FREE, shape (B, n); NaN if its system is singular."""
+    if not is_compiled:
+        return np.array(
+            [solve_active_set(M, *one) for one in zip(q, lower, upper, sides, strict=True)]
+        )
+    from ..core.kernels.small_lcps import solve_active_sets
+
+    z = np.empty(q.shape)
+    data = (read_only(np.ascontiguousarray(one)) for one in (M[None], q, lower, upper, sides))
+    solve_active_sets(*data, z)
+    return z
+
+
+# --- one problem ---------------------------------------------------------------------------------------------
+
+
+def guess(data: RowData) -> FloatVector | None:
     """Return z after sweeps of NPSOR from z°: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
 
     L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem. The result
     is None if a row that is not free has no diagonal entry, or a negligible one, so that d_i is another entry.
     """
-    free = (stack.lower == -np.inf) & (stack.upper == np.inf)
-    if not ((stack.M.diagonal(axis1=-2, axis2=-1) == stack.scale) | free).all():
+    free = (data.lower == -np.inf) & (data.upper == np.inf)
+    if not ((data.M.diagonal() == data.scale) | free).all():
         return None
-    z = stack.start
+    z = data.start
     pivot, half = 1.0 / RELAXATION + 3.0, z.shape[-1] // 2
     for _ in range(SWEEPS):
-        step = (times(stack.M, z) + stack.q) / stack.scale
-        change = np.minimum(np.maximum(step, z - stack.upper), z - stack.lower) * (2.0 / pivot)
-        new = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
-        more = times(stack.M[..., half:, :half], new[..., :half] - z[..., :half])
-        change[..., half:] += more / (pivot * stack.scale[..., half:])
-        z = np.minimum(np.maximum(z - change, stack.lower), stack.upper)
+        step = (times(data.M, z) + data.q) / data.scale
+        change = np.minimum(np.maximum(step, z - data.upper), z - data.lower) * (2.0 / pivot)
+        new = np.minimum(np.maximum(z - change, data.lower), data.upper)
+        more = times(data.M[..., half:, :half], new[..., :half] - z[..., :half])
+        change[..., half:] += more / (pivot * data.scale[..., half:])
+        z = np.minimum(np.maximum(z - change, data.lower), data.upper)
     return z
 
 
-def rounds_of_stack(stack: RowData, z: FloatVector) -> FloatVector:
-    """Return the final points of active-set iterations, which begin with the active sets of z."""
-    z, items, side = z.copy(), np.arange(len(z)), np.full(z.shape, -1)
-    fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
-    for _ in range(ROUNDS):
-        step, before = (times(stack.M, z) + stack.q) / stack.scale, side
-        is_low, is_high = step >= z - stack.lower, step <= z - stack.upper
-        side = np.where(is_low, LOW, FREE + is_high)
-        changes = (side != before).sum(1)
-        idle = np.where(changes < fewest, 0, idle + 1)
-        fewest = np.minimum(changes, fewest)
-        is_open = (changes > 0) & (idle <= IDLE) & ~np.isnan(step).any(1)  # NaN: a singular block
-        items = items[is_open[items]]
-        if not items.size:
-            break
-        z[items] = solve_active_sets(stack, side, items)
-    return z
-
-
-def solve_active_sets(stack: RowData, side: Any, items: Any) -> FloatVector:
-    """Return z of these problems, z_i at the bound that `side` names, w_i = 0 if FREE; NaN if singular."""
-    if len(side) == 1:
-        return _solve_active_set(stack.M[0], stack.q[0], stack.lower[0], stack.upper[0], side[0])[
-            None
-        ]
-    z: FloatVector = np.where(side == LOW, stack.lower, np.where(side == HIGH, stack.upper, 0.0))
-    free = side[items] == FREE
-    most = int(free.sum(1).max(initial=0))
-    right, z = -(stack.q + times(stack.M, z))[items], z[items]
-    if not most:
-        return z
-    order = np.argsort(~free, 1, kind="stable")[:, :most]
-    inside = np.take_along_axis(free, order, 1)
-    n = side.shape[1]
-    first = items[:, None] * n if len(stack.M) > 1 else 0
-    rows = (first + order)[:, :, None] * n
-    blocks = stack.M.reshape(-1).take(rows + order[:, None, :])
-    if not inside.all():
-        # Smaller blocks are filled up by rows z_i = bound; `right` has the terms of z_i in other rows already.
-        blocks = np.where(inside[:, :, None] & inside[:, None, :], blocks, np.eye(most))
-    known = np.take_along_axis(z, order, 1)
-    right = np.where(inside, np.take_along_axis(right, order, 1), known)
-    np.put_along_axis(z, order, _solve_systems(blocks, right), 1)
-    return z
-
-
-def _solve_active_set(
+def solve_active_set(
     M: FloatVector, q: FloatVector, lower: Any, upper: FloatVector, side: Any
 ) -> FloatVector:
-    """Return z of one problem, as :func:`solve_active_sets` does."""
+    """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; NaN if the linear system is singular."""
     free = (side == FREE).nonzero()[0]
     z: FloatVector = np.where(side == HIGH, upper, lower)
     if free.size:
@@ -263,125 +274,6 @@ def _solve_active_set(
         except LinAlgError:
             z[free] = np.nan
     return z
-
-
-def _solve_systems(A: FloatVector, b: FloatVector) -> FloatVector:
-    """Return the solutions of a stack of systems, NaN for a singular one."""
-    try:
-        return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)
-    except LinAlgError:
-        if len(A) == 1:
-            return np.full_like(b, np.nan)
-    half = len(A) // 2
-    return np.concatenate([_solve_systems(A[:half], b[:half]), _solve_systems(A[half:], b[half:])])
-
-
-def paths(stack: RowData) -> FloatVector:
-    """Return the ends of Lemke's paths from r = 1, NaN for a lost path; no row is free."""
-    flips = stack.lower == -np.inf
-    base, sign = np.where(flips, stack.upper, stack.lower), np.where(flips, -1.0, 1.0)
-    M = sign[:, :, None] * stack.M * sign[:, None, :]
-    side = _follow_paths(M, sign * (stack.q + times(stack.M, base)), stack.upper - stack.lower)
-    side = np.where(flips & (side >= 0), HIGH - side, side)
-    z = solve_active_sets(stack, side, np.arange(len(side)))
-    z[(side < 0).any(1)] = np.nan
-    return z
-
-
-def _follow_paths(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
-    """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 for a lost path.
-
-    The path belongs to a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
-    """
-    count, n = q.shape
-    unit = np.abs(M).max(2)
-    unit = 1.0 / np.where(unit > 0.0, unit, 1.0)
-    T = np.concatenate([M * unit[:, :, None], np.ones((count, n, 1))], 2)
-    v, t = q * unit, 2 * n
-    largest = np.abs(v).max(1, keepdims=True)
-    v += PERTURBED * largest * np.random.default_rng(1).uniform(1.0, 2.0, n)
-    u = np.concatenate([width, np.full((count, n + 1), np.inf)], 1)
-    value = np.maximum(np.where(width == 0.0, 0.0, -v).max(1), 0.0)
-    v += value[:, None]
-    low, high = np.where(width == 0.0, -np.inf, 0.0), np.full((count, n), np.inf)
-    basis = np.tile(np.arange(n, 2 * n), (count, 1))
-    place = np.tile(np.r_[np.arange(2 * n), n], (count, 1))
-    side, result, here = np.full((count, n), LOW), np.full((count, n), -1), np.arange(count)
-    driven, direction, t_row = np.full(count, t), np.full(count, -1.0), np.full(count, -1)
-    for _ in range(10 * (n + 10)):
-        b = np.arange(len(here))
-        column = place[b, driven]
-        factor = T[b, :, column]
-        rate = direction[:, None] * factor
-        distance = np.where(
-            np.abs(rate) > SMALLEST_PIVOT, (np.where(rate < 0.0, low, high) - v) / rate, np.inf
-        )
-        row = distance.argmin(1)
-        step = np.maximum(distance[b, row], 0.0)
-        is_end = (t_row >= 0) & (distance[b, t_row] <= step * (1.0 + 1e-12))
-        row = np.where(is_end, t_row, row)
-        own = np.where(driven == t, value, u[b, driven])
-        jumps = own <= np.where(step < np.inf, step, 0.0)  # to its own other bound
-        step = np.where(jumps, own, step)
-        is_lost = ~(step < np.inf)
-        v += (direction * step)[:, None] * factor
-        falls = np.where(jumps, direction < 0.0, rate[b, row] < 0.0)
-        leaving = np.where(jumps, driven, basis[b, row])
-        i = np.flatnonzero(~(jumps | is_lost))
-        if i.size:
-            k, c, entering = row[i], column[i], driven[i]
-            index, is_x, is_t = entering % n, entering < n, entering == t
-            is_high = ~is_x & ~is_t & (side[i, index] == HIGH)
-            v[i, k] = value[i] + direction[i] * step[i]
-            is_fixed = ~is_x & ~is_t & (u[i, index] == 0.0)
-            low[i, k] = np.where(is_high | is_fixed, -np.inf, 0.0)
-            high[i, k] = np.where(is_high, 0.0, u[i, entering])
-            side[i[is_x], index[is_x]] = FREE
-            basis[i, k], place[i, leaving[i]] = entering, c
-            t_row[i] = np.where(is_t, k, np.where(t_row[i] == k, -1, t_row[i]))
-            at = np.arange(i.size)
-            pivot, factor = factor[i, k][:, None], factor[i]
-            held = T[i, k] / -pivot
-            held[at, c], factor[at, k] = 1.0 / pivot[:, 0], 1.0
-            T[i, :, c] = T[i, k] = 0.0
-            if i.size == b.size:
-                T += factor[:, :, None] * held[:, None, :]
-            else:
-                T[i] += factor[:, :, None] * held[:, None, :]
-        index, was_x = leaving % n, leaving < n
-        side[b[was_x], index[was_x]] = np.where(falls[was_x], LOW, HIGH)
-        is_high = side[b, index] == HIGH
-        driven = np.where(was_x, n + index, index)  # its complement
-        value = np.where(~was_x & is_high, u[b, index], 0.0)
-        direction = np.where(was_x, np.where(falls, 1.0, -1.0), np.where(is_high, -1.0, 1.0))
-        is_over = leaving == t
-        result[here[is_over]] = side[is_over]
-        on = ~(is_over | is_lost)
-        if not on.any():
-            break
-        if not on.all():
-            here, T, v, low, high, basis, place, side, driven, value, direction, t_row, u = (
-                a[on]
-                for a in (
-                    here,
-                    T,
-                    v,
-                    low,
-                    high,
-                    basis,
-                    place,
-                    side,
-                    driven,
-                    value,
-                    direction,
-                    t_row,
-                    u,
-                )
-            )
-    return result
-
-
-# --- one problem ---------------------------------------------------------------------------------------------
 
 
 COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
@@ -416,7 +308,7 @@ def candidates(
 
 
 def rounds(data: RowData, z: FloatVector) -> FloatVector:
-    """Return the final point of active-set iterations on one problem, as :func:`rounds_of_stack` does."""
+    """Return the final point of active-set iterations ."""
     M, q, lower, upper, scale = data.M, data.q, data.lower, data.upper, data.scale
     before, fewest, idle = None, z.size + 1, 0
     for _ in range(ROUNDS):
@@ -427,7 +319,7 @@ def rounds(data: RowData, z: FloatVector) -> FloatVector:
         if not changes or idle > IDLE or not step @ step >= 0.0:  # NaN: a singular block
             break
         before = side
-        z = _solve_active_set(M, q, lower, upper, side)
+        z = solve_active_set(M, q, lower, upper, side)
     return z
 
 
@@ -524,7 +416,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
         column = other.index(driven)
     else:
         return np.full(n, np.nan)
-    return _solve_active_set(M, q, 0.0, width, np.array(side))
+    return solve_active_set(M, q, 0.0, width, np.array(side))
 
 
 def _canonical(

@@ -94,7 +94,7 @@ def solve_batch(
     executor: Executor | None = None,
     **options: Unpack[BatchOptions],
 ) -> BatchAnswers:
-    """Return the results of many problems; small ones are solved as stacks.
+    """Return the results of many problems; small ones are solved together.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def solve_batch(
         :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
         mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
         A sequence may contain problems of different sizes and of all classes; do not pass q, lower or upper with it.
-        Small LCPs of one size, small problems over the same cones, and programs of one shape are solved as stacks;
-        others are solved one by one. Arrays of shape (B, n, n) are not copied: do not change their entries while you
-        use the result.
+        At least 32 LCPs of one size with at most 70 unknowns are solved in a compiled loop; small problems over the
+        same cones and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
+        (B, n, n) are not copied: do not change their entries while you use the result.
     q : array, shape (B, n) or (n,)
         For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
         b, shape (B, m).
@@ -127,8 +127,8 @@ def solve_batch(
     max_seconds : float, optional
         Wall-clock limit in seconds for the entire batch. Unsolved problems then end with MAX_SECONDS.
     threads : int, optional
-        Number of threads that solve stacks; by default all threads available to the process. Results are bit-identical
-        for any number.
+        Number of threads that share small problems; by default all threads available to the process. Results are
+        bit-identical for any number.
 
     Returns
     -------

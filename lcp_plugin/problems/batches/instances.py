@@ -15,7 +15,7 @@ from ...auto import takes_rounds
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
-from ...methods.small import CHUNK, SMALL_DENSE, is_small, solve_stack
+from ...methods.small import SMALL_DENSE, is_small, solve_stack, suits_loop
 from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern
 from ..cones.data import Blocks
@@ -27,6 +27,7 @@ from ..least_squares.data import BoundedLeastSquares, times
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
 from ..many import length_of_all, rows_of_a_batch
 
+WORK = 2**23  # problems times n³ per stack of LCPs
 TOGETHER = 2048  # instances per stack: fewer cost more calls, more leave a second thread idle
 CONES_UP_TO = 400  # rows of a problem over cones in a stack
 #: Items, and a function that returns z, residual, iterations and is_solved of these.
@@ -63,13 +64,14 @@ class Group(NamedTuple):
         return [np.broadcast_to(getattr(self, name), shape) for name in names]
 
     def stacks(self, tolerance: float) -> Stacks:
-        """Yield stacks whose matrices stay in the cache."""
-        size = max(1, CHUNK // self.M.shape[1] ** 2)
+        """Yield stacks of about 20 ms."""
+        n = self.M.shape[1]
+        size, is_compiled = max(1, WORK // n**3), suits_loop(self.items.size, n)
         for first in range(0, self.items.size, size):
             part = self.select(slice(first, first + size))
-            starts = part.starts if part.starts.shape[1] else None
-            q, lower, upper = part.vectors("q", "lower", "upper")
-            yield part.items, partial(solve_stack, part.M, q, lower, upper, starts, tolerance)
+            names = ("q", "lower", "upper", *(["starts"] if part.starts.shape[1] else []))
+            data = partial(solve_stack, part.M, *part.vectors(*names))
+            yield part.items, partial(data, tolerance=tolerance, is_compiled=is_compiled)
 
 
 class Instances:
@@ -212,9 +214,10 @@ def _stacks_of(
 ) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
+    is_compiled = suits_loop(items.size, base.shape[1])
     for first in range(0, items.size, size):
         part = items[first : first + size]
-        yield part, partial(solve_least_squares_stack, stack(part), tolerance)
+        yield part, partial(solve_least_squares_stack, stack(part), tolerance, is_compiled)
 
 
 class Rows(Instances):

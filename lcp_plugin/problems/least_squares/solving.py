@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
-from ...core.certificates.criterion import RowData
 from ...core.checks import BoolVector, FloatVector, derived_property, read_only
 from ...core.deadline import Clock, OutOfTimeError, is_over
+from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.progress import Progress
 from ...core.solving.result import BaseResult
@@ -24,7 +24,7 @@ from ...core.solving.run import STATUS_OF, Callback, Run
 from ...core.solving.run_log import RunLog, say
 from ...core.solving.stage import Named, Stage
 from ...core.solving.termination import FAILED, TerminationReason
-from ...methods.small import CHUNK, FREE, HIGH, LOW, SMALL_DENSE, solve_active_sets, solve_stack
+from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
 from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
 from .engines import (
@@ -426,11 +426,11 @@ def suits_stack(problem: BoundedLeastSquares) -> bool:
 def length_of_stack(problem: BoundedLeastSquares) -> int:
     """Return the number of problems in a stack whose arrays stay in the cache."""
     m, n = problem.shape
-    return int(max(1, min(CHUNK // n**2, RESIDUALS // max(m, n))))
+    return int(max(1, RESIDUALS // max(m, n)))
 
 
 def solve_least_squares_stack(
-    problem: BoundedLeastSquares, tolerance: float
+    problem: BoundedLeastSquares, tolerance: float, is_compiled: bool
 ) -> tuple[FloatVector, FloatVector, Any, BoolVector]:
     """Return points of a stack of problems, one step of refinement after the LCPs of their normal equations.
 
@@ -447,14 +447,17 @@ def solve_least_squares_stack(
     lower, upper = problem.lower * columns, problem.upper * columns
     linear = np.where(problem.upper <= 0.0, -problem.l1, problem.l1) / columns
     b = problem.root_weights * problem.b
-    z, _, iterations, _ = solve_stack(gram[None], linear - b @ A, lower, upper, None, tolerance)
+    q = linear - b @ A
+    lower, upper = (np.broadcast_to(one, q.shape) for one in (lower, upper))
+    z, _, iterations, _ = solve_stack(
+        gram[None], q, lower, upper, tolerance=tolerance, is_compiled=is_compiled
+    )
     side = np.where(z <= lower, LOW, np.where(z >= upper, HIGH, FREE))
-    unit, items = np.ones(z.shape), np.arange(len(z))
 
     def newton_step(slope: FloatVector) -> FloatVector:
         gradient = slope / columns + linear
-        change = RowData(gram[None], gram[None], gradient, lower - z, upper - z, unit)
-        return solve_active_sets(change, side, items) / columns
+        to_bounds = lower - z, upper - z
+        return active_set_points(gram, gradient, *to_bounds, side, is_compiled) / columns
 
     x = z / columns
     residual = times(problem.A, x) - problem.b

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
+from importlib import import_module
 
 import numpy as np
 import pytest
 from inputs.small_families import FAMILIES, definite_stack, draw, told
+from numba import njit
 from oracles.exact_criterion import failures
 from oracles.truth import ExactData
 
 from lcp_plugin import LCP, Status, solve, solve_batch
-from lcp_plugin.methods.small import solve_stack
+from lcp_plugin.core.certificates.criterion import row_data
+from lcp_plugin.methods.small import solve_stack, suits_loop
 
 INF = np.inf
 
@@ -87,21 +91,41 @@ def test_free_rows_without_a_diagonal_are_eliminated_or_split(is_regular: bool) 
     assert abs(G[0] @ result.z[:3] - 1.0) <= 1e-10
 
 
-def test_a_stack_of_contacts_with_friction_is_solved() -> None:
-    """Rows without a diagonal entry: paths of all problems at once."""
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_loop_over_many_problems_has_the_statuses_of_single_solves(family: str) -> None:
+    """Exact arithmetic also confirms each of its SOLVED points."""
+    drawn = draw(family, 250, 8)
+    n = Counter(one.n for one in drawn).most_common(1)[0][0]
+    problems = [one for one in drawn if one.n == n][:40]
+    assert suits_loop(len(problems), n)
+    for problem, result in zip(problems, solve_batch(problems), strict=True):
+        assert result.status is solve(problem).status
+        assert not result.is_solved or not ExactData(problem).is_lie(result.z, 1e-8)
+
+
+@pytest.mark.full
+def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None:
+    """The criterion does not move the point, and its residual is at most the bound."""
+    measure, accepted = import_module("lcp_plugin.core.kernels.small_lcps").measure, 0
     rng = np.random.default_rng(0)
-    A = rng.normal(size=(50, 6, 9))
-    M = A @ A.transpose(0, 2, 1)
-    M = np.concatenate(
-        [
-            np.concatenate([M, np.broadcast_to(np.eye(6)[:, :2], (50, 6, 2))], 2),
-            np.broadcast_to(np.r_["1", -np.eye(2, 6), np.zeros((2, 2))], (50, 2, 8)),
-        ],
-        1,
-    )
-    q = np.concatenate([rng.normal(size=(50, 6)), np.ones((50, 2))], 1)
-    batch = solve_batch(M, q)
-    assert sum(status is Status.SOLVED for status in batch.status) >= 49
+
+    @njit
+    def test(M, q, lower, upper, z, rows, seen, queue):  # type: ignore[no-untyped-def]
+        return measure(M, q, lower, upper, z, 1e-8, rows, seen, queue)
+
+    for drawn in (one for family in FAMILIES for one in draw(family, 60, 8)):
+        data, n = (drawn.matrix.toarray(), drawn.q, drawn.lower, drawn.upper), drawn.n
+        for size in (0.0, 1e-16, 1e-13, 1e-10, 1e-8):
+            z = solve(drawn).z * (1.0 + size * rng.normal(size=n))
+            own = np.empty((9, n + 1)), np.empty(n, np.int64), np.empty(n, np.int64)
+            bound = test(*data, z, *own)
+            found = row_data(drawn).measure(z, 1e-8, power=1.0)
+            if bound < INF:
+                accepted += 1
+                assert found.passes
+                assert found.residual <= bound
+                assert np.array_equal(found.z, z)
+    assert accepted > 500
 
 
 @pytest.mark.parametrize(
@@ -113,11 +137,13 @@ def test_a_stack_of_contacts_with_friction_is_solved() -> None:
     ],
 )
 def test_a_small_problem_loads_no_numba(problem: str) -> None:
-    """The first solve of a process compiles nothing."""
+    """The first solve of a process compiles nothing, and a batch of 10 problems does not wait for the loop."""
     code = (
         "import sys, numpy as np, lcp_plugin as lp\n"
         f"assert lp.solve(lp.LCP({problem})).is_solved\n"
-        "assert 'numba' not in sys.modules"
+        "assert 'numba' not in sys.modules\n"
+        "assert lp.solve_batch([[[2.0]]] * 10, [-1.0]).all_solved\n"
+        "assert 'lcp_plugin.core.kernels.small_lcps' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -129,7 +155,8 @@ def test_a_stack_within_boxes_is_solved_at_once(limit: float) -> None:
     A = rng.normal(size=(20, 20))
     bounds = np.full((1, 20), -limit if limit < np.inf else 0.0), np.full((1, 20), limit)
     M, q = (A @ A.T / 20 + 0.1 * np.eye(20))[None], rng.normal(size=(100, 20))
-    *_, is_solved = solve_stack(M, q, *bounds, None, 1e-8)
+    lower, upper = (np.broadcast_to(one, q.shape) for one in bounds)
+    *_, is_solved = solve_stack(M, q, lower, upper, tolerance=1e-8, is_compiled=True)
     assert is_solved.all()
 
 

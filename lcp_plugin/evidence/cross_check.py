@@ -49,6 +49,7 @@ Verdict = Literal["agree", "mismatch", "not comparable"]
 
 PLAIN, GAP, SADDLE = "quadratic program", "gap quadratic program", "quadratic program with rows"
 ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
+POLISH_ROUNDS = 3
 DIFFERENCE_RATIO = 1e-6
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
 TIME_LIMITS = {
@@ -381,7 +382,7 @@ class ConvexForm:
 def polish(certificate: Certificate) -> Certificate:
     """Return the solution of the equations on the certificate's own active set, if it is better."""
     best, problem = certificate, certificate.problem
-    for _ in range(3):
+    for _ in range(POLISH_ROUNDS):
         at_bounds = classify(problem, best.z, best.w)
         solved = solve_active_set(problem, *at_bounds, near=best.z)
         found = best if solved is None else Certificate.of(problem, solved.z)

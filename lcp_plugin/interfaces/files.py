@@ -188,6 +188,7 @@ DENSE = (
     "Aeq",
 )  # matrices; everything else in a .mat file is a vector
 MOST_ROWS = 10**8
+LARGE_UNPACKED = 2**30  # bytes
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
@@ -368,9 +369,8 @@ def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
             one for one in archive.zip.infolist() if one.filename.removesuffix(".npy") in wanted
         ]
         packed, size = sum(one.compress_size for one in parts), sum(one.file_size for one in parts)
-        # Bytes, and times the compressed size: sparse arrays of a problem shrink about tenfold, a matrix of zeros
-        # 1000-fold.
-        if size > max(2**30, 100 * packed):
+        # Sparse arrays of a problem shrink about tenfold, a matrix of zeros 1000-fold.
+        if size > max(LARGE_UNPACKED, 100 * packed):
             raise UnreadableFile(
                 f"cannot read {source}: its {packed} bytes unpack to {size}, almost all of them repetitions; save "
                 "a sparse matrix as the arrays data, indices, indptr and shape"

@@ -175,7 +175,7 @@ class RowData:
         limit = np.minimum(reference, self.active_reference(at))
         high = self.bound_residuals(moved, at, limit)
         relative = np.where(high == 0.0, 0.0, high / limit)
-        is_near = (self.worst(relative) <= tolerance).any()
+        is_near = np.any(self.worst(relative) <= tolerance)
         terms = self.term_residuals(moved, at, power, tolerance if is_near else -1.0)
         found = Measured(moved, self.worst(relative), False, terms=self.worst(terms), rows=at)
         is_open = ~(high <= absolute)
@@ -303,7 +303,7 @@ class RowData:
         least = np.where(np.isfinite(least), least, np.inf)
         is_excused = is_open & self._is_excused(z, at)
         found = np.where(is_excused, 0.0, least)
-        if self.anywhere(is_excused) and (self.worst(found) <= goal).any():
+        if self.anywhere(is_excused) and np.any(self.worst(found) <= goal):
             found = np.where(is_excused & self._is_harmful(z, at, is_excused), least, found)
         return found
 

@@ -176,21 +176,11 @@ def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
 def asymmetry(matrix: Matrix) -> float:
     """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 if M is exactly symmetric."""
     M = matrix.csr
-    transposed = M.T.tocsr()
-    if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(
-        M.indices, transposed.indices
-    ):
-        ours, theirs = M.data, transposed.data
-    else:
-        difference = sp.coo_array(M - transposed)
-        if difference.nnz == 0:
-            return 0.0
-        ours = np.asarray(M[difference.row, difference.col]).ravel()
-        theirs = np.asarray(M[difference.col, difference.row]).ravel()
-    unequal = ours != theirs
-    if not unequal.any():
+    difference = sp.coo_array(M - M.T)
+    if not difference.nnz:
         return 0.0
-    ours, theirs = ours[unequal], theirs[unequal]
+    at = difference.row, difference.col
+    ours, theirs = (np.asarray(M[places]).ravel() for places in (at, at[::-1]))
     larger = np.maximum(np.abs(ours), np.abs(theirs))
     return float(np.abs(ours / larger - theirs / larger).max())
 
@@ -205,12 +195,7 @@ def asymmetry_of_rows(matrix: Matrix) -> float:
     1e-18
     """
     M = matrix.csr
-    entries = sp.coo_array(M)
-    i, j = entries.row, entries.col
-    size = np.zeros(M.shape[0])
-    for at in (i, j):
-        np.maximum.at(size, at, np.abs(entries.data))
-    root = np.sqrt(size)
+    root = np.sqrt(np.maximum(largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))))
     difference = sp.coo_array(M - M.T)
     beside = np.abs(difference.data) / root[difference.row] / root[difference.col]
     return float(beside.max(initial=0.0))

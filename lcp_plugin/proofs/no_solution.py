@@ -35,6 +35,7 @@ from ..core.checks import FloatVector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
+from ..core.representation import describe_radius
 from ..core.settings import Status
 from ..systems.free_systems import FreeSystem
 from .exact import ZERO, Rational, integer_matrix, rounded_down
@@ -148,7 +149,11 @@ class NoSolutionProof:
 
     problem: LCP
     status: ClassVar[Status] = Status.NO_SOLUTION  # the proved status
-    radius: ClassVar[float] = np.inf  # it covers all z
+
+    @property
+    def radius(self) -> float:
+        """Bound of ‖z‖∞ that the proof covers."""
+        return np.inf
 
     def closings(self) -> Iterator[Margins | None]:
         """Yield the margins of each piece, (relative, absolute); None for an open piece."""
@@ -161,8 +166,8 @@ class NoSolutionProof:
 
     @cached_property
     def exact(self) -> bool:
-        """True if the stored data have no solution, by any margin; the result of `verify`."""
-        return self.verify()
+        """True if the stored data have no solution, by any margin: `verify`, for all z."""
+        return self.radius == np.inf and self.verify()
 
     @derived_property
     def _margins(self) -> Margins:
@@ -246,14 +251,16 @@ class Choices(NamedTuple):
         )
 
     def closed_by(self, y: Mapping[int, Rational]) -> Margins | None:
-        """Return the margins of the piece by a Farkas vector; None if it does not prove that the piece is empty.
+        """Return the margins of the piece by a Farkas vector; None if it does not prove that the piece is empty."""
+        found = self.contradiction(y)
+        return self.margins_of(found) if found.holds else None
+
+    def margins_of(self, found: FarkasCertificate) -> Margins:
+        """Return the margins of the piece by a certificate.
 
         Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
         margin is c / Σ share_i, the relative one c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
         """
-        found = self.contradiction(y)
-        if not found.holds:
-            return None
         scale, path = self.problem.residual_scale, self.path
         shares = [
             (i, abs(value) * Fraction(float(scale[i])))
@@ -284,6 +291,9 @@ class Infeasibility(NoSolutionProof):
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
     component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r as in
     :mod:`lcp_plugin.core.certificates.criterion`).
+
+    If (Mᵀy)_j has the wrong sign on an open side, but is at rounding level of its terms, as for M = J Jᵀ with more rows
+    than columns, the proof covers the z with |z_j| ≤ `radius` there, and c is half of its size at z = 0.
 
     Attributes
     ----------
@@ -333,16 +343,42 @@ class Infeasibility(NoSolutionProof):
         y[list(self._used)] = [float(value) for value in self._used.values()]
         return y
 
+    @cached_property
+    def _found(self) -> FarkasCertificate:
+        return Choices(self.problem, {}).contradiction(self._used)
+
+    @property
+    def radius(self) -> float:
+        """Bound of the |z_j| without bounds that the proof covers: ∞, or the value that leaves half the margin."""
+        return self._found.radius
+
+    def verify(self) -> bool:
+        """Return whether y is a proof for the z within the radius, in exact arithmetic."""
+        found, matrix = self._found, self.problem.matrix
+        if found.holds:
+            return True
+        return (
+            found.has_signs
+            and found.size > 0
+            and found.is_rounding()
+            and found.is_wide_beside_terms()
+            and (
+                not is_nearly_symmetric(matrix)
+                or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, found.left)
+            )
+        )
+
     def closings(self) -> Iterator[Margins | None]:
         """Yield the margins of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
-        yield Choices(self.problem, {}).closed_by(self._used)
+        yield Choices(self.problem, {}).margins_of(self._found) if self.verify() else None
 
     def __str__(self) -> str:
-        problem = self.problem
+        problem, points = self.problem, describe_radius(self.radius, "z")
+        how = f"checked for {points}" if points else "proof: exact"
         if is_nearly_symmetric(problem.matrix) and is_at_rest(problem.matrix.array, self.y):
             return (
                 f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
-                "way; proof: exact"
+                f"way; {how}"
             )
         rows = list(self._used)
         named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (
@@ -351,7 +387,7 @@ class Infeasibility(NoSolutionProof):
         combined = f"{len(rows)} rows are inconsistent ({named})"
         if len(rows) == 1:
             combined = f"row {rows[0]} contradicts its bounds"
-        return f"no z within its bounds gives w the signs it needs: {combined}; proof: exact"
+        return f"no z within its bounds gives w the signs it needs: {combined}; {how}"
 
     def __repr__(self) -> str:
         return f"Infeasibility({self})"

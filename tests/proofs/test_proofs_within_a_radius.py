@@ -11,8 +11,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
-from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, solve
+from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, march, solve, solve_batch
 from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
 from lcp_plugin.proofs.farkas import WIDE
@@ -214,3 +215,46 @@ def test_multipliers_of_1e21_excuse_no_gradient() -> None:
         warnings.simplefilter("ignore", UserWarning)  # cvxpy's: the answer may be inaccurate
         problem.solve(solver=QPSolver)
     assert problem.status != cp.OPTIMAL
+
+
+def low_rank(seed: int) -> tuple[Any, Any, float]:
+    """Return J with more rows than columns, a load q, and the least qᵀy over y ≥ 0, Jᵀy = 0, Σy ≤ 1 by HiGHS."""
+    rng = np.random.default_rng(seed)
+    J, q = rng.standard_normal((8, 3)), rng.standard_normal(8)
+    found = linprog(q, np.ones((1, 8)), [1.0], J.T, np.zeros(3), method="highs")
+    return J, q, float(found.fun)
+
+
+CLASSES: dict[str, Any] = {
+    "LCP": lambda M, q: solve(LCP(M, q)),
+    "batch": lambda M, q: solve_batch(M, [q, np.ones(8)])[0],
+    "march": lambda M, q: march(LCP(M, q), [q])[0],
+    "conditions of a program": lambda M, q: solve(LCP.from_qp(M, q, lower=0.0)),
+}
+
+
+@pytest.mark.parametrize("name", CLASSES)
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_a_low_rank_problem_is_infeasible_within_a_radius(name: str, seed: int) -> None:
+    """M = J Jᵀ in floating point is INFEASIBLE in every class if a load excites a zero-energy mode of J."""
+    J, q, least = low_rank(seed)
+    result = CLASSES[name](J @ J.T, q)
+    assert least < -0.1
+    assert result.status is Status.INFEASIBLE
+    proof = result.proof
+    assert proof.verify()
+    assert proof.exact == (proof.radius == np.inf)
+    assert ("up to" in str(proof)) == (proof.radius < np.inf)
+    assert proof.radius >= WIDE
+
+
+@pytest.mark.full
+def test_low_rank_problems_are_infeasible_where_their_structure_is() -> None:
+    """Of 100 random J Jᵀ all feasible ones are SOLVED, and at most 5 infeasible ones have no proof."""
+    found = {}
+    for seed in range(100):
+        J, q, least = low_rank(seed)
+        found[seed] = least, solve(LCP(J @ J.T, q))
+    assert [k for k, (least, one) in found.items() if least == 0.0 and not one.is_solved] == []
+    assert sum(least < -1e-3 and not one.has_no_solution for least, one in found.values()) <= 5
+    assert not any(least < -1e-3 and one.is_solved for least, one in found.values())

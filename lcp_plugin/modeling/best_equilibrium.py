@@ -118,7 +118,7 @@ def solve_for_the_best(
     if warm_start and "x0" not in options:
         start = model.present()
         is_start = start is not None and np.isfinite(start).all()
-        options = {**options, "x0": start if is_start else None}
+        options = {**options, "x0": _with_multipliers(program, model, start) if is_start else None}
     result = minimize_over_solutions(program, **options)
     if options["verbose"]:
         settings.LOGGER.info(result.explain())
@@ -133,6 +133,17 @@ def solve_for_the_best(
         found = result.x, slacks, float(sense_of(problem) * result.value)
     model.write_back(problem, result, found)
     return problem.value
+
+
+def _with_multipliers(program: EquilibriumProgram, model: Model, start: Any) -> Any:
+    """Return a start with multipliers of the agents' programs at its decisions, which have no values before a solve."""
+    own = [model.spans[v.id] for one in model.agents for _, v in one.conditions.rows.values()]
+    answer = program.answer(start) if own else None
+    if answer is None:
+        return start
+    for span in own:
+        start[span] = answer[span]
+    return program.with_slacks(start)
 
 
 MAX_SECONDS = 60.0  # of a search for an agent's best value

@@ -110,32 +110,6 @@ def test_an_income_that_is_not_known_to_be_concave_causes_one_warning() -> None:
         problem.solve(method="LCP")
 
 
-def test_a_leader_of_the_oligopoly_has_the_value_of_the_handwritten_model() -> None:
-    """Firm 5 leads four firms with quadratic costs."""
-    values = []
-    for is_handwritten in (True, False):
-        leads, x = cp.Variable(bounds=[0, 50]), [cp.Variable(nonneg=True) for _ in range(4)]
-        price = 100 - sum(x) - leads
-        if is_handwritten:
-            followers = [
-                complements(one >= 0, COST[k] + 2 * one - price + one >= 0)
-                for k, one in enumerate(x)
-            ]
-        else:
-            followers = [
-                optimal(
-                    cp.Problem(
-                        cp.Maximize(cp.multiply(price, one) - COST[k] * one - cp.square(one))
-                    ),
-                    over=[one],
-                )
-                for k, one in enumerate(x)
-            ]
-        income = cp.Maximize(cp.multiply(price, leads) - 2 * leads - cp.square(leads))
-        values.append(cp.Problem(income, followers).solve(method="LCP"))
-    assert values[1] == pytest.approx(values[0], rel=1e-6)
-
-
 def test_the_bilevel_program_of_pyomo_has_the_value_of_bard() -> None:
     """The leader minimizes x − 4y, the follower y: −12 at (4, 4), proved."""
     x, y = cp.Variable(), cp.Variable()

@@ -280,9 +280,18 @@ def free_with_its_equation(r: Any) -> Parts:
     return problem, [q, k], [x, y], [pair, equation, equation.second.constraint]
 
 
+def smooth(r: Any) -> Parts:
+    p, k, y = cp.Parameter(2, value=r.uniform(0.5, 1, 2)), cp.Parameter(value=1.3), cp.Variable()
+    x = cp.Variable(2, nonneg=True)
+    x.value, y.value = np.ones(2), 1.0
+    pair = complements(x, cp.exp(cp.multiply(p, x)) + x**3 / k - 3 * y)
+    row = y**3 + k * y == 2 * k + cp.sum(x) * cp.exp(-k)
+    return cp.Problem(cp.Minimize(0), [pair, row]), [p, k], [x, y], [pair]
+
+
 MODELS = (
     not_disciplined, boxed, definitions_and_equations, two_functions, several_pairs,
-    bounds_of_the_variable, chain_of_definitions, fixed_by_a_parameter, free_with_its_equation,
+    bounds_of_the_variable, chain_of_definitions, fixed_by_a_parameter, free_with_its_equation, smooth,
 )  # fmt: skip
 
 

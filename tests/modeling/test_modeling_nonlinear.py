@@ -356,32 +356,6 @@ def test_start_is_the_value_of_the_variables() -> None:
     assert x.value == pytest.approx(math.exp(-1))
 
 
-def test_solutions_have_derivatives_by_parameters() -> None:
-    """Vjp and jvp agree with differences of solutions, with parameters in all types of atoms."""
-    x, y, p, r = cp.Variable(2, nonneg=True), cp.Variable(), cp.Parameter(2), cp.Parameter()
-    x.value, y.value = np.ones(2), 1.0
-    pair = complements(x, cp.exp(cp.multiply(p, x)) + x**3 / r - 3 * y)
-    problem = cp.Problem(cp.Minimize(0), [pair, y**3 + r * y == 2 * r + cp.sum(x) * cp.exp(-r)])
-
-    def solution(at: Any) -> Any:
-        p.value, r.value = at[:2], at[2]
-        problem.solve(method="LCP", tolerance=1e-13)
-        return np.append(x.value, y.value)
-
-    at, step = np.array([0.5, 0.8, 1.3]), 1e-5
-    slopes = np.array(
-        [(solution(at + e) - solution(at - e)) / (2 * step) for e in step * np.eye(3)]
-    )
-    solution(at)
-    found = derivative(problem)
-    gradients = found.vjp({x: np.ones(2), y: 1.0})
-    np.testing.assert_allclose(np.append(gradients[p], gradients[r]), slopes.sum(axis=1), rtol=1e-7)
-    changed = found.jvp({p: np.array([0.3, -1.0]), r: 0.5})
-    np.testing.assert_allclose(
-        np.append(changed[x], changed[y]), [0.3, -1.0, 0.5] @ slopes, rtol=1e-7
-    )
-
-
 def test_affine_models_stay_lcps() -> None:
     """A constant exponential, a product with a parameter and a first power are affine."""
     x, p = cp.Variable(3), cp.Parameter(value=2.0)

@@ -250,7 +250,7 @@ def test_a_low_rank_problem_is_infeasible_within_a_radius(name: str, seed: int) 
 
 @pytest.mark.full
 def test_low_rank_problems_are_infeasible_where_their_structure_is() -> None:
-    """Of 100 random J Jᵀ all feasible ones are SOLVED, and at most 5 infeasible ones have no proof."""
+    """Among 100 random J Jᵀ, all feasible ones are SOLVED, and at most 5 infeasible ones lack a proof."""
     found = {}
     for seed in range(100):
         J, q, least = low_rank(seed)

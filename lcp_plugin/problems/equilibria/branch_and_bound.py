@@ -210,6 +210,7 @@ def minimize_over_solutions(
     search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
     limit = math.inf if max_seconds is None else float(max_seconds)
     if start is not None:  # the result is not worse than the start
+        search.start = start
         with time_limit(max(limit, SECONDS_OF_START)):
             search.local.from_point(start)
     with time_limit(limit):
@@ -242,6 +243,7 @@ class BranchAndBound:
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
         self.local = LocalSearch(self.relaxations)
+        self.start: FloatVector | None = None
         self.outside: ExternalBound | None = None
         self._outside_value = math.inf  # of SCIP's point, until it is confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
@@ -296,6 +298,8 @@ class BranchAndBound:
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:
                 return ended
+        if self.local.best is None:
+            self._try_decisions()
         if engine is None:
             return None
         ended = self._ask(engine, ends)
@@ -304,9 +308,8 @@ class BranchAndBound:
         is_said_infeasible = self.outside is not None and self.outside.status == "infeasible"
         if is_provable or (self.problem.is_convex and is_said_infeasible):  # integers or not
             return self._search(ends, math.inf if prove else MOST_UNASKED)
-        if (
-            self.problem.has_convex_relaxation
-        ):  # SCIP's bound of an objective of 0 has a rounding error
+        # SCIP's bound of an objective of 0 has a rounding error.
+        if self.problem.has_convex_relaxation and not self.tree:
             self._root()
         return None
 
@@ -317,6 +320,22 @@ class BranchAndBound:
         self._is_infeasible = root.bound == math.inf
         if root.point is not None:
             self.local.from_point(root.point)
+
+    def _try_decisions(self) -> None:
+        """Look for a first point: the pairs solved at the start, at the bounds and at the relaxation's decision."""
+        program = self.problem.program
+        nearest = np.clip(0.0, program.lower, program.upper)
+        ends = [np.where(np.isfinite(end), end, nearest) for end in (program.lower, program.upper)]
+        begin = [] if self.start is None else [self.start]
+        if self.problem.has_convex_relaxation and not self.tree:
+            self._root()
+        begin += [node.point for node in self.tree[:1] if node.point is not None]
+        for x in (*begin, *ends):
+            if is_over() or self.local.best is not None:
+                return
+            answer = self.problem.answer(self.relaxations.projected(x))
+            if answer is not None:
+                self.local.from_point(answer)
 
     def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
         """Run a global solver and store its result; return the status of a limit, or None."""

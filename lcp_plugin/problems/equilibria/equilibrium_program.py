@@ -17,9 +17,11 @@ from ...core.checks import (
     checked_vector,
     rectangular_matrix,
 )
-from ...core.errors import InvalidProblem, UnsupportedModel
+from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
 from ...proofs.exact import MOST_ENTRIES, exact_rows, rank_profile
+from ..nonlinear.data import NonlinearProblem
+from ..nonlinear.solving import solve_nonlinear
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
 
@@ -244,6 +246,66 @@ class EquilibriumProgram:
         if not 0 < columns.shape[0] * columns.shape[1] <= MOST_ENTRIES:
             return free[:0]
         return np.delete(free, rank_profile(exact_rows(columns))[0])
+
+    def answer(self, x: FloatVector) -> FloatVector | None:
+        """Return x with the pairs solved, nearly at least, while all other variables keep their values.
+
+        None unless each w is the only one in some affine or smooth equality, which then defines it.
+        """
+        held, z, w = np.array(x), self.first, self.second
+        if (definitions := self._definitions(held)) is None:
+            return None
+        rows, unit = definitions
+
+        def F(values: FloatVector) -> FloatVector:
+            held[z] = values
+            slack: FloatVector = self._equalities(held)[0][rows] / unit
+            return slack
+
+        def jacobian(values: FloatVector) -> sp.csr_array:
+            held[z] = values
+            return sp.csr_array(sp.diags_array(1.0 / unit) @ self._equalities(held)[1][rows][:, z])
+
+        problem = NonlinearProblem(F, jacobian, self.lower, self.upper)
+        # The point of an early end may pass as well.
+        options: dict[str, Any] = {"prove_infeasibility": False, "max_iterations": 30}
+        try:
+            answer = solve_nonlinear(problem, x[z], check_jacobian=False, **options)
+        except LCPError:  # the functions are not defined at the start
+            return None
+        held[z], held[w] = answer.z, answer.w
+        return held
+
+    def with_slacks(self, x: FloatVector) -> FloatVector:
+        """Return x with the w that equalities define."""
+        found = np.array(x)
+        if (definitions := self._definitions(found)) is not None:
+            rows, unit = definitions
+            found[self.second] = self._equalities(found)[0][rows] / unit
+        return found
+
+    def _definitions(self, x: FloatVector) -> tuple[Indices, FloatVector] | None:
+        """Set w to 0 in x; return the equality that defines each w, and minus its coefficient; None if one has none."""
+        x[self.second] = 0.0
+        entries = sp.csr_array(self._equalities(x)[1][:, self.second])
+        counts = np.diff(entries.indptr)
+        alone = sp.csc_array(sp.diags_array((counts == 1).astype(np.float64)) @ entries)
+        alone.eliminate_zeros()
+        if (np.diff(alone.indptr) == 0).any():
+            return None
+        first = alone.indptr[:-1]
+        return alone.indices[first].astype(np.int64), -alone.data[first]
+
+    def _equalities(self, x: FloatVector) -> tuple[FloatVector, sp.csr_array]:
+        """Return the residuals of the equalities, affine and smooth ones, and their derivatives."""
+        A, b, smooth = sp.csr_array(self.program.A), self.program.b, self.smooth
+        if smooth is None:
+            return A @ x - b, A
+        is_equality = smooth.lower == smooth.upper
+        value = (smooth.map.value(x)[1:] - smooth.lower)[is_equality]
+        return np.append(A @ x - b, value), sp.csr_array(
+            sp.vstack([A, sp.csr_array(smooth.map.jacobian(x))[1:][is_equality]])
+        )
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""

@@ -175,7 +175,7 @@ class Relaxations:
         """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 
         A convex piece is solved. Otherwise x is projected onto the linearized rows, and the objective is minimized over
-        these as long as it falls: up to four programs.
+        these as long as it falls: up to four programs. An objective that is not convex is linearized.
         """
         node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
         lower[whole] = upper[whole] = np.clip(
@@ -186,34 +186,47 @@ class Relaxations:
         x = np.clip(near, lower, upper)
         for _ in range(MOST_PROJECTIONS):
             program = self._linearized(x, lower, upper, is_feasible=node.point is not None)
+            if program is None:
+                return node
             solution = _solution_of(program)
             self.solved += 1
             if not solution.is_optimal():
                 return node
-            x = self._round_small(np.clip(solution.x, lower, upper), program)
+            step = self._round_small(np.clip(solution.x, lower, upper), program) - x
+            is_partial = node.point is not None and not self.problem.has_convex_relaxation
+            tried = [x + share * step for share in ((1.0, 0.5, 0.25) if is_partial else (1.0,))]
+            x = min(tried, key=self.problem.objective)
             if self.problem.excess(x) <= FEASIBLE:
                 if not self.problem.objective(x) < node.value:
                     return node
                 node.point, node.value = x, self.problem.objective(x)
-                if self.problem.is_convex or not self.problem.has_convex_relaxation:
+                if self.problem.is_convex:
                     return node
         return node
 
     def _linearized(
         self, x: FloatVector, lower: FloatVector, upper: FloatVector, *, is_feasible: bool
-    ) -> QuadraticProgram:
-        """Return the program over the rows linearized at x: of the point nearest to x, or of the least objective."""
+    ) -> QuadraticProgram | None:
+        """Return the program over the rows linearized at x: of the point nearest to x, or of the least objective.
+
+        None if x is outside of the domain of a smooth row.
+        """
         if self.problem.is_convex:
             return self.problem.program.with_vectors(lower=lower, upper=upper)
         own, smooth = self.problem.program, self.problem.smooth
         rows = [sp.csr_array(own.G), sp.csr_array(own.A)]
         low, high = [np.full(own.h.size, -np.inf), own.b], [own.h, own.b]
         P, c = sp.eye_array(x.size, format="csr"), -x
-        if is_feasible:
+        if is_feasible and self.problem.has_convex_relaxation:
             P, c = own.P, own.c
+        elif is_feasible:
+            P, c = sp.csr_array((x.size, x.size)), own.P @ x + own.c
+            c = c if smooth is None else c + sp.csr_array(smooth.map.jacobian(x))[[0]].toarray()[0]
         if smooth is not None:
             slopes = sp.csr_array(smooth.map.jacobian(x))[1:]
             shift = slopes @ x - smooth.map.value(x)[1:]
+            if not np.isfinite(shift).all():
+                return None
             rows.append(slopes)
             low.append(smooth.lower + shift)
             high.append(smooth.upper + shift)
@@ -226,6 +239,14 @@ class Relaxations:
             lower,
             upper,
         )
+
+    def projected(self, x: FloatVector) -> FloatVector:
+        """Return the point nearest to x that satisfies the affine rows and bounds, complementary or not."""
+        own, n = self.problem.program, x.size
+        near = QuadraticProgram(
+            sp.eye_array(n), -x, own.G, own.h, own.A, own.b, own.lower, own.upper
+        )
+        return np.clip(_solution_of(near).x, own.lower, own.upper)
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution within a large box, at its edge if the program is unbounded."""

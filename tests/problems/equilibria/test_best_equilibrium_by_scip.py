@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from functools import partial
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -186,3 +188,44 @@ def test_a_follower_of_value_0_is_polished(end: float) -> None:
     assert problem.solve(method="LCP") == pytest.approx(0.0, abs=1e-12)
     assert problem.status == cp.OPTIMAL
     assert float(x.value) == pytest.approx(-0.5671432904097838, abs=1e-9)
+
+
+def game(*, has_start: bool) -> tuple[cp.Problem, float]:
+    """A leader of a 15 × 15 game who commits to a mixed strategy; the start is an equilibrium of value 6."""
+    gains, answers = np.random.default_rng(7).integers(0, 10, (2, 15, 15)).astype(float)
+    x, y = cp.Variable(15, nonneg=True), cp.Variable(15, nonneg=True)
+    best = optimal(cp.Problem(cp.Maximize(x @ answers @ y), [cp.sum(y) == 1]), over=[y])
+    row = next(i for i in range(15) if gains[i, answers[i].argmax()] == 6)
+    if has_start:
+        x.value, y.value = np.eye(15)[row], np.eye(15)[answers[row].argmax()]
+    return cp.Problem(cp.Maximize(x @ gains @ y), [cp.sum(x) == 1, best]), 6.0 * has_start
+
+
+def routes() -> tuple[cp.Problem, float]:
+    """Tolls on two routes of which a follower uses the cheaper one: at most 2.5."""
+    y, f = cp.Variable(2, nonneg=True), cp.Variable(2, nonneg=True)
+    cost = cp.sum(cp.multiply([1, 2] + 2 * y, f))
+    best = optimal(cp.Problem(cp.Minimize(cost), [cp.sum(f) == 1, f <= 1]), over=[f])
+    return cp.Problem(cp.Maximize(cost), [y <= 1, cp.sum(y) <= 1, best]), 2.5 - 1e-6
+
+
+def quartic() -> tuple[cp.Problem, float]:
+    """A follower whose answer is a fourfold root; x = 6 gives the leader −2.25."""
+    x, y = cp.Variable(), cp.Variable()
+    best = optimal(cp.Problem(cp.Minimize((x + 2 * y - 15) ** 4), [y >= 0, y <= 10]), over=[y])
+    goal = cp.Maximize(-((x - 6) ** 2) - (y - 3) ** 2)
+    return cp.Problem(goal, [y <= x, x >= 0, x <= 10, best]), -2.26
+
+
+@pytest.mark.parametrize(
+    "model",
+    [partial(game, has_start=True), partial(game, has_start=False), routes, quartic],
+    ids=["game from an equilibrium", "game", "routes", "quartic"],
+)
+def test_followers_answers_to_a_decision_are_a_point(model: Any, without_scip: None) -> None:
+    """Every search returns a point before SCIP starts, not worse than the start, at which no follower could gain."""
+    problem, least = model()
+    problem.solve(method="LCP")
+    assert problem.value is not None
+    assert problem.value >= least
+    assert problem.constraints[-1].gap() <= 1e-6

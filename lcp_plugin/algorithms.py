@@ -128,7 +128,7 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
 
 
 def paper_options(name: str, relaxation: float | None = None) -> dict[str, Any]:
-    """Return the options of the paper's tables: no row scaling for np methods, Ω = D/2 or D/(2α²) for modulus methods.
+    """Return the options of the paper's tables: no momentum and no row scaling for np methods, Ω = D/2 or D/(2α²) else.
 
     Parameters
     ----------
@@ -149,10 +149,12 @@ def paper_options(name: str, relaxation: float | None = None) -> dict[str, Any]:
     Examples
     --------
     >>> paper_options("npsor", 1.7), paper_options("mgs")
-    ({'scaling': None, 'relaxation': 1.7}, {'omega': 0.5})
+    ({'momentum': None, 'scaling': None, 'relaxation': 1.7}, {'omega': 0.5})
     """
     if name.startswith("np"):
-        return {"scaling": None} | ({"relaxation": relaxation} if relaxation else {})
+        return {"momentum": None, "scaling": None} | (
+            {"relaxation": relaxation} if relaxation else {}
+        )
     if name == "msor" and relaxation:
         return {"relaxation": relaxation, "omega": 1.0 / (2.0 * relaxation**2)}
     if name not in ("mgs", "msor"):

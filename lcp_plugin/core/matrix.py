@@ -362,6 +362,8 @@ class IterationFacts:
         The diagonal of Ω of the modulus family.
     splitting : sparse array, shape (n, n), or None
         𝓜 of a projected splitting; `is_part_of_matrix` if each entry is 0 or the entry of M, with the full diagonal.
+    has_momentum : bool
+        Whether the iterates are extrapolated.
     """
 
     family: str
@@ -373,6 +375,7 @@ class IterationFacts:
     omega: FloatVector | None = field(default=None, repr=False)
     splitting: Any = field(default=None, repr=False)
     is_part_of_matrix: bool = False
+    has_momentum: bool = False
 
 
 BLOCK = 16_384  # rows whose temporary vectors stay in a processor's cache

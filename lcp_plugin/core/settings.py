@@ -278,6 +278,7 @@ class AlgorithmOptions(TypedDict, total=False):
     relaxation: float | str
     acceleration: float
     sweep: str
+    momentum: str | None
     scaling: str | None
     scaling_factor: float
     splitting: Any

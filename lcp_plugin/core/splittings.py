@@ -6,6 +6,8 @@ Convergence of sweeps:
   (``examples/paper_tables.py``) and plain projected Gauss–Seidel 10–16 (``lcp-plugin solve paper_example_1 -a pgs
   --tolerance 1e-5``, and ``paper_example_2``).
 - Where constraints are active, the np* methods need their row scaling, which is on by default.
+- Momentum, also on by default, divides the iterations of the np* methods by 1.3 to 25 where their steps fall slowly.
+  On grids psor needs half as many sweeps as they need with it, because its relaxation adapts to the problem.
 - psor finds a relaxation that needs at most twice the iterations of the best fixed one on a plain obstacle problem.
 - On a fine grid all of them are slow: with the best relaxation, the iterations grow with the number of nodes across,
   without it with the square of this number. multigrid takes about ten V-cycles for any n, and requires only M.
@@ -33,7 +35,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -95,6 +97,7 @@ class Splitting(Algorithm):
         x: FloatVector,
         *,
         z: FloatVector | None = None,
+        points: Extrapolations | None = None,
     ) -> Iterator[Step]:
         """Yield a step for x₀, x₁, …, with the residual that the pass to the next one measures anyway.
 
@@ -108,6 +111,8 @@ class Splitting(Algorithm):
             Overwritten.
         z : array, shape (n,), optional
             If x is not z itself: filled with the z of x.
+        points : generator, optional
+            The extrapolations of x; without them an iteration begins where the last one ended.
         """
         matrix, M = problem.matrix, problem.matrix.csr
         passes = SWEEPS[self.sweep]
@@ -118,9 +123,10 @@ class Splitting(Algorithm):
         )
         work = 1.0
         while True:
+            squares = 0.0
             for k, backward in enumerate(passes):
                 others = () if z is None else (unwanted if k else z,)
-                residual = kernel(
+                residual, change = kernel(
                     M.indptr,
                     splits[backward],
                     M.indices,
@@ -134,22 +140,99 @@ class Splitting(Algorithm):
                 )
                 if k == 0:
                     yield Step(x if z is None else z, residual, work=work)
-                x, new = new, x
+                x, new, squares = new, x, squares + change
             work = float(len(passes))
+            if points is not None:
+                x, new = points.send((x, new, squares))
+
+
+#: Sent: z⁺, an array to overwrite, ‖z⁺ − y‖²; received: y and the array.
+Extrapolations = Generator[
+    tuple[FloatVector, FloatVector], tuple[FloatVector, FloatVector, float], None
+]
+SLOW_RATIO = 0.8  # of two plain steps; momentum has nothing to gain where they fall faster
+FALL = 1.0 - 1e-6  # of the steps of a cycle; without it, a cycle might never end nor converge
+GAIN = 0.99  # of the least plain step, for a cycle that pays
+
+
+def extrapolations(
+    z: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    total: Callable[[float], float] = float,
+) -> Extrapolations:
+    """Yield the points y from which the iterations T begin: Nesterov's momentum in cycles.
+
+    In a cycle y = z⁺ + (t − 1)/t⁺ (z⁺ − z) within the bounds, with z⁺ = T(y) and t⁺ = 1/2 + √(1/4 + t²). It begins with
+    t = 1, when a plain step ‖T(z) − z‖ exceeds 0.8 of the step before, and ends when the step ‖T(y) − y‖ grows. The
+    next cycle begins at the z⁺ of this step, or of the step before if only this one was short, when it is shorter than
+    every plain step so far. Otherwise z returns to the start of the cycle, and plain iterations follow, twice as many
+    as the cycle had, or as the last return had.
+
+    So the iteration converges wherever T contracts in some norm, because then the step vanishes only at the solution,
+    and with it the error. Either an endless cycle or infinitely many cycles with a gain reduce the step to 0, or from
+    some point on all cycles are undone, and the remaining iteration is T.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        The start; overwritten.
+    lower, upper : ndarray, shape (n,)
+        Read-only.
+    total : callable
+        Returns the sum of a number over all ranks.
+
+    References
+    ----------
+    Nesterov, *A method of solving a convex programming problem with convergence rate O(1/k²)*, Soviet Mathematics
+    Doklady 27, 1983. O'Donoghue, Candès 2015, doi:10.1007/s10208-013-9150-3.
+    """
+    from .kernels.splitting_sweeps import extrapolate
+
+    start, before, spare, y = z.copy(), z.copy(), np.empty_like(z), z
+    t, last, least = 1.0, math.inf, math.inf
+    plain, wait, length = 1, 0, 0
+    while True:
+        after, spare, squares = yield y, spare
+        step, length = math.sqrt(total(squares)), length + 1
+        if plain or length == 1:
+            least = min(least, step)
+        if plain:
+            plain = max(plain - 1, int(not step > SLOW_RATIO * last))
+            y, last, is_over = after, step, not plain
+        elif step < FALL * last:
+            weight, t = t - 1.0, 0.5 + math.sqrt(0.25 + t * t)
+            extrapolate(after, weight / t, lower, upper, before)
+            y, before, last, is_over = before, after, step, False
+        else:
+            if step > GAIN * least and last <= 0.5 * least:  # a jump at the end of a good cycle
+                after, before, step = before, after, last
+            y, is_over = after, True
+            if step <= GAIN * least:
+                least, wait = step, 0
+            else:
+                np.copyto(after, start)
+                plain = wait = 2 * max(wait, length)
+        if is_over:
+            np.copyto(start, y)
+            np.copyto(before, y)
+            t, last, length = 1.0, math.inf, 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScaledByRows(Algorithm):
-    """Base of all NP iterations: a row scaling S, and a last projected Gauss–Seidel sweep."""
+    """Base of all NP iterations: momentum, a row scaling S, and a last projected Gauss–Seidel sweep."""
 
     scaling: str | None = "auto"
     scaling_factor: float = 1.0
+    momentum: str | None = "auto"
 
     reference: ClassVar[str] = (
         "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem"
     )
 
     def __post_init__(self) -> None:
+        check_choice(self, "momentum", ("auto", None))
         check_choice(self, "scaling", ("auto", "diagonal", None))
         check_positive(self, "scaling_factor")
         if self.scaling != "diagonal" and self.scaling_factor != 1.0:
@@ -157,6 +240,20 @@ class ScaledByRows(Algorithm):
                 f'{self.name}: scaling_factor={self.scaling_factor!r} needs scaling="diagonal"; '
                 f"with {self.scaling!r} it does nothing"
             )
+
+    def extrapolations(
+        self,
+        z: FloatVector,
+        lower: FloatVector,
+        upper: FloatVector,
+        total: Callable[[float], float] = float,
+    ) -> Extrapolations | None:
+        """Return the extrapolations of the iterates, which begin at z; None without momentum."""
+        if self.momentum is None:
+            return None
+        points = extrapolations(z, lower, upper, total)
+        next(points)
+        return points
 
     @abstractmethod
     def automatic_factors(self, problem: LCP) -> FloatVector | float:
@@ -201,6 +298,8 @@ class ProjectedType(ScaledByRows, Splitting):
         for every H₊-matrix with "auto", and with "diagonal" if the factor is ≤ 1.
     scaling_factor : float
         θ of the diagonal scaling, > 0.
+    momentum : {"auto", None}
+        Momentum with restarts (:func:`extrapolations`), or plain iterations (the paper).
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
 
@@ -229,7 +328,10 @@ class ProjectedType(ScaledByRows, Splitting):
         rows = np.column_stack(
             [problem.q, problem.lower, problem.upper, inverse_scale, step, pivot]
         )
-        yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), z0)
+        points = self.extrapolations(z0, problem.lower, problem.upper)
+        yield from self.swept(
+            problem, splitting_sweep, rows, (beta / alpha, True), z0, points=points
+        )
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise UnsuitableMatrix if a pivot is not positive."""
@@ -238,6 +340,7 @@ class ProjectedType(ScaledByRows, Splitting):
         self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
         return IterationFacts(
             family=PROJECTED_TYPE,
+            has_momentum=self.momentum is not None,
             relaxation=alpha,
             acceleration=beta,
             sweep=self.sweep,
@@ -280,6 +383,8 @@ class NPAOR(ProjectedType):
         Row scaling S: automatic, ``scaling_factor``/d_i with d_i the diagonal, or none (the paper).
     scaling_factor : float
         θ of the diagonal scaling, > 0.
+    momentum : {"auto", None}
+        Momentum with restarts (:func:`extrapolations`), or plain iterations (the paper).
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
 
@@ -314,6 +419,8 @@ class NPSOR(ProjectedType):
         α > 0; 1.7 is the paper's choice.
     scaling, scaling_factor : {"auto", "diagonal", None} and float
         Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    momentum : {"auto", None}
+        Momentum with restarts (:func:`extrapolations`), or plain iterations (the paper).
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
 
@@ -335,6 +442,8 @@ class NPGS(ProjectedType):
     ----------
     scaling, scaling_factor : {"auto", "diagonal", None} and float
         Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    momentum : {"auto", None}
+        Momentum with restarts (:func:`extrapolations`), or plain iterations (the paper).
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
     """
@@ -350,6 +459,8 @@ class NPJ(ProjectedType):
     ----------
     scaling, scaling_factor : {"auto", "diagonal", None} and float
         Row scaling S: automatic, ``scaling_factor``/d_i, or none (the paper); see :class:`NPAOR`.
+    momentum : {"auto", None}
+        Momentum with restarts (:func:`extrapolations`), or plain iterations (the paper).
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.
 

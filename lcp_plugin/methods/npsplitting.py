@@ -36,8 +36,8 @@ class NPSplitting(ScaledByRows):
     splitting : sparse array or array, shape (n, n), or {"diagonal", "tridiagonal", "lower"}
         𝓜, or the part of M to take: its diagonal (NPJ), three diagonals, or lower triangle (NPGS). A block
         diagonal, or the product of incomplete factors, is a good 𝓜 too.
-    scaling, scaling_factor
-        Row scaling S as in NPSOR; for a splitting of your own "auto" is 1/d_i.
+    scaling, scaling_factor, momentum
+        As in NPSOR; for a splitting of your own, scaling="auto" is 1/d_i.
 
     Raises
     ------
@@ -67,13 +67,14 @@ class NPSplitting(ScaledByRows):
         factor = self._factorize(scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
-        z = z0
+        points, z = self.extrapolations(z0, problem.lower, problem.upper), z0
         while True:
             w = problem.slack(z)
             residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
             natural = np.clip(step * w, z - problem.upper, z - problem.lower)
             yield Step(z, residual, work=work)
-            z = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
+            new = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
+            z = new if points is None else points.send((new, z, float(((new - z) ** 2).sum())))[0]
             work = (factor.nnz + problem.nonzeros) / entries
 
     def facts(self, problem: LCP) -> IterationFacts:
@@ -81,6 +82,7 @@ class NPSplitting(ScaledByRows):
         splitting = self._matrix(problem)
         return IterationFacts(
             family=PROJECTED_SPLITTING,
+            has_momentum=self.momentum is not None,
             scaling=self.row_scaling(problem),
             is_scaled=self.scaling is not None,
             splitting=splitting,

@@ -350,6 +350,10 @@ AUTOMATIC = (
     "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel does, and "
     f"M is {{}} ({CRYER})"
 )
+MOMENTUM = (
+    "{}; cycles of momentum are undone where the step does not fall, so it converges wherever the plain iteration "
+    "contracts (momentum=None has a rate)"
+)
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -610,7 +614,8 @@ def convergence_guarantee(
     Examples
     --------
     >>> from lcp_plugin import LCP
-    >>> guarantee = convergence_guarantee(LCP([[4, -1], [-1, 4]], [-3, 5]), "npsor")
+    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
+    >>> guarantee = convergence_guarantee(problem, "npsor", momentum=None)
     >>> guarantee.verdict, round(guarantee.rate, 3)
     ('guaranteed', 0.648)
     >>> round(guarantee.spectral_radius, 3), round(guarantee.jacobi_radius, 3)
@@ -637,7 +642,10 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is not None:
         options = {field.name for field in fields(algorithm)}
-        return replace(_full(problem, facts, options), facts=facts, problem=problem)
+        found = replace(_full(problem, facts, options), facts=facts, problem=problem)
+        if not (facts.has_momentum and found.is_guaranteed):
+            return found
+        return replace(found, theorem=MOMENTUM.format(found.theorem), rate=None, v=None)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
     return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")

@@ -25,6 +25,7 @@ from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
 from ..core.rounding import read_only_views
+from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.kernels import prolong, restrict
@@ -304,8 +305,9 @@ def sweep(problem: RowsOnRanks, z: FloatVector, relaxation: float = 1.0) -> Iter
         yield x[: problem.own], 1.0
 
 
-def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: float) -> Iterates:
+def projected_type(problem: RowsOnRanks, z: FloatVector, algorithm: ProjectedType) -> Iterates:
     """Yield iterates of NPAOR, (D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r(z), with S = 1/d."""
+    alpha, beta = algorithm.weights()
     halo, M, d = problem.halo, problem.rows, problem.residual_scale
     step = 1.0 / d
     pivot = step * problem.diagonal * (1.0 / alpha + 1.0) + 2.0
@@ -315,12 +317,15 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, alpha: float, beta: flo
     rows = np.column_stack([problem.q, *bounds, step, step, 1.0 / pivot])
     split, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
-    new = x.copy()
+    lower, upper = read_only_views(*bounds)
+    new, points = x.copy(), algorithm.extrapolations(x, lower, upper, halo.total)
     while True:
         halo.fetch(x)
         new[problem.own :] = x[problem.own :]
-        splitting_sweep(M.indptr, split, M.indices, M.data, rows, beta / alpha, True, False, x, new)
-        x, new = new, x
+        _, squares = splitting_sweep(
+            M.indptr, split, M.indices, M.data, rows, beta / alpha, True, False, x, new
+        )
+        x, new = (new, x) if points is None else points.send((new, x, squares))
         yield x[: problem.own], 1.0
 
 
@@ -473,12 +478,16 @@ METHODS: dict[str, Callable[..., Iterates]] = {
     "multigrid": multigrid,
     "pgs": sweep,
     "psor": lambda problem, z, relaxation=1.0: sweep(problem, z, relaxation),
-    "npsor": lambda problem, z, relaxation=1.7: projected_type(problem, z, relaxation, relaxation),
-    "npaor": lambda problem, z, relaxation=1.7, acceleration=1.0: projected_type(
-        problem, z, relaxation, acceleration
+    "npsor": lambda problem, z, relaxation=1.7, momentum="auto": projected_type(
+        problem, z, NPSOR(relaxation=relaxation, momentum=momentum)
     ),
-    "npgs": lambda problem, z: projected_type(problem, z, 1.0, 1.0),
-    "npj": lambda problem, z: projected_type(problem, z, 1.0, 0.0),
+    "npaor": lambda problem, z, relaxation=1.7, acceleration=1.0, momentum="auto": projected_type(
+        problem,
+        z,
+        NPAOR(relaxation=relaxation, acceleration=acceleration, momentum=momentum),
+    ),
+    "npgs": lambda problem, z, momentum="auto": projected_type(problem, z, NPGS(momentum=momentum)),
+    "npj": lambda problem, z, momentum="auto": projected_type(problem, z, NPJ(momentum=momentum)),
 }
 
 
@@ -500,6 +509,8 @@ def chain(
     def with_options(problem: RowsOnRanks, z: FloatVector) -> Iterates:
         try:
             return method(problem, z, **options)
+        except InvalidOption:
+            raise
         except TypeError:
             raise InvalidOption(f"{algorithm} has no such options: {sorted(options)}") from None
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from paper_tables import TOLERANCE, iterated
 from scipy.sparse.linalg import splu, spsolve_triangular
 
-from lcp_plugin.algorithms import create
+from lcp_plugin.algorithms import create, paper_options
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.gallery import build
@@ -34,7 +34,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     M, q, start = scene.problem.csr, np.array(scene.problem.q), np.array(scene.start)
 
     def ours() -> tuple[FloatVector, int]:
-        algorithm = create("npsor", {"relaxation": RELAXATION, "scaling": None})
+        algorithm = create("npsor", paper_options("npsor", RELAXATION))
         z, count, _, _ = iterated(LCP(M, q), start, algorithm)
         return z, count
 

@@ -100,7 +100,10 @@ def random_algorithm(rng: np.random.Generator, family: str, n: int) -> Algorithm
             "maor",
             {"relaxation": alpha, "acceleration": beta * 0.7, "omega": Omega, "sweep": sweep},
         )
-    scaling = {"scaling": rng.choice([None, "auto", "diagonal"])}
+    scaling = {
+        "scaling": rng.choice([None, "auto", "diagonal"]),
+        "momentum": rng.choice([None, "auto"]),
+    }
     if scaling["scaling"] == "diagonal":
         scaling["scaling_factor"] = float(rng.choice([0.3, 1.0, 1.5, 2.5]))
     if family == "splitting":

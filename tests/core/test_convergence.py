@@ -14,7 +14,7 @@ from inputs.families import BOUNDED, SWEEPERS
 from inputs.textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
+from lcp_plugin.algorithms import REGISTRY, algorithm_class, create, paper_options
 
 SLACK = 1.3  # a ceiling is a measured count times this
 
@@ -226,7 +226,7 @@ def test_np_finishes_with_exact_zeros(name: str) -> None:
 def test_the_scaling_trap_catches_the_unscaled_method() -> None:
     """Unscaled NPSOR(1.7) cycles near z*: no iterate of the first 300 has a small residual."""
     trap = scaling_trap()
-    steps = create("npsor", {"relaxation": 1.7, "scaling": None}).iterates(
+    steps = create("npsor", paper_options("npsor", 1.7)).iterates(
         trap.problem, np.array(trap.start, dtype=float)
     )
     residuals = [

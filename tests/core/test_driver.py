@@ -234,7 +234,7 @@ def test_recorded_residuals_are_those_of_the_certificate() -> None:
         solve(
             OBSTACLE.problem,
             name,
-            max_iterations=30,
+            max_iterations=20,
             callback=lambda s, z: seen.append(  # noqa: B023
                 (s.residual, Certificate.of(OBSTACLE.problem, z).relative_residual)
             ),

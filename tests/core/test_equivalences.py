@@ -143,7 +143,10 @@ def test_a_user_s_splitting_is_the_paper_s_method(kind: str) -> None:
         sp.coo_array(tridiagonal),
         "tridiagonal",
     ):
-        assert_same(iterates(NPSplitting(splitting=splitting, scaling=None), problem), literal)
+        assert_same(
+            iterates(NPSplitting(splitting=splitting, scaling=None, momentum=None), problem),
+            literal,
+        )
 
 
 AOR = pytest.mark.parametrize(
@@ -171,7 +174,8 @@ def test_npaor_projects_each_component_at_once(
         path.append(new)
         z = new
     assert_same(
-        iterates(NPAOR(relaxation=alpha, acceleration=beta, scaling=None), problem), np.array(path)
+        iterates(NPAOR(relaxation=alpha, acceleration=beta, scaling=None, momentum=None), problem),
+        np.array(path),
     )
 
 

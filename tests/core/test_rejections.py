@@ -284,6 +284,7 @@ BAD_VALUES: dict[str, list[Any]] = {
     "acceleration": [NAN, INF, -INF, *NO_NUMBER],
     "scaling": ["diag", "Auto", "none", "Diagonal", 2.0, True, ["diagonal"]],
     "scaling_factor": NO_POSITIVE_NUMBER,
+    "momentum": ["none", "Auto", 0.9, True],
     "sweep": ["up", "Forward", "", None, True, 1, ["forward"]],
     "omega": [0, -1, NAN, INF, "x", True, None],
     "splitting": ["diag", ""],

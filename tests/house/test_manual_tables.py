@@ -132,7 +132,7 @@ def modulus_step(omega: float, alpha: float, beta: float) -> Callable[[Any], Any
     return step
 
 
-PLAIN: dict[str, Any] = {"scaling": None}
+PLAIN: dict[str, Any] = {"scaling": None, "momentum": None}
 FORMULAS: dict[str, tuple[str, dict[str, Any], Callable[[Any], Any]]] = {
     "npj": ("(2D + 2I)(z⁺ − z) = −2 min(z, w)", PLAIN, np_step(2 * D + 2 * UNIT)),
     "npgs": ("(2D + 2I − L)(z⁺ − z) = −2 min(z, w)", PLAIN, np_step(2 * D + 2 * UNIT - L)),

@@ -33,7 +33,7 @@ from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems.comparison import nonnegative_radius
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
-UNSCALED: dict[str, Any] = {"scaling": None}
+UNSCALED: dict[str, Any] = {"scaling": None, "momentum": None}
 
 
 def with_matrix(M: Any) -> LCP:
@@ -62,7 +62,7 @@ def test_no_run_contradicts_a_guarantee(seed: int) -> None:
         ("pj", {}, 0.5),
         ("pgs", {}, 0.5),  # row 1 uses the new value of row 0: 0 there
         ("psor", {"relaxation": 1.2}, 0.8),  # row 0: 0.2 + 1.2/2
-        ("npj", {"scaling": "diagonal"}, 0.75),  # (1 + 1 + 2 − 2·(1 − ½))/4
+        ("npj", {"scaling": "diagonal", "momentum": None}, 0.75),  # (1 + 1 + 2 − 2·(1 − ½))/4
         ("mgs", {}, 0.5),
     ],
 )
@@ -79,7 +79,8 @@ def test_rates_of_a_matrix_by_hand(name: str, options: dict[str, Any], rate: flo
 def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -> None:
     """c/(1 − c)‖z_k − z_{k−1}‖_v v bounds the error of every iterate, by less than a factor of 1000."""
     scene = gallery.half_active(n=100)
-    algorithm = create(name, {"sweep": sweep})
+    plain = {"momentum": None} if name.startswith("np") else {}
+    algorithm = create(name, {"sweep": sweep, **plain})
     guarantee = convergence_guarantee(scene.problem, algorithm)
     assert guarantee.speaks_of == "z"
     rate, v = guarantee.rate, guarantee.v
@@ -429,7 +430,10 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
     """The command prints claims, algorithms, the paper's variants and its theorem."""
     result = told("paper_example_1:n=100")
     assert result.exit_code == 0
-    for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
+    for words in (
+        "H₊-matrix                     yes",
+        "npsor, momentum=none, scaling=none not covered",
+    ):
         assert words in result.stdout
     assert (
         "not covered by the original Theorem 4.2 (ρ|L+U| = 3.84); covered after diagonal scaling"

@@ -27,7 +27,7 @@ from .rows import clamp, halves_of_row, residual_of_row, without_nearest
 def splitting_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, coupling, projected, backward, z, new
 ):
-    """Write the next iterate of an AOR-type splitting into `new`; return the norm of the residual of z.
+    """Write the next iterate of an AOR-type splitting into `new`; return the residual of z, and Σ (new_i − z_i)².
 
     `rows` holds q, lower, upper, inverse_scale, step, inverse_pivot. With w = M z + q at the old z and
     c_i = Σ m_ij (new_j − z_j) over the columns j already updated:
@@ -37,11 +37,12 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         otherwise:  new_i = mid(l_i, u_i, z_i − step_i (w_i + coupling c_i) inverse_pivot_i)
 
     r_i is computed as mid(z_i − u_i, z_i − l_i, step_i w_i), the same number without cancelling a small w
-    against a large z. Returns max_i |mid(z_i − u_i, z_i − l_i, inverse_scale_i w_i)|.
+    against a large z. The residual is max_i |mid(z_i − u_i, z_i − l_i, inverse_scale_i w_i)|.
     """
     n = uintp(rows.shape[0])
     one = uintp(1)
     largest = 0.0
+    squares = 0.0
     near = 0.0
     for k in range(n):
         i = n - one - k if backward else k
@@ -78,7 +79,15 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         )
         new[i] = value
         near = value - zi
-    return largest
+        squares += near * near
+    return largest, squares
+
+
+@kernel
+def extrapolate(after, weight, lower, upper, before):  # type: ignore[no-untyped-def]
+    """Overwrite `before` by mid(lower, upper, after + weight (after − before)), without ghosts at the end of both."""
+    for i in range(lower.size):
+        before[i] = clamp(after[i] + weight * (after[i] - before[i]), lower[i], upper[i])
 
 
 @kernel
@@ -132,7 +141,7 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
 
         new_i = x_i − (2 α (w_i − Ω_i max(−x_i, 0)) + β c_i) inverse_pivot_i
 
-    Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)|.
+    Returns max_i |min(z_i − lower_i, w_i inverse_scale_i)|, and 0.
     """
     n = uintp(rows.shape[0])
     one = uintp(1)
@@ -162,4 +171,4 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
             - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c)
             * rows[i, 4]
         )
-    return largest
+    return largest, 0.0

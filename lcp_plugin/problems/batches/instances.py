@@ -27,7 +27,7 @@ from ..least_squares.data import BoundedLeastSquares, times
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack
 from ..many import length_of_all, rows_of_a_batch
 
-WORK = 2**23  # problems times n³ per stack of LCPs
+WORK = 2**18  # problems times n² per stack of LCPs
 TOGETHER = 2048  # instances per stack: fewer cost more calls, more leave a second thread idle
 CONES_UP_TO = 400  # rows of a problem over cones in a stack
 #: Items, and a function that returns z, residual, iterations and is_solved of these.
@@ -64,9 +64,9 @@ class Group(NamedTuple):
         return [np.broadcast_to(getattr(self, name), shape) for name in names]
 
     def stacks(self, tolerance: float) -> Stacks:
-        """Yield stacks of about 20 ms."""
+        """Yield stacks of 5 to 10 ms, so that small batches also give each thread a part."""
         n = self.M.shape[1]
-        size, is_compiled = max(1, WORK // n**3), suits_loop(self.items.size, n)
+        size, is_compiled = max(1, WORK // n**2), suits_loop(self.items.size, n)
         for first in range(0, self.items.size, size):
             part = self.select(slice(first, first + size))
             names = ("q", "lower", "upper", *(["starts"] if part.starts.shape[1] else []))

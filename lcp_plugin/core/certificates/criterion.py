@@ -418,7 +418,8 @@ class RowData:
                     e[k] = splu(csc_array(part)).solve(w[k])
         except (np.linalg.LinAlgError, RuntimeError):  # singular
             return np.full(w.shape, np.inf)
-        return np.abs(e)
+        sizes: FloatVector = np.abs(e)
+        return sizes
 
     @cached_property
     def diagonal(self) -> FloatVector:

@@ -24,7 +24,7 @@ import math
 import time
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -197,12 +197,12 @@ def cross_validate(
         reason = f"{name} computed our solution too (interior_point); choose another reference"
         return found("not comparable", reason)
     tight = CLARABEL_OPTIONS if name == "CLARABEL" else {}
-    reply = convex.solve_by(name, max_seconds, **tight | options)
-    if reply.z is None:
-        return found("not comparable", f"{name} gave no point: {reply.status}")
-    theirs = polish(Certificate.of(problem, reply.z))
+    z, took, told = convex.solve_by(name, max_seconds, **tight | options)
+    if z is None:
+        return found("not comparable", f"{name} gave no point: {told}")
+    theirs = polish(Certificate.of(problem, z))
     facts, agreement = convex.compare(ours, theirs)
-    found = partial(found, theirs=theirs, reference_seconds=reply.seconds, **facts)
+    found = partial(found, theirs=theirs, reference_seconds=took, **facts)
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
     )
@@ -282,14 +282,6 @@ class CvxpySolver(Engine):
         return EngineAnswer(x.value, y, 0, EngineStatus.OPTIMAL)
 
 
-class Reply(NamedTuple):
-    """cvxpy's status or the message of an exception, seconds with cvxpy's part, and z or None."""
-
-    status: str
-    seconds: float
-    z: FloatVector | None
-
-
 @dataclass(frozen=True, eq=False)
 class ConvexForm:
     """The problem in equilibrated unknowns y = weight · z, and the kind of its convex program.
@@ -337,14 +329,16 @@ class ConvexForm:
         evidence = f"{matrix} positive semidefinite: factorized at shift {shift:.1e}"
         return cls(kind, evidence, problem, root / unit)
 
-    def solve_by(self, name: str, max_seconds: float, **options: Any) -> Reply:
-        """Solve the program by a convex solver; an exception becomes the status."""
+    def solve_by(
+        self, name: str, max_seconds: float, **options: Any
+    ) -> tuple[FloatVector | None, float, str]:
+        """Return z or None, seconds with cvxpy's part, and cvxpy's status or the message of an exception."""
         limit = {TIME_LIMITS[name]: max_seconds} if name in TIME_LIMITS else {}
         solver = CvxpySolver(**limit | options)
         solver.solver, began = name, time.perf_counter()
         y, _ = MonotoneProgram.of(self.problem).answer(solver)
         z = y / self.weight if np.isfinite(y).all() else None
-        return Reply(solver.status, time.perf_counter() - began, z)
+        return z, time.perf_counter() - began, solver.status
 
     def compare(self, ours: Certificate, theirs: Certificate) -> tuple[dict[str, float], str]:
         """Return the differences as fields of a CrossCheck, and the words of an agreement."""

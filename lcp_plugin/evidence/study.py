@@ -253,7 +253,7 @@ class Study:
             return axes.figure
         groups = self._groups(lambda row: (row.problem, row.size if is_curves else None))
         titles = [
-            _title(problem) + ("" if size is None else f", n = {rows[0].n}")
+            re.sub(r"([:,])", r"\1 ", problem) + ("" if size is None else f", n = {rows[0].n}")
             for (problem, size), rows in groups.items()
         ]
         with panels(titles, width) as every:
@@ -327,10 +327,6 @@ def _cell(row: Measurement, name: str) -> Any:
     if not row.is_solved:
         return row.status.replace("_", " ").lower()
     return row.iterations if name == "iterations" else _value(row, name)
-
-
-def _title(problem: str) -> str:
-    return re.sub(r"([:,])", r"\1 ", problem)
 
 
 def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: Any) -> None:
@@ -616,12 +612,12 @@ def _measurements(
         return
     for name in references:
         say(f"{label}, n = {scene.n}: {name}")
-        reply = convex.solve_by(name, max_seconds)
+        z, seconds, told = convex.solve_by(name, max_seconds)
         method, status, points = Method(name, name, "reference"), "ERROR", NO_POINTS
-        if reply.z is not None:
-            status = reply.status.upper()
-            points = np.array([(math.nan, math.nan, *[reply.seconds] * 3, *measure(reply.z))])
-        yield _row(blank, method, status, points, reply.status)
+        if z is not None:
+            status = told.upper()
+            points = np.array([(math.nan, math.nan, *[seconds] * 3, *measure(z))])
+        yield _row(blank, method, status, points, told)
 
 
 def _row(

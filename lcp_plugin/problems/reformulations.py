@@ -169,17 +169,12 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     if not missed.any():
         return np.ones_like(payoffs)
     least, most = (
-        _power_of_two(float(size)) for size in (missed[missed > 0.0].min(), missed.max())
+        2.0 ** (math.frexp(size)[1] - 1) for size in (missed[missed > 0.0].min(), missed.max())
     )
     # Costs do not overflow
     unit = max(min(most, 2.0**3 * least), 2.0**-900)  # no difference is lost
     costs: FloatMatrix = 1.0 + missed / unit
     return costs
-
-
-def _power_of_two(size: float) -> float:
-    """Return the largest one that is no larger."""
-    return 2.0 ** (math.frexp(size)[1] - 1)
 
 
 def _dense(matrix: Any) -> FloatMatrix:

@@ -271,14 +271,6 @@ KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spit
 Multipliers = FloatVector | Sequence[Rational]
 
 
-@dataclass(frozen=True)
-class FarkasAnswer:
-    """Optimum and multipliers in the scale of the program."""
-
-    optimum: float
-    multipliers: FloatVector
-
-
 @dataclass(eq=False)
 class FarkasProgram:
     """min qᵀy + Σ sup over the bounds of (Mᵀy)_j x_j, y of the signs that a Farkas vector needs, Σ|y_i| weight_i ≤ 1.
@@ -326,17 +318,13 @@ class FarkasProgram:
             margin = float(-optimum * self._scaled_unit / np.float64(self.constraints.reference))
         return margin if np.isfinite(margin) else 0.0
 
-    def solve(self) -> FarkasAnswer | None:
-        """Return the optimum, or None if it took more pivots or time than there is."""
-        form = self._form
-        result = linear_program(
-            form.cost, form.equations, 0.0, (0.0, None), (form.norm[None, :], [1.0]), self.pivots
-        )
-        if result is None:
-            return None
-        return FarkasAnswer(float(result.fun), result.x)
+    def solve(self) -> Any:
+        """Return HiGHS's result with the optimum, or None if it took more pivots or time than there is."""
+        form, bound = self._form, (0.0, None)
+        norm = form.norm[None, :], [1.0]
+        return linear_program(form.cost, form.equations, 0.0, bound, norm, self.pivots)
 
-    def proof(self, answer: FarkasAnswer, proven: Callable[[Multipliers], Any]) -> Any:
+    def proof(self, answer: Any, proven: Callable[[Multipliers], Any]) -> Any:
         """Return the first proof of all x with half the predicted margin, else one with the largest margin, or None.
 
         A proof within a radius is returned only if no other has been found.
@@ -346,7 +334,7 @@ class FarkasProgram:
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None if that is none.
         """
-        wanted, found = 0.5 * self.margin_of(answer.optimum), list[Any]()
+        wanted, found = 0.5 * self.margin_of(answer.fun), list[Any]()
         for y in self._tried(answer):
             found += filter(None, [proven(y)])
             is_enough = found and found[-1].radius == math.inf and found[-1].margin >= wanted
@@ -354,15 +342,15 @@ class FarkasProgram:
                 break
         return max(found, key=lambda one: (one.radius == math.inf, one.margin), default=None)
 
-    def polished(self, answer: FarkasAnswer) -> FloatVector:
+    def polished(self, answer: Any) -> FloatVector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
-        y = self._form.vector(answer.multipliers)
+        y = self._form.vector(answer.x)
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
 
-    def _tried(self, answer: FarkasAnswer) -> Iterator[Multipliers]:
+    def _tried(self, answer: Any) -> Iterator[Multipliers]:
         """Yield vectors near the answer, then near others that leave slack: in all one-sided bounds, then in each."""
         form = self._form
-        yield from self.candidates(form.vector(answer.multipliers))
+        yield from self.candidates(form.vector(answer.x))
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(form.m), is_open)[form.place]
         own = sp.eye_array(form.cost.size, format="csr")
@@ -371,7 +359,7 @@ class FarkasProgram:
             if moved is not None:
                 yield from self.candidates(form.vector(moved))
 
-    def _with_slack(self, answer: FarkasAnswer, slacks: sp.csr_array) -> FloatVector | None:
+    def _with_slack(self, answer: Any, slacks: sp.csr_array) -> FloatVector | None:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
 
         A vertex has as few positive multipliers as it can: if the coefficients carry rounding errors, those may
@@ -386,7 +374,7 @@ class FarkasProgram:
             form.equations @ both,
             0.0,
             np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
-            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.optimum]),
+            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.fun]),
             self.pivots,
         )
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
@@ -551,7 +539,7 @@ def best_proof(
         farkas = FarkasProgram(stated(unit), unit, pivots)
         answer = farkas.solve()
         # The linear program cannot distinguish less from 0
-        if answer is None or answer.optimum > -1e-9:  # they seem consistent
+        if answer is None or answer.fun > -1e-9:  # they seem consistent
             continue
         proof = None if exactly else proven(farkas.polished(answer))
         if proof is None or not proof.excludes(ENOUGH):

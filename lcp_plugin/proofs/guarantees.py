@@ -179,13 +179,6 @@ def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
     )
 
 
-def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
-    """Return the sums in the order of each pass of one iteration."""
-    exchanged = sums[1], sums[0]
-    passes = {"forward": [sums], "backward": [exchanged], "symmetric": [sums, exchanged]}
-    return passes["forward" if facts.family == PROJECTED_SPLITTING else facts.sweep]
-
-
 #: A rate, None if it rounds to 1, and the weights v of ‖·‖_v, None without a rate.
 Contraction = tuple[float | None, FloatVector | None]
 
@@ -200,14 +193,17 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contract
     v : array, shape (n,)
         Positive.
     """
-    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
+    has_splitting = facts.family == PROJECTED_SPLITTING
+    if has_splitting and not facts.is_part_of_matrix:
         return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
     sums = sums_for(facts, problem, v)
+    exchanged = sums[1], sums[0]
+    passes = {"forward": [sums], "backward": [exchanged], "symmetric": [sums, exchanged]}
     terms, bound = longest_row(problem.matrix), row_bound(facts, problem)
     lost = underflow(v, terms)
     found = [
         float(gaps(bound, v, (updated + lost, rest + lost), terms).min(initial=1.0))
-        for updated, rest in _directed(facts, sums)
+        for updated, rest in passes["forward" if has_splitting else facts.sweep]
     ]
     if not min(found) > 0.0:
         return None

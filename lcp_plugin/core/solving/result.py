@@ -172,8 +172,9 @@ class BaseResult(Outcome):
     @np.errstate(all="ignore")
     def explain(self) -> str:
         """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
-        lines = [*self._verdict(), *self._course(), *stage_lines(self.stages), *self._remarks()]
-        return "\n".join(lines)
+        gains = [agent.describe_gap() for agent in self.agents]
+        course = [self._effort(), *filter(None, [self.begun]), *gains, *stage_lines(self.stages)]
+        return "\n".join([*self._verdict(), *course, *self._remarks()])
 
     def _remarks(self) -> list[str]:
         """Return the last lines of the explanation."""
@@ -191,11 +192,6 @@ class BaseResult(Outcome):
             *why,
             *more,
         ]
-
-    def _course(self) -> list[str]:
-        """Return lines with the methods, their effort, and the starting point if the caller did not choose it."""
-        gains = [agent.describe_gap() for agent in self.agents]
-        return [self._effort(), *([self.begun] if self.begun else []), *gains]
 
     def _effort(self) -> str:
         """Return the name of the algorithm, its iterations and seconds."""

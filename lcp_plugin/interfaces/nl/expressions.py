@@ -227,17 +227,14 @@ class _ExpressionReader:
             found = Sum({n + number: 1.0}, 0.0)
         self._defined.append(found)
 
-    def _use(self, number: int) -> Sum:
-        """Return a defined variable, which is moved, not copied, if only one sum uses it."""
-        found = self._defined[number]
-        return found if self._uses[number] == 1 else replace(found, terms=dict(found.terms))
-
     def _leaf(self, kind: int, value: float) -> Sum:
         if kind == NUMBER:
             return Sum({}, value)
         column = int(value)
         if column >= self.n:
-            return self._use(column - self.n)
+            found = self._defined[column - self.n]  # moved, not copied, if only one sum uses it
+            is_shared = self._uses[column - self.n] != 1
+            return replace(found, terms=dict(found.terms)) if is_shared else found
         known = self._known[column]
         return Sum({column: 1.0}, 0.0) if known is None else Sum({}, known)
 

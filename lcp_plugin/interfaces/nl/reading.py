@@ -603,13 +603,10 @@ class _Reader:
         if count in (NARY, PIECEWISE):
             (given,) = source.row("i")
             factor = 1 if count == NARY else 2
-            self._require_operands(given, factor)
+            if not factor <= given <= len(self.source.data):
+                self.source.fail(f"an operator cannot have {given} operands here")
             count = factor * given
         return kind, number, count
-
-    def _require_operands(self, count: int, least: int) -> None:
-        if not least <= count <= len(self.source.data):
-            self.source.fail(f"an operator cannot have {count} operands here")
 
     def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
         """Read `count` indices below `reach` with their values."""

@@ -417,7 +417,9 @@ class _Trace:
     def _add(self, piece: Piece) -> None:
         """Add a segment; record a jump or a line of solutions if the path is discontinuous."""
         path = self.path
-        if path.pieces and _is_apart(path.pieces[-1].z_at(piece.begin), piece.z0):
+        before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
+        change, size = (np.abs(one).max(initial=0.0) for one in (before - piece.z0, before))
+        if change > SAME * (1.0 + size):
             # All solutions of a monotone problem are one convex set.
             (path.segments if self.line.is_monotone else path.jumps).append(piece.begin)
         path.pieces.append(piece)
@@ -430,8 +432,3 @@ class _Trace:
         slope, n = toward * rate, self.line.problem.lower.size
         case = self.problem.active_set_of(line.steps)
         return Piece(begin, self.theta(line.end), z[:n], slope[:n], case, z, slope)
-
-
-def _is_apart(one: FloatVector, other: FloatVector) -> bool:
-    """Return whether two solutions just before and just after a value of θ differ."""
-    return bool(np.abs(one - other).max(initial=0.0) > SAME * (1.0 + np.abs(one).max(initial=0.0)))

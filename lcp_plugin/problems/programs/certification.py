@@ -311,13 +311,9 @@ class ProgramProofs:
         """
         found = [point for x in near if (point := self.points.find_near(x)) is not None]
         if "own_solution" in self.__dict__ or (self.is_small and by_own):
-            found += self._own_point
+            own = None if self.own_solution is None else self.points.find_near(self.own_solution.x)
+            found += [] if own is None else [own]
         return found if found or not exactly else self._inside
-
-    @derived_property
-    def _own_point(self) -> list[FeasiblePoint]:
-        own = None if self.own_solution is None else self.points.find_near(self.own_solution.x)
-        return [] if own is None else [own]
 
     @derived_property
     def _inside(self) -> list[FeasiblePoint]:
@@ -342,7 +338,7 @@ class ProgramProofs:
     def prove_claim(self, claim: str, tolerance: float) -> Certification:
         """Return the verdict on a claim, "infeasible" or "unbounded"."""
         if (proof := self.no_minimum) is not None:
-            if proof.verdict != claim:
+            if proof.status.name.lower() != claim:
                 return Certification("disproved", claim, reason=f"the program is {proof}")
             if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
                 return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")

@@ -76,7 +76,6 @@ class QPInfeasibility:
     """
 
     program: QuadraticProgram = field(repr=False)
-    verdict: ClassVar[str] = "infeasible"
     status: ClassVar[Status] = Status.INFEASIBLE
     multipliers: tuple[Fraction, ...]
 
@@ -188,7 +187,6 @@ class QPUnboundedness:
     """
 
     program: QuadraticProgram = field(repr=False)
-    verdict: ClassVar[str] = "unbounded"
     status: ClassVar[Status] = Status.UNBOUNDED
     point: tuple[Fraction, ...]
     direction: tuple[Fraction, ...]

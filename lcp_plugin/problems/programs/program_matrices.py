@@ -27,6 +27,7 @@ from ...core.checks import (
 from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products, row_numbers
 from ...core.rounding import compensated_product, upper_end
+from ...core.settings import Status
 from ...proofs.exact import Row, like, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
@@ -663,7 +664,7 @@ class FoldedRows:
         if found is None or self.reduced is self.program:
             return found
         proof: Any = replace(found, program=self.program)
-        if found.verdict == "infeasible":
+        if found.status is Status.INFEASIBLE:
             whole = self.multipliers(np.array(proof.multipliers, dtype=object))
             proof = replace(proof, multipliers=tuple(map(Fraction, whole)))
         return proof if proof.verify() else None

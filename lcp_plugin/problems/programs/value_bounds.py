@@ -93,7 +93,11 @@ class DualBounds:
             return -np.inf
         given = self.admit(x, y)
         found, points = self.value(given), [given]
-        if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
+        y = given.y  # degenerate multipliers must be 0
+        clean = given._replace(
+            y=np.where(np.abs(y) <= 2.0**-44 * np.abs(y).max(initial=0.0), 0.0, y)
+        )
+        if found < enough and clean.y.any():
             points.append(clean)
             found = max(found, self.value(clean))
         for slack in SLACKS:
@@ -278,11 +282,6 @@ class DualBounds:
     @cached_property
     def _exact_stacked(self) -> list[Row]:
         return rational_rows(self._stacked)
-
-
-def _without_rounding(y: FloatVector) -> FloatVector:
-    """Return multipliers with 0 for entries at rounding level, because degenerate multipliers must be 0."""
-    return np.where(np.abs(y) <= 2.0**-44 * np.abs(y).max(initial=0.0), 0.0, y)
 
 
 def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:

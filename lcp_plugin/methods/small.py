@@ -119,10 +119,11 @@ def _components(sizes: FloatVector) -> Any:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    (count, n), graph = sizes.shape[:2], ((sizes + sizes.swapaxes(1, 2)) > 0.0) * 1.0
+    count, n = sizes.shape[:2]
+    graph: Any = ((sizes + sizes.swapaxes(1, 2)) > 0.0) * 1.0
     reached, before = graph[:, 0], 0
     while np.count_nonzero(reached) > before:
-        before = np.count_nonzero(reached)
+        before = int(np.count_nonzero(reached))
         reached = reached + times(graph, reached) > 0.0
     if before == count * n:
         return None

@@ -352,7 +352,7 @@ def run_on(
             polish=_polish,
             is_guaranteed=partial(_is_contraction, problem, method),
         )
-        goal = run.test.goal
+        goal = run.goal
         result: Result = run.solve(
             plan(problem, method, goal, prove_infeasibility=proofs, begin=begin)
         )

@@ -37,7 +37,7 @@ from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import scale_by
 from ..core.problem_classes import refusal
-from ..core.settings import Settings, Status
+from ..core.settings import Status
 from ..core.solving.result import Result
 from ..engines import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ..methods.interior_point import MonotoneProgram, signs_of
@@ -212,7 +212,8 @@ def cross_validate(
         return found("not comparable", reason)
     if is_false or not np.isfinite(ours.z).all():
         return found("mismatch", f"our status {status} is false, {name} is accurate: {residuals}")
-    if not ours.meets(Settings(tolerance=1e-3 if is_claimed else ACCURATE_TOLERANCE)):
+    enough = 1e-3 if is_claimed else ACCURATE_TOLERANCE
+    if not ours.criterion.measure_at(ours.z, ours.w, enough).passes:
         return found("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
         return found(
@@ -225,11 +226,10 @@ def cross_validate(
 
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
     """Return whether the status is true for the certificate computed here."""
-    if result.is_solved:
-        return ours.meets(
-            Settings(tolerance=result.tolerance, absolute_tolerance=result.absolute_tolerance)
-        )
-    return ours.is_at_rounding_level
+    found = ours.criterion.measure_at(
+        ours.z, ours.w, result.tolerance, absolute=result.absolute_tolerance
+    )
+    return bool(found.passes if result.is_solved else ours.is_at_rounding_level)
 
 
 def _largest(values: FloatVector) -> float:

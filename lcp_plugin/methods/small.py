@@ -61,8 +61,7 @@ class Rounds(Algorithm):
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
         for label, z, entries in candidates(data, z0, restarts=self.restarts):
             if np.isfinite(z).all():
-                found = measure(data, z, 0.0)
-                yield Step(found.z, work=entries / unit, label=label, measured=found)
+                yield Step(data.snap(normal(data, z))[0], work=entries / unit, label=label)
 
 
 def first_candidate(
@@ -73,7 +72,7 @@ def first_candidate(
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     data = dense_data(problem)
-    if not data.reference.all() or (z0 is not data.start and measure(data, z0, tolerance).passes):
+    if data.is_at_start.any() or (z0 is not data.start and measure(data, z0, tolerance).passes):
         return None
     label, z, entries = next(candidates(data, z0))
     found = measure(data, z, tolerance)
@@ -133,12 +132,16 @@ def _components(sizes: FloatVector) -> Any:
     return None if (labels == labels[:, :1]).all() else labels
 
 
-def measure(data: RowData, z: FloatVector, tolerance: float) -> Measured:
-    """Measure points at the ends of linear solves, within their bounds, without values whose products underflow."""
+def normal(data: RowData, z: FloatVector) -> FloatVector:
+    """Return points at the ends of linear solves, within their bounds, without values whose products underflow."""
     size = np.abs(z)
     least = SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0)
-    z = np.minimum(np.maximum(np.where(size > least, z, 0.0), data.lower), data.upper)
-    return data.measure(z, tolerance, power=1.0)
+    return np.minimum(np.maximum(np.where(size > least, z, 0.0), data.lower), data.upper)
+
+
+def measure(data: RowData, z: FloatVector, tolerance: float) -> Measured:
+    """Measure points at the ends of linear solves."""
+    return data.measure_at(*data.snap(normal(data, z)), tolerance, power=1.0)
 
 
 def suits_loop(count: int, n: int) -> bool:

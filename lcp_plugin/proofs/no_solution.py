@@ -27,7 +27,6 @@ import scipy.sparse as sp
 
 from ..core.certificates.criterion import (
     reference_residual,
-    references_of_components,
     rounding_of_data,
     row_data,
 )
@@ -271,7 +270,7 @@ class Choices(NamedTuple):
             for i, value in found.product.items()
             if path.get(i) == (LOWER if value > 0 else UPPER)
         ]  # of z_i from its bound
-        most = references_of_components(self.problem)[1]
+        most = row_data(self.problem).references[1]
         reference = np.broadcast_to(most, (self.problem.n,))
         is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
         if not is_safe.all():  # a reference may be rounded to 0, or to ∞

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
-from ..core.certificates.criterion import RowData, RowsAtPoint
+from ..core.certificates.criterion import RowData, VectorEnds, divide_nonnegative
 from ..core.certificates.measured import Measured
 from ..core.checks import FloatVector, read_only
 from ..core.deadline import Clock
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from .halo import Halo
     from .problem import RowsOnRanks
 
-SHARP = 1.5  # times the residual in double precision that rounding may add before it is enclosed sharply
 GAINS = (1e-2, 1e-6)  # relative residuals of ⟨M⟩v = diag(M) after which v is tried
 MOST_STEPS = 30  # v grows indefinitely if M is not an H₊-matrix
 
@@ -91,7 +90,7 @@ class CertificateOnRanks:
     scaled_residual: float
     relative_residual: float
     term_residual: float
-    is_at_rounding_level: bool
+    is_limited: bool
     is_solved: bool
 
 
@@ -140,15 +139,10 @@ class RowDataOnRanks(RowData):
         """Return ∞, because no rank has all rows."""
         return np.full(v.shape, np.inf)
 
-    def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
-        """Return an upper bound of every |r_i(z)|, by sums in twice the precision if rounding decides."""
-        high = self.residual_ends(z, at.w, at.rounding)[1]
-        r, worst = np.abs(self.residual(z, at.w)), self.worst
-        if worst(self.largest(high) / limit) > SHARP * worst(self.largest(r) / limit):
-            problem = self.problem
-            ends = compensated_product(problem.rows, problem.halo.whole(z), problem.q)
-            high = self.residual_ends(z, *ends)[1]
-        return high
+    def sharp_product(self, z: FloatVector) -> VectorEnds:
+        """Return M z + q by sums in twice the precision, and bounds of their errors."""
+        problem = self.problem
+        return compensated_product(problem.rows, problem.halo.whole(z), problem.q)
 
     def largest_products(self, x: FloatVector) -> FloatVector:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
@@ -160,16 +154,14 @@ def measured(
     data: RowDataOnRanks, z: FloatVector, tolerance: float, absolute: float
 ) -> CertificateOnRanks:
     """Return the certificate of a point by the criterion of a single process."""
-    found, halo = data.measure(z, tolerance, absolute=absolute), data.problem.halo
-    at = found.rows
-    floor = 4.0 * data.rounding_floor(at.terms)
+    found = data.measure(z, tolerance, absolute=absolute)
     return CertificateOnRanks(
         found.z,
-        at.w,
-        halo.largest(data.residual_ends(found.z, at.w, at.rounding)[1]),
-        found.residual,
-        found.terms,
-        halo.everywhere(np.abs(data.residual(found.z, at.w)) <= floor),
+        found.rows.w,
+        data.worst(found.by_row.high),
+        data.worst(divide_nonnegative(found.by_row.high, found.by_row.reference)),
+        data.worst(found.by_row.terms),
+        bool(found.is_limited),
         bool(found.passes),
     )
 
@@ -435,7 +427,7 @@ class RunOnRanks(Run):
             found,
             found.relative_residual,
             found.is_solved,
-            found.is_at_rounding_level,
+            found.is_limited,
         )
 
     def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lcp_plugin import LCP, Certificate, solve
-from lcp_plugin.core.settings import Settings
+from lcp_plugin import LCP, solve
+from lcp_plugin.core.certificates.criterion import row_data
 
 Entries = np.ndarray
 
@@ -119,7 +119,7 @@ def judged(kind: Any, seed: int, units: str) -> list[str]:
     rng, (rows, of_z) = np.random.default_rng([seed, 1]), random_scaling(seed, z.size, units)
     problem, found = measured(M, q, rows, of_z), []
     near = z * (1.0 + 1e-10 * rng.uniform(-1.0, 1.0, z.size))
-    if not Certificate.of(problem, near * of_z).meets(Settings(tolerance=1e-8)):
+    if not row_data(problem).measure_at(near * of_z, None, 1e-8).passes:
         found.append("right refused")
     result = solve(problem)
     if (

@@ -27,7 +27,7 @@ from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitablePro
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import (
     reference_residual,
-    references_of_components,
+    row_data,
     scaled_residual,
 )
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
@@ -297,7 +297,7 @@ def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     """The relative, natural and euclidean residuals are no smaller than the exact ones."""
     problem, z = drawn
     certificate, exact = Certificate.of(problem, z), Exact(problem, z)
-    least, most = (float(end.max()) for end in references_of_components(problem))
+    least, most = (float(end.max()) for end in row_data(problem).references)
     assert least <= exact.reference <= most <= least * (1 + 1e-13)
     natural, squares = max(map(abs, exact.natural)), sum(r * r for r in exact.natural)
     assert natural <= Fraction(certificate.natural_residual)

@@ -76,7 +76,7 @@ def calls(size: float) -> Calls:
             solved := solve(LCP(P, c), error_bound=True, record=True),
             solved.to_json(),
             str(solved.certificate),
-            solved.certificate.is_limited_by_rounding,
+            solved.certificate.is_at_rounding_level,
             solved.guarantee,
         ),
         "cones": lambda: solve(ConeProblem(P, c, [("second_order", 3)])).explain(),

@@ -11,6 +11,8 @@ import scipy.sparse as sp
 from inputs import membranes
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, solve
+from lcp_plugin.core.certificates.criterion import RowData
+from lcp_plugin.core.certificates.measured import Measured
 from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 
@@ -203,7 +205,8 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z)
     )
-    monkeypatch.setattr(Certificate, "meets", lambda certificate, settings: True)
+    passes = Measured(right.z, 0.0, passes=True)
+    monkeypatch.setattr(RowData, "measure_at", lambda *given, **how: passes)
     check = cross_validate(problem, wrong)
     assert check.verdict == "mismatch"
     assert "disagreement" in check.reason

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from oracles.truth import is_farkas
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.core.certificates.criterion import references_of_components
+from lcp_plugin.core.certificates.criterion import row_data
 from lcp_plugin.methods.search import NoSolution, search
 from lcp_plugin.proofs.exact import exact_residuals, rank_profile, solve_exactly
 from lcp_plugin.proofs.no_solution import Infeasibility, contradictory_row, find_infeasibility
@@ -247,7 +247,7 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
     exact, bound = (
         max(exact_residuals(problem, problem.nearest_to_zero)),
-        references_of_components(problem)[1].max(),
+        row_data(problem).references[1].max(),
     )
     assert exact <= Fraction(bound)
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300

@@ -49,12 +49,14 @@ from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL
 from ..lcp import LCP
 from ..matrix import BLOCK, IntVector, Matrix, connected_components, fact, largest_products
 from ..rounding import compensated_product
-from .measured import Measured
+from .measured import Measured, RowResiduals
 
 VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
+GAINED = 0.1  # of the reference: a larger residual is not limited by rounding
+CERTAIN = 0.99  # of the upper bound of a residual: a lower bound as large needs no sharper sums
 HARMLESS, REACHED = 1e-8, 1e-6  # errors of tolerated rows, relative to ‖z_P‖; to T_k of other rows
 SETTLED = 1.001  # times the errors before: a smaller rise ends the iteration for the errors
 MOST_CARRIES = 50  # iterations; a far field needs one for each row, so a linear system follows
@@ -89,8 +91,8 @@ class RowsAtPoint(NamedTuple):
 class RowData:
     """M, q, bounds, d and components of one problem or of a stack: the data of the criterion.
 
-    A class of problems with another product or other rows replaces `anywhere`, `worst`, `largest`, `follow_chains` or
-    `largest_products`.
+    A class of problems with another product or other rows replaces `anywhere`, `worst`, `largest`, `follow_chains`,
+    `largest_products` or `sharp_product`.
 
     Parameters
     ----------
@@ -134,12 +136,41 @@ class RowData:
         self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
     @cached_property
-    def reference(self) -> Any:
-        """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        if isinstance(self.M, np.ndarray) and not self.start.any():  # q is not rounded
-            return self.largest(np.abs(self.residual(self.start, self.q)) * (1.0 - 4.0 * EPSILON))
+    def references(self) -> VectorEnds:
+        """Bounds of ‖r_P(z°)‖∞ in the component of each row; the lower one is NaN if it is infinite."""
+        z = self.start
+        if not self.anywhere(z != 0.0):  # r(z°) is not rounded
+            most = self.largest(self.residual_ends(z, self.q)[1])
+            least = most * (1.0 - 8.0 * EPSILON)
+        else:
+            at = self.rows(z)
+            least, most = map(self.largest, self.residual_ends(z, at.w, at.rounding))
+            is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
+            if self.anywhere(is_open) and (sharp := self.sharp_product(z)) is not None:
+                ends = zip(
+                    map(self.largest, self.residual_ends(z, *sharp)), (least, most), strict=True
+                )
+                least, most = (np.where(is_open, *two) for two in ends)
+        return np.where(most < np.inf, least, np.nan), most
+
+    @cached_property
+    def is_near_start(self) -> Any:
+        """Mask of the rows whose component z° solves up to rounding: r_i(z°) = 0, or w_i is at rounding level.
+
+        A narrow box makes r_i small for any w_i.
+        """
+        if not self.anywhere(self.start != 0.0):
+            return self.references[1] == 0.0
         at = self.rows(self.start)
-        return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
+        size, high = np.abs(at.w) / self.scale, self.residual_ends(self.start, at.w, at.rounding)[1]
+        is_rounding = find_rounding_rows((size, size), self.rounding_floor(at.terms))
+        is_open = np.where((high > 0.0) & ~is_rounding, 1.0, 0.0)
+        return self.largest(is_open) == 0.0
+
+    @cached_property
+    def is_at_start(self) -> Any:
+        """Mask of the rows in which z° is the only point that is measured; up to rounding only if there are others."""
+        return self.references[1] == 0.0 if self.labels is None else self.is_near_start
 
     def anywhere(self, mask: BoolVector) -> bool:
         """Return whether the mask is True in any row."""
@@ -149,15 +180,45 @@ class RowData:
         """Return the largest of the values ≥ 0 of each problem; a NaN stays."""
         return values.max(-1, initial=0.0)
 
+    def estimate(self, z: FloatVector) -> float:
+        """Return the relative residual of z as computed in double precision, of components that z° does not solve."""
+        w = times(self.M, z) + self.q
+        residual = np.where(np.isinf(w), np.inf, np.abs(self.residual(z, w)))
+        if self.labels is None:
+            residual = residual.max(-1, keepdims=True, initial=0.0)
+        relative = divide_nonnegative(residual, self.references[1])
+        return float(np.where(self.is_at_start, 0.0, relative).max(initial=0.0))
+
     def measure(
         self, z: FloatVector, tolerance: float, power: float = POWER, absolute: float = 0.0
     ) -> Measured:
-        """Move z to near bounds, and measure the moved point: the stopping criterion.
+        """Move z to near bounds, and measure the moved point; its residual is of components that z° does not solve.
+
+        Parameters and result as of :meth:`measure_at`.
+        """
+        found = self.measure_at(*self.snap(z), tolerance, power, absolute)
+        if not found.passes.all():
+            found = found._replace(is_limited=self.are_limited(found, tolerance))
+        if self.labels is None:
+            return found
+        relative = np.where(self.is_at_start, 0.0, found.by_row.relative)
+        return found._replace(residual=self.worst(relative))
+
+    def measure_at(
+        self,
+        z: FloatVector,
+        w: Any,
+        tolerance: float,
+        power: float = POWER,
+        absolute: float = 0.0,
+    ) -> Measured:
+        """Measure z by the stopping criterion.
 
         Parameters
         ----------
         z : array, shape (…, n)
-            Within the bounds.
+        w : array, shape (…, n), or None
+            The slack of z if it is known.
         tolerance, absolute : float
         power : float
             Exponent of the tolerance next to T_i.
@@ -165,41 +226,64 @@ class RowData:
         Returns
         -------
         Measured
-            The moved point, its relative residual, and whether it is SOLVED, shapes (…, n) and (…).
+            The relative residual and whether the point is SOLVED, shape (…).
         """
-        reference = self.reference
-        z = np.where(reference == 0.0, self.start, z)
-        w = times(self.M, z) + self.q
-        moved = self.snap_to_bounds(z, w)
-        at = self.rows(moved, None if self.anywhere(moved != z) else w)
-        limit = np.minimum(reference, self.active_reference(at))
-        high = self.bound_residuals(moved, at, limit)
-        relative = np.where(high == 0.0, 0.0, high / limit)
-        is_near = np.any(self.worst(relative) <= tolerance)
-        terms = self.term_residuals(moved, at, power, tolerance if is_near else -1.0)
-        found = Measured(moved, self.worst(relative), False, terms=self.worst(terms), rows=at)
-        is_open = ~(high <= absolute)
-        if absolute:
-            relative, terms = (np.where(is_open, one, 0.0) for one in (relative, terms))
-        worst = (self.worst(relative), self.worst(terms)) if absolute else (found[1], found.terms)
-        return found._replace(passes=self.are_solved(moved, at, *worst, tolerance, is_open))
+        at = self.rows(z, w)
+        found = self.residuals_at(z, at, tolerance, power, absolute)
+        passes = np.less_equal(found.worst, tolerance)
+        passes = passes & np.less_equal(self.worst(found.terms), tolerance)
+        passes &= ~self.are_refuted(z, at, tolerance, passes, ~(found.high <= absolute))
+        return Measured(z, found.worst, passes, rows=at, by_row=found)
 
-    def are_solved(
+    def are_limited(self, found: Measured, tolerance: float) -> Any:
+        """Return whether points fail in rows whose residuals rounding explains, and in no others: PRECISION_LIMIT."""
+        rows = found.by_row
+        fails = rows.fails(tolerance)
+        is_rounding = find_rounding_rows(rows[:2], self.rounding_floor(found.rows.terms))
+        is_rounding &= (rows.relative <= GAINED) | self.is_near_start
+        is_limited = np.not_equal(self.worst(fails), 0.0)
+        is_limited &= np.equal(self.worst(fails & ~is_rounding), 0.0)
+        is_rejected = self.anywhere(is_limited) and self.is_rejected(found.z, tolerance)
+        return is_limited & (not is_rejected)
+
+    def residuals_at(
         self,
         z: FloatVector,
         at: RowsAtPoint,
-        relative: Any,
-        terms: Any,
         tolerance: float,
-        is_open: Any = True,
-    ) -> Any:
-        """Return whether points with these relative residuals are SOLVED at a tolerance."""
-        passes = (relative <= tolerance) & (terms <= tolerance)
-        return passes & ~self.are_refuted(z, at, tolerance, passes, is_open)
+        power: float = POWER,
+        absolute: float = 0.0,
+    ) -> RowResiduals:
+        """Return the residuals of all rows; by sums in twice the precision if rounding decides at the tolerance."""
+        reference = np.minimum(self.references[0], self.active_reference(at))
+        low, high = self.residual_ends(z, at.w, at.rounding)
+        relative = divide_nonnegative(high, reference)
+        worst = self.worst(relative)
+        if np.size(worst) == 1 and not worst <= tolerance:
+            is_certain = self.worst(divide_nonnegative(low, reference)) >= CERTAIN * worst
+            if not is_certain and (sharp := self.sharp_product(z)) is not None:
+                low, high = self.residual_ends(z, *sharp)
+                relative = divide_nonnegative(high, reference)
+                worst = self.worst(relative)
+        if absolute:
+            relative = np.where(high <= absolute, 0.0, relative)
+            worst = self.worst(relative)
+        is_near = np.less_equal(worst, tolerance).any()
+        terms = self.term_residuals(z, at, power, tolerance if is_near else -1.0)
+        if absolute:
+            terms = np.where(high <= absolute, 0.0, terms)
+        return RowResiduals(low, high, reference, relative, terms, worst)
 
-    def bound_residuals(self, z: FloatVector, at: RowsAtPoint, limit: Any) -> FloatVector:
-        """Return an upper bound of every |r_i(z)|, which is compared with `limit`."""
-        return self.residual_ends(z, at.w, at.rounding)[1]
+    def sharp_product(self, z: FloatVector) -> VectorEnds | None:
+        """Return M z + q by sums in twice the precision, and bounds of their errors; None for several problems."""
+        if z.size > z.shape[-1]:
+            return None
+        from scipy.sparse import csr_array
+
+        M = csr_array(self.M[0] if self.M.ndim > 2 else self.M)
+        q = np.ascontiguousarray(np.broadcast_to(self.q, z.shape)).ravel()
+        w, radius = compensated_product(M, np.ascontiguousarray(z).ravel(), q)
+        return w.reshape(z.shape), radius.reshape(z.shape)
 
     def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
         """Return the values of all rows at z, with its slack w if that is known."""
@@ -246,10 +330,13 @@ class RowData:
         self,
         z: FloatVector,
         w: FloatVector,
-        rounding: FloatVector,
+        rounding: FloatVector | None = None,
         scale: FloatVector | None = None,
     ) -> VectorEnds:
         """Return bounds of every |r_i(z)| for slacks within w ± rounding; 0 and ∞ for numbers that are not finite."""
+        if rounding is None:
+            size = np.abs(self.residual(z, w, scale))
+            return size, size * (1.0 + 4.0 * EPSILON)
         bottom, top = self.residual(z, np.array([w - rounding, w + rounding]), scale)
         low = np.maximum(np.maximum(bottom, -top), 0.0) * (1.0 - 4.0 * EPSILON)
         high = np.maximum(-bottom, top) * (1.0 + 4.0 * EPSILON)
@@ -452,6 +539,13 @@ class RowData:
             return 0.0
         return times(self.absolute, grid) + (self._counts + 2) * TINY
 
+    def snap(self, z: FloatVector) -> tuple[FloatVector, FloatVector | None]:
+        """Return z, moved to near bounds, or to z° in components that it solves; and its slack if it did not move."""
+        z = np.where(self.is_at_start, self.start, z)
+        w = times(self.M, z) + self.q
+        moved = self.snap_to_bounds(z, w)
+        return moved, None if self.anywhere(moved != z) else w
+
     def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
         """Return z with z_i projected onto a bound whose distance is at most the step −w_i/d_i."""
         step = w / self.scale
@@ -521,28 +615,9 @@ def measured_residual(problem: LCP, z: FloatVector) -> float:
     return float(np.abs(scaled_residual(problem, z, problem.slack(z))).max(initial=0.0))
 
 
-def sharp_residual_ends(problem: LCP, z: FloatVector) -> VectorEnds:
-    """Return sharp bounds of every |r_i(z)| by compensated sums."""
-    w, radius = compensated_product(problem.matrix.csr, z, problem.q)
-    return row_data(problem).residual_ends(z, w, radius)
-
-
-@fact
-def references_of_components(problem: LCP) -> VectorEnds:
-    """Return bounds of ‖r_P(z°)‖∞ in the component of each row, shape (n,), or (1,) if there is one component."""
-    z, data = problem.nearest_to_zero, row_data(problem)
-    at = data.rows(z)
-    least, most = map(data.largest, data.residual_ends(z, at.w, at.rounding))
-    is_open = (least == 0.0) & (most > 0.0)  # does z° solve the component?
-    if is_open.any():
-        sharp = map(data.largest, sharp_residual_ends(problem, z))
-        least, most = (np.where(is_open, *ends) for ends in zip(sharp, (least, most), strict=True))
-    return least, most
-
-
 def reference_residual(problem: LCP) -> float:
     """Return ‖r(z°)‖∞, rounded upwards."""
-    return float(references_of_components(problem)[1].max(initial=0.0))
+    return float(row_data(problem).references[1].max(initial=0.0))
 
 
 def rounding_of_data(problem: LCP) -> float:
@@ -554,39 +629,12 @@ def rounding_of_data(problem: LCP) -> float:
     return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
 
 
-def find_rounding_rows(residual: FloatVector, floor: FloatVector) -> BoolVector:
-    """Return the rows whose residual is at most four times its rounding level."""
-    return (residual <= 4.0 * floor) & np.isfinite(floor)
+def find_rounding_rows(ends: VectorEnds, floor: FloatVector) -> BoolVector:
+    """Return the rows whose residual, within its ends, may be at most four times its rounding level."""
+    return (ends[0] <= 4.0 * floor) & np.isfinite(floor + ends[1])
 
 
-@fact
-def rows_solved_at_start(problem: LCP) -> Any:
-    """Return the mask of the rows whose component z° solves (up to rounding if there are several), shape (n,)."""
-    if connected_components(problem.matrix) is not None:
-        return rows_near_start(problem)
-    return np.full(problem.n, not references_of_components(problem)[1].any())
-
-
-@fact
-def rows_near_start(problem: LCP) -> Any:
-    """Return the mask of the rows whose component z° solves up to rounding, shape (n,).
-
-    In each of these rows r_i(z°) = 0, or w_i is at rounding level: a narrow box makes r_i small for any w_i.
-    """
-    z, data = problem.nearest_to_zero, row_data(problem)
-    if not z.any():  # r(0) is not rounded
-        is_solved = references_of_components(problem)[1] == 0.0
-    else:
-        at = data.rows(z)
-        floor = data.rounding_floor(at.terms)
-        is_rounding = find_rounding_rows(np.abs(at.w) / data.scale, floor)
-        is_open = (data.residual_ends(z, at.w, at.rounding)[1] > 0.0) & ~is_rounding
-        is_solved = data.largest(is_open.astype(np.float64)) == 0.0
-    return np.broadcast_to(is_solved, z.shape)
-
-
-def snap_to_bounds(problem: LCP, z: FloatVector) -> FloatVector:
-    """Return z, each z_i moved to the bound that z_i − w_i/d_i reaches or passes; z° in components that it solves."""
-    moved = row_data(problem).snap_to_bounds(z, problem.slack(z))
-    is_solved = rows_solved_at_start(problem)
-    return np.where(is_solved, problem.nearest_to_zero, moved) if is_solved.any() else moved
+def divide_nonnegative(numerators: Any, denominators: Any) -> Any:
+    """Return the quotients of numbers that are ≥ 0; only 0/0 and 0/x are 0, NaN stays NaN."""
+    quotients = np.maximum(numerators / denominators, TINY)
+    return np.where(numerators == 0.0, 0.0, quotients)

@@ -5,6 +5,35 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 
+class RowResiduals(NamedTuple):
+    """Residuals of the rows at a point, arrays of shape (…, n).
+
+    Attributes
+    ----------
+    low, high : array
+        Bounds of |r_i|.
+    reference : array
+        A lower bound of ref_P, of the component of each row; it may have the shape (…, 1).
+    relative : array
+        The quotients of `high` and `reference`, 0 for 0/0 and within an absolute tolerance.
+    terms : array
+        The least tolerance at which the row passes the componentwise test, 0 within an absolute tolerance.
+    worst : float, or array of shape (…)
+        The largest of `relative`.
+    """
+
+    low: Any
+    high: Any
+    reference: Any
+    relative: Any
+    terms: Any
+    worst: Any
+
+    def fails(self, tolerance: float) -> Any:
+        """Return the rows that do not pass the criterion at a tolerance, bool."""
+        return ~((self.relative <= tolerance) & (self.terms <= tolerance))
+
+
 class Measured(NamedTuple):
     """Point, or stack of points, and its measure by the stopping criterion.
 
@@ -18,15 +47,14 @@ class Measured(NamedTuple):
         Whether the point is SOLVED.
     is_limited : bool, or array of bool
         Whether the point does not pass because of rounding only: PRECISION_LIMIT.
-    terms : float or array
-        The least tolerance at which every row passes the componentwise test.
     rows : RowsAtPoint or None
         The values of the rows at z.
+    by_row : RowResiduals or None
     """
 
     z: Any
     residual: Any
     passes: Any
     is_limited: Any = False
-    terms: Any = 0.0
     rows: Any = None
+    by_row: Any = None

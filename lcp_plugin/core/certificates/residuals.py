@@ -3,40 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import (
-    BoolVector,
-    FloatVector,
-    checked_vector,
-    derived_property,
-    read_only,
-    restore_state,
-)
+from ..checks import FloatVector, checked_vector, derived_property, read_only, restore_state
 from ..errors import InvalidProblem
-from ..kernels.floats import TINY
 from ..lcp import LCP
 from ..problem_classes import refusal
 from ..rounding import gamma
 from .criterion import (
-    POWER,
+    RowData,
     RowsAtPoint,
     VectorEnds,
     find_rounding_rows,
-    references_of_components,
     row_data,
-    rows_near_start,
     scaled_residual,
-    sharp_residual_ends,
 )
+from .measured import RowResiduals
 
-if TYPE_CHECKING:
-    from ..settings import Settings
-
-GAINED = 0.1  # of the reference
+PRECISE = 1e-12  # tolerance at which rounding errors of the relative residual count
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +92,27 @@ class Certificate:
             z = read_only(z.copy())
         return cls(problem, z)
 
+    @classmethod
+    def at(cls, problem: LCP, z: FloatVector, rows: RowsAtPoint | None = None) -> Certificate:
+        """Return the certificate of z, a read-only array, with the values of its rows if they are known."""
+        certificate = cls(problem, z)
+        if rows is not None:
+            certificate.__dict__["_rows"] = rows
+        return certificate
+
+    @derived_property
+    def criterion(self) -> RowData:
+        """The data of the criterion."""
+        return row_data(self.problem)
+
     @derived_property
     def _rows(self) -> RowsAtPoint:
-        return row_data(self.problem).rows(self.z)
+        return self.criterion.rows(self.z)
+
+    @derived_property
+    def by_row(self) -> RowResiduals:
+        """Residuals of all rows, by sums in twice the precision if rounding makes the largest one uncertain."""
+        return self.criterion.residuals_at(self.z, self._rows, PRECISE)
 
     @derived_property
     def w(self) -> FloatVector:
@@ -115,118 +120,39 @@ class Certificate:
         return read_only(self._rows.w)
 
     @derived_property
-    def _worst(self) -> tuple[float, int]:
-        """The residual that is largest relative to the reference of its component, and its row."""
-        references = self.references[0]
-        residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
-        if references.size > 1:  # the component with the largest relative residual
-            relative = divide_nonnegative(self.residual_ends[1], references)
-            relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
-        worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
-        return (float(residual[worst]), worst) if relative.size else (0.0, -1)
-
-    @property
     def worst_index(self) -> int:
         """The row of the largest residual relative to the reference of its component; −1 for an empty problem."""
-        return self._worst[1]
+        residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w))
+        if self.by_row.reference.size > 1:  # the component with the largest relative residual
+            relative = np.where(np.isfinite(residual), self.by_row.relative, np.nan)
+        return int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
 
-    @property
+    @derived_property
     def scaled_residual(self) -> float:
         """‖r(z)‖∞ of the worst component, in the unit of z, as measured in double precision."""
-        return self._worst[0]
+        residual = np.abs(scaled_residual(self.problem, self.z, self.w))
+        return float(residual[self.worst_index]) if residual.size else 0.0
 
     @property
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ref_P of all components, rounded upwards; 0 for 0/0."""
-        return self.relative_above(0.0)
+        return float(self.by_row.relative.max(initial=0.0))
 
     @derived_property
     def term_residuals(self) -> FloatVector:
         """The least tolerance at which each row passes the componentwise test, shape (n,)."""
-        return row_data(self.problem).term_residuals(self.z, self._rows)
+        return self.criterion.term_residuals(self.z, self._rows)
 
     @property
     def term_residual(self) -> float:
         """The least tolerance at which every row passes the componentwise test."""
         return float(self.term_residuals.max(initial=0.0))
 
-    def meets(
-        self, settings: Settings, solved: BoolVector | None = None, *, power: float = POWER
-    ) -> bool:
-        """Return whether z passes both tests of the criterion.
-
-        Parameters
-        ----------
-        settings : Settings
-        solved : array of bool, shape (n,), optional
-            Rows that do not count.
-        power : float
-            Exponent of the tolerance, next to the terms of a row.
-        """
-        goal, least = settings.goal, settings.least_reference
-        if not self.relative_above(least, solved, goal) <= goal:
-            return False
-        is_open = self.residual_ends[1] > goal * least  # else within the absolute tolerance
-        of_rows = np.where(is_open | (not least), self.term_residuals ** (POWER / power), 0.0)
-        if not of_rows.max(initial=0.0) <= goal:
-            return False
-        with np.errstate(all="ignore"):
-            data = row_data(self.problem)
-            return not data.are_refuted(self.z, self._rows, goal, np.True_, is_open)
-
-    def relative_above(
-        self, least: float, solved: BoolVector | None = None, goal: float = np.inf
-    ) -> float:
-        """Return the relative residual with no reference taken for less than `least`, in the unit of z.
-
-        The `solved` rows, shape (n,), do not count. If rounding decides whether it is at most `goal`, compensated sums
-        replace the plain bounds.
-        """
-        low, high = (
-            self._relative(end if solved is None else np.where(solved, 0.0, end), least)
-            for end in self.residual_ends
-        )
-        if not low <= goal < high or self.is_linearised:
-            return high
-        self.__dict__["residual_ends"] = sharp_residual_ends(self.problem, self.z)
-        return self.relative_above(least, solved)
-
-    def _relative(self, residuals: FloatVector, least: float = 0.0) -> float:
-        """Return the largest of the residuals ≥ 0, shape (n,), relative to the reference of its component."""
-        smallest, largest = self.references
-        if np.isinf(largest).any():
-            return np.nan
-        if smallest.size == 1:
-            residuals = residuals.max(initial=0.0, keepdims=True)
-        return largest_ratio(residuals, np.maximum(smallest, least))
-
-    @derived_property
-    def references(self) -> VectorEnds:
-        """Bounds of ref_P of each row, shape (n,), or (1,) if M is connected."""
-        least, most = self._start_references()
-        limit = row_data(self.problem).active_reference(self._rows)
-        return np.minimum(least, limit), np.minimum(most, limit)
-
-    def _start_references(self) -> VectorEnds:
-        """Return bounds of ‖r_P(z°)‖∞, of the shapes of `references`."""
-        return references_of_components(self.problem)
-
-    @derived_property
-    def residual_ends(self) -> VectorEnds:
-        """Bounds of every |r_i|; by compensated sums if rounding makes the largest one uncertain by 1 %."""
-        ends = self._ends(self.problem.matrix.residual_scale)
-        low, high = (self._relative(end) for end in ends)
-        is_certain = high <= 1e-12 or low >= 0.99 * high or self.is_linearised
-        return ends if is_certain else sharp_residual_ends(self.problem, self.z)
-
-    def _ends(self, scale: FloatVector) -> VectorEnds:
-        at = self._rows
-        return row_data(self.problem).residual_ends(self.z, at.w, at.rounding, scale)
-
     @derived_property
     def _natural(self) -> FloatVector:
         """An upper bound of every |z − mid(lower, upper, z − w)|."""
-        return self._ends(np.ones(self.z.size))[1]
+        at = self._rows
+        return self.criterion.residual_ends(self.z, at.w, at.rounding, np.ones(self.z.size))[1]
 
     @derived_property
     def natural_residual(self) -> float:
@@ -268,27 +194,13 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
-        floor: FloatVector = row_data(self.problem).rounding_floor(self._rows.terms)
+        floor: FloatVector = self.criterion.rounding_floor(self._rows.terms)
         return floor
 
     @derived_property
     def is_at_rounding_level(self) -> bool:
         """True if no row's residual exceeds four times its rounding floor."""
-        residual = self.residual_ends[1]
-        if not self.is_linearised:
-            residual = np.abs(scaled_residual(self.problem, self.z, self.w))
-        return bool(find_rounding_rows(residual, self.rounding_floor).all())
-
-    @derived_property
-    def is_limited_by_rounding(self) -> bool:
-        """True at rounding level, if each component has a small residual or is solved by z° up to rounding.
-
-        Otherwise rounding as large as the problem itself, from a z of extreme size, would count as a limit reached.
-        """
-        if not self.is_at_rounding_level:
-            return False
-        is_large = ~(divide_nonnegative(self.residual_ends[1], self.references[0]) <= GAINED)
-        return not (is_large & ~rows_near_start(self.problem)).any()
+        return bool(find_rounding_rows(self.by_row[:2], self.rounding_floor).all())
 
     def __str__(self) -> str:
         lines = [
@@ -299,31 +211,3 @@ class Certificate:
             ("term residual", self.term_residual),
         ]
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
-
-
-def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
-    """Return the largest quotient of numbers ≥ 0; 0 for 0/0, and for empty arrays, but not by underflow.
-
-    Examples
-    --------
-    >>> largest_ratio(np.array([1.0, 0.0]), np.array([4.0, 0.0])), largest_ratio(np.array([1e-320]), np.array([1e10]))
-    (0.25, 5e-324)
-    """
-    largest = float(divide_nonnegative(numerators, denominators).max(initial=0.0))
-    return largest or (TINY if numerators.any() else 0.0)
-
-
-def divide_nonnegative(numerators: FloatVector, denominators: FloatVector) -> FloatVector:
-    """Return the quotients of numbers that are ≥ 0, with 0/0 = 0; NaN stays NaN."""
-    with np.errstate(all="ignore"):
-        quotients: FloatVector = np.where(numerators == 0.0, 0.0, numerators / denominators)
-    return quotients
-
-
-def ratio(numerator: float, denominator: float) -> float:
-    """Return numerator/denominator with 0/0 = 0; NaN stays NaN, and nothing can be measured against ∞."""
-    if denominator == np.inf:
-        return np.nan
-    if numerator == 0.0:
-        return 0.0
-    return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan

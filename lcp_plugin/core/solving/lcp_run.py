@@ -10,10 +10,17 @@ from typing import Any
 import numpy as np
 
 from ..algorithm import Algorithm, Step
-from ..certificates.criterion import POWER, measured_residual, rounding_of_data, row_data
+from ..certificates.criterion import (
+    GAINED,
+    POWER,
+    divide_nonnegative,
+    measured_residual,
+    rounding_of_data,
+    row_data,
+)
 from ..certificates.measured import Measured
-from ..certificates.residuals import Certificate, ratio
-from ..checks import FloatVector
+from ..certificates.residuals import Certificate
+from ..checks import FloatVector, read_only
 from ..deadline import Clock
 from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
@@ -25,7 +32,7 @@ from .result import Result
 from .run import STATUS_OF, Run
 from .run_log import Header, RunLog
 from .stage import Stage
-from .termination import FAILED, TerminationReason, TerminationTest
+from .termination import FAILED, TerminationReason
 
 Polish = Callable[[LCP, FloatVector, float], Any]
 
@@ -50,6 +57,15 @@ class LCPRun(Run):
         Returns whether a theorem proves that the chosen method converges on M.
     polish : callable, optional
         Returns the solution of the linear system on the active set of z, and its work, from (problem, z, most work).
+
+    Attributes
+    ----------
+    goal : float
+        The relative residual below which a point may pass.
+    reference : float
+        Divides the residuals of the algorithms.
+    is_uniform : bool
+        Whether all rows have that reference, so that the residual of an algorithm needs no other measurement.
     """
 
     def __init__(
@@ -64,17 +80,26 @@ class LCPRun(Run):
         polish: Polish | None = None,
         is_guaranteed: Callable[[], bool] = bool,
     ) -> None:
-        self.problem, self.chosen = problem, chosen
-        self.test, self.polish = TerminationTest(problem, settings), polish
+        self.problem, self.chosen, self.polish = problem, chosen, polish
         self.is_guaranteed = cache(is_guaranteed)
         with clock.pause():
             log = RunLog(problem, header) if settings.verbose else None
         super().__init__(Progress(settings, callback, clock, log))
-        if self.test.solved_rows is not None:  # no point but z° can be measured there
-            start = np.where(self.test.solved_rows, problem.nearest_to_zero, start)
-        self.start, self.start_residual = start, math.inf
+        self.data = data = row_data(problem)
+        references = np.broadcast_to(data.references[1], (problem.n,))
+        is_open = np.broadcast_to(~data.is_at_start, (problem.n,))
+        self.reference = float(references.max(initial=0.0, where=is_open))
+        self.is_uniform = bool(
+            is_open.all() and (self.reference <= (1.0 + 1e-9) * references).all()
+        )
+        smallest = float(references.min(initial=math.inf, where=references > 0.0))
+        self.goal = float(max(settings.goal, settings.absolute_tolerance / smallest))
+        # No point but z° can be measured in components that z° solves.
+        self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
         self.unmeasured: FloatVector | None = None  # the latest iterate
         self.is_polished = False
+        self._latest: tuple[FloatVector, Measured] | None = None
+        self._failed_at, self._next_test = math.inf, 0  # residual and iteration
 
     @property
     def z(self) -> FloatVector:
@@ -90,37 +115,48 @@ class LCPRun(Run):
                 raise
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
-        """Return the residual of a step if it is known or due, proved if it may be small enough."""
-        test, progress, self.unmeasured = self.test, self.progress, step.z
-        found = step.measured
-        if found is not None and self._is_solved(found):
-            progress.work += 1.0
-            stage.record(float(found.residual))
-            return Measured(step.z, stage.residuals[-1][1], passes=True)
-        known, increment = step.residual if test.is_uniform else None, None
+        """Return the residual of a step if it is known or due; by the criterion if it may be small enough.
+
+        After a failure, only a fifth more steps are tested.
+        """
+        progress, self.unmeasured = self.progress, step.z
+        known, increment = step.residual if self.is_uniform else None, None
         if known is not None:
-            residual = ratio(known, test.reference)
+            residual = self._relative(known)
         else:
             change = step.residual if step.increment is None else step.increment
-            increment = None if change is None else ratio(change, test.reference)
-            if stage.residuals and not stage.is_due(increment, test.goal):
+            increment = None if change is None else self._relative(change)
+            if stage.residuals and not stage.is_due(increment, self.goal):
                 return None
-            residual = test.measure(step.z)
+            residual = self.data.estimate(step.z)
             progress.work += 1.0 if progress.iteration > 0 else 0.0  # the start is always measured
-        may_pass = residual <= test.goal
-        if may_pass:
-            residual = test.certify(step.z)
-        stage.record(residual, increment)
-        if progress.iteration == 0:
-            self.start_residual = residual
-        if may_pass:
+        found, iteration = Measured(step.z, residual, passes=False), progress.iteration
+        is_early = residual > 0.5 * self._failed_at and iteration < self._next_test
+        if residual <= self.goal and not is_early:
             power = 1.0 if stage.algorithm.ends_on_active_set else POWER
-            may_pass = test.is_passed(step.z, residual, progress.iteration, power)
-        return Measured(step.z, residual, may_pass)
+            found = self._judged(step.z, power)
+            if not found.passes:  # the run continues from the iterate itself
+                self._failed_at, self._next_test = found.residual, iteration + 1 + iteration // 5
+                found = found._replace(z=step.z)
+        stage.record(found.residual, increment)
+        if progress.iteration == 0:
+            self.start_residual = found.residual
+        return found
 
-    def _is_solved(self, found: Measured) -> bool:
-        given = found.z, found.rows, found.residual, found.terms, self.settings.tolerance
-        return bool(row_data(self.problem).are_solved(*given))
+    def _relative(self, residual: float) -> float:
+        return float(divide_nonnegative(np.float64(residual), self.reference))
+
+    def _judged(self, z: FloatVector, power: float = POWER) -> Measured:
+        """Return the measure of z, moved to near bounds."""
+        settings = self.settings
+        found = self.data.measure(z, settings.goal, power, settings.absolute_tolerance)
+        return found._replace(residual=float(found.residual))
+
+    def measured(self, z: FloatVector) -> Measured:
+        """Return the measure of z, moved to near bounds; the latest one is cached."""
+        if self._latest is None or not np.array_equal(self._latest[0], z):
+            self._latest = z.copy(), self._judged(z)
+        return self._latest[1]
 
     def keep(self, found: Measured) -> None:
         """Keep a copy of a point that passes, or whose residual is the smallest."""
@@ -134,15 +170,15 @@ class LCPRun(Run):
 
     def residual_of(self, step: Step) -> float:
         """Return the residual of a step that was not measured."""
-        return self.test.measure(step.z)
+        return self.data.estimate(step.z)
 
     def _measure_last(self) -> None:
         if (z := self.unmeasured) is not None:
-            self.keep(Measured(z, self.test.measure(z), passes=False))
+            self.keep(Measured(z, self.data.estimate(z), passes=False))
 
     def end_of(self, stage: Stage, step: Step, found: Measured | None) -> TerminationReason | None:
         """Return the reason that the stage ends with this step, or None."""
-        algorithm, test, progress = stage.algorithm, self.test, self.progress
+        algorithm, progress = stage.algorithm, self.progress
         if found is None:
             is_lost = step.increment is not None and not math.isfinite(step.increment)
             return TerminationReason.DIVERGED if is_lost else None
@@ -156,10 +192,14 @@ class LCPRun(Run):
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
-        if stage.is_flat() and test.is_at_floor(self.z):
+        if (
+            found.is_limited and found.residual <= self.goal
+        ):  # z° solves what is left, up to rounding
+            return TerminationReason.AT_FLOOR
+        if stage.is_flat() and self._is_at_floor():
             return TerminationReason.AT_FLOOR
         is_watched = algorithm.is_monotone or algorithm.is_watched
-        if is_watched and stage.is_stalled(self.problem.n, test.goal, left):
+        if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
             too_few = self.is_guaranteed()
             return TerminationReason.STEP_LIMIT if too_few else TerminationReason.STALLED
         return None
@@ -167,8 +207,13 @@ class LCPRun(Run):
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
         """Return the reason, or AT_FLOOR if rounding explains the residual of the best point."""
         self._measure_last()
-        is_at_floor = end in FAILED and self.best is not None and self.test.is_at_floor(self.z)
+        is_at_floor = end in FAILED and self.best is not None and self._is_at_floor()
         return TerminationReason.AT_FLOOR if is_at_floor else end
+
+    def _is_at_floor(self) -> bool:
+        """Return whether the best residual is small and no larger than rounding explains: no step is worth its work."""
+        found = self.measured(self.z)
+        return bool(found.is_limited) and found.residual <= GAINED
 
     def end_of_proof(self, proof: Any) -> TerminationReason | None:
         """Keep a proof; the run ends if it excludes the tolerance, or if only the rounding of the data is left."""
@@ -181,28 +226,27 @@ class LCPRun(Run):
 
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
-        settings = self.settings
         self._measure_last()
-        certificate = self._final(self.z, end)
-        status = self._status(certificate, end)
+        found = self._final(self.z, end)
+        status = self._status(found, end)
         name = self.chosen if isinstance(self.chosen, str) else self.chosen.name
         chain = [stage.name for stage in self.progress.records()]
         is_solved = status is Status.SOLVED
         return self.result_at(
-            certificate,
+            Certificate.at(self.problem, read_only(found.z), found.rows),
             status,
             algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
             infeasibility=self.proof,
             is_polished=self.is_polished,
             _asked=self.chosen,
-            _wants_bound=settings.error_bound and bool(chain),
-            _advice={} if is_solved else self._advice(certificate),
+            _wants_bound=self.settings.error_bound and bool(chain),
+            _advice={} if is_solved else self._advice(found),
         )
 
-    def _advice(self, certificate: Certificate) -> dict[Status, str]:
+    def _advice(self, found: Measured) -> dict[Status, str]:
         """Return the advice of each status; of the problem's origin if it rejects the point."""
         said = advice_of_run(self.problem, self.chosen, self.settings)
-        if self.test.is_rejected(certificate):
+        if found.residual <= GAINED and self.data.is_rejected(found.z, self.settings.goal):
             said |= dict.fromkeys(WITHOUT_END, self.problem.origin.rejection)
         if self.progress.end is None:  # a step limit that is not reached
             begin, end = "iteration limit reached", said[Status.MAX_ITERATIONS]
@@ -210,60 +254,55 @@ class LCPRun(Run):
             said[Status.MAX_ITERATIONS] = end.replace(begin, why)
         return said
 
-    def _final(self, z: FloatVector, end: TerminationReason) -> Certificate:
-        """Return the certificate of z, or of z after a last step of the method or on its active set if no worse."""
-        test, settings = self.test, self.settings
-        certificate = test.certificate_of(z)
-        if not certificate.meets(settings):
-            # The best iterate itself; SOLVED refers to the projected point.
-            plain = Certificate.of(self.problem, z)
-            certificate = certificate if plain.meets(settings) else plain
-        stages = self.progress.stages
-        last = stages[-1] if stages else None
-        if last is None:
-            return certificate
-        if not settings.polish:
-            return certificate
+    def _final(self, z: FloatVector, end: TerminationReason) -> Measured:
+        """Return the measure of z, or of z after a last step of the method or on its active set if no worse."""
+        settings, stages = self.settings, self.progress.stages
+        found = self.best if self.best is not None and self.best.passes else self.measured(z)
+        if not found.passes:  # the best iterate itself; SOLVED refers to the projected point
+            plain = self.data.measure_at(z, None, settings.goal, POWER, settings.absolute_tolerance)
+            is_limited = self.data.are_limited(plain, settings.goal)
+            found = found if plain.passes else plain._replace(is_limited=is_limited)
+        if not (stages and settings.polish):
+            return found
+        last = stages[-1]
         is_cut_short = end in (TerminationReason.INTERRUPTED, TerminationReason.TIME_LIMIT)
         if not is_cut_short and np.isfinite(z).all():
             finished = last.algorithm.finish(self.problem, z)
             if finished is not z:
-                certificate = test.better_of(certificate, test.certificate_of(finished))
-        is_exact = last.algorithm.ends_on_active_set
-        return certificate if is_exact else self._polish(certificate, last, end)
+                found = better_of(found, self.measured(finished))
+        return found if last.algorithm.ends_on_active_set else self._polish(found, last, end)
 
-    def _polish(self, certificate: Certificate, last: Stage, end: TerminationReason) -> Certificate:
-        """Return the certificate of the solution of the linear system on the active set of z, if it is no worse.
+    def _polish(self, found: Measured, last: Stage, end: TerminationReason) -> Measured:
+        """Return the measure of the solution of the linear system on the active set of z, if it is no worse.
 
         A residual is not an error: if M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
         and the solution of that system is off by rounding errors. It may take a tenth of the work of the run, or all of
         that if auto has not solved the problem. Twenty passes pay for the calls around it.
         """
         most = math.inf if self.chosen == "auto" else 0.0
-        if certificate.meets(self.settings):
+        if found.passes:
             most = 0.1 * self.progress.work - 20.0
         elif end not in (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED):
-            return certificate
+            return found
         if self.polish is None or most <= 0.0:
-            return certificate
-        found = self.polish(self.problem, certificate.z, min(most, self.progress.work + 20.0))
-        if found is None:
-            return certificate
-        self.progress.work += found.work
-        last.count(Step(found.z, work=found.work), iterations=0)
-        polished = np.clip(found.z, self.problem.lower, self.problem.upper)
-        better = self.test.better_of(certificate, self.test.certificate_of(polished))
-        self.is_polished = better is not certificate
+            return found
+        polish = self.polish(self.problem, found.z, min(most, self.progress.work + 20.0))
+        if polish is None:
+            return found
+        self.progress.work += polish.work
+        last.count(Step(polish.z, work=polish.work), iterations=0)
+        polished = np.clip(polish.z, self.problem.lower, self.problem.upper)
+        better = better_of(found, self.measured(polished))
+        self.is_polished = better is not found
         return better
 
-    def _status(self, certificate: Certificate, end: TerminationReason) -> Status:
-        """Return the status from the certificate or a proof, or else from the reason for the end of the run."""
-        if certificate.meets(self.settings):
+    def _status(self, found: Measured, end: TerminationReason) -> Status:
+        """Return the status from the measure or a proof, or else from the reason for the end of the run."""
+        if found.passes:
             return Status.SOLVED
         if end is TerminationReason.NO_SOLUTION and self.proof is not None:
             return self.proof.status  # type: ignore[no-any-return]
-        is_limited = certificate.is_limited_by_rounding and not self.test.is_rejected(certificate)
-        if is_limited or self._is_within_rounding_of_data(certificate.z):
+        if found.is_limited or self._is_within_rounding_of_data(found.z):
             return Status.PRECISION_LIMIT
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
@@ -273,9 +312,18 @@ class LCPRun(Run):
         """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""
         if self.proof is None or not self.proof.is_rounding:
             return False
-        certificate, problem = self.test.certificate_of(z), self.problem
+        found, problem = self.measured(z), self.problem
+        certificate = Certificate.at(problem, found.z, found.rows)
         rounding = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
         is_large = certificate.natural_residual > rounding
         if is_large and certificate.term_residual > self.settings.goal:
             return False  # small relative to a coefficient that may be inactive
         return measured_residual(problem, certificate.z) <= rounding_of_data(problem)
+
+
+def better_of(found: Measured, cleaned: Measured) -> Measured:
+    """Return the cleaned point if only it passes, or if both or none pass and its residual is no larger."""
+    is_no_worse = cleaned.residual <= found.residual < math.inf
+    if bool(found.passes) != bool(cleaned.passes):
+        is_no_worse = bool(cleaned.passes)
+    return cleaned if is_no_worse else found

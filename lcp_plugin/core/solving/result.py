@@ -13,7 +13,7 @@ import numpy as np
 
 from ..certificates.criterion import RowsAtPoint
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, read_only, restore_state
+from ..checks import FloatVector, restore_state
 from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
@@ -338,12 +338,10 @@ class Result(BaseResult):
         rows : RowsAtPoint, optional
             The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
         """
-        certificate = Certificate(problem, z)
-        if rows is not None:
-            certificate.__dict__["_rows"] = rows
+        certificate = Certificate.at(problem, z, rows)
         return cls(
             z=z,
-            w=read_only(rows.w) if rows else certificate.w,
+            w=certificate.w,
             status=Status.SOLVED,
             certificate=certificate,
             algorithm=f"auto: {stage.name}",

@@ -37,22 +37,14 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import (
-    RowData,
-    RowsAtPoint,
-    VectorEnds,
-    find_rounding_rows,
-    times,
-)
-from ...core.certificates.residuals import divide_nonnegative
+from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, divide_nonnegative
+from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
-from ...core.rounding import compensated_product
 from ...core.settings import Status
 from .data import Blocks, conic_rows, solve_conic
 from .stack import ON, OUT, WITHIN, Array, ConeStack, length
 
-SMALL = 1e-2  # of the reference: a larger residual does not count as limited by rounding
 AT_ROUNDING = 2.0**-48  # of z_T: smaller distances from points of the boundary are rounding
 
 
@@ -103,13 +95,22 @@ class ConeRows(RowData):
         """Return x ≥ 0 with the norm over the rows of each cone or disk, in each of these rows."""
         return self._with_laws(x, length(self.wide(x)[..., self._first :]))
 
-    @derived_property
-    def reference(self) -> Array:
-        """A lower bound of ‖r_P(z°)‖∞ in the component of each row."""
-        if self.start.any():
-            at = self.rows(self.start)
-            return self.largest(self.residual_ends(self.start, at.w, at.rounding)[0])
-        return self._by_rows(self.stack.reference) * (1.0 - 16.0 * EPSILON)
+    def measure_blocks(self, z: Array, tolerance: float, absolute: float = 0.0) -> Measured:
+        """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
+        found = self.measure(self.flat(z), tolerance, absolute=absolute)
+        one, numbers = np.zeros(self.stack.B), (found.residual, found.passes, found.is_limited)
+        residual, passes, is_limited = (np.atleast_1d(one + x) for x in numbers)
+        return found._replace(
+            z=self.wide(found.z),
+            residual=residual,
+            passes=passes > 0.0,
+            is_limited=is_limited > 0.0,
+        )
+
+    def of_blocks(self, values: Array) -> Array:
+        """Return the largest of the values by rows in each block, shape (B, k)."""
+        starts = self.stack.pattern.starts[:-1]
+        return np.maximum.reduceat(values[None] if values.ndim == 1 else values, starts, -1)
 
     @derived_property
     def demand(self) -> FloatVector:
@@ -154,12 +155,13 @@ class ConeRows(RowData):
         return at._replace(terms=self._norm(at.terms), violation=violation, is_active=is_active)
 
     def residual_ends(
-        self, z: FloatVector, w: FloatVector, rounding: FloatVector, scale: Any = None
+        self, z: FloatVector, w: FloatVector, rounding: Any = None, scale: Any = None
     ) -> VectorEnds:
         """Return bounds of the residual of each law for slacks within w ± rounding."""
         low, high = super().residual_ends(z, w, rounding, scale)
         if not self.has_cones:
             return low, high
+        rounding = np.zeros(w.shape) if rounding is None else rounding
         stack, (x, g, error) = self.stack, map(self.wide, (z, w, rounding))
         if stack.has_friction:
             d = stack.d[..., None]
@@ -222,69 +224,6 @@ def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array
     return size, np.where(is_open, 0.0, total)
 
 
-class Measures:
-    """Residuals of points for the problems of a stack.
-
-    Parameters
-    ----------
-    stack : ConeStack
-    z : array, shape (B, k, m)
-        Points of the cones.
-    tolerance, absolute : float
-
-    Attributes
-    ----------
-    z, w : array, shape (B, k, m)
-        The snapped points, which are measured, and their slack.
-    residual, passes : array, shape (B,)
-        The largest relative residual of each problem, and whether its point is SOLVED.
-
-    Notes
-    -----
-    Sums of one problem are repeated in twice the working precision if this may decide.
-    """
-
-    def __init__(self, stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> None:
-        rows = ConeRows(stack)
-        x = rows.flat(z)
-        w = times(rows.M, x) + rows.q
-        moved = rows.snap_to_bounds(x, w)
-        x, at = moved, rows.rows(moved, None if (moved != x).any() else w)
-        reference = np.minimum(rows.reference, rows.active_reference(at))
-        ends = rows.residual_ends(x, at.w, at.rounding)
-        goal = np.maximum(tolerance * reference, absolute)
-        if stack.B == 1 and (ends[1] > goal).any() and (ends[0] <= goal).all():
-            M, q = (rows.M, rows.q) if x.ndim == 1 else (sp.csr_array(rows.M[0]), rows.q[0])
-            sharp = compensated_product(M, np.ascontiguousarray(x.ravel()), np.ascontiguousarray(q))
-            ends = rows.residual_ends(x, *(one.reshape(x.shape) for one in sharp))
-        relative: Array = divide_nonnegative(ends[1], reference)
-        relative = np.where(np.isfinite(reference), relative, np.inf)
-        terms = rows.term_residuals(x, at)
-        do_pass = ((relative <= tolerance) & (terms <= tolerance)) | (ends[1] <= absolute)
-        self.stack, self.z, self.w = stack, rows.wide(x), rows.wide(at.w)
-        self._by_rows = {"sizes": ends[1], "relative": relative, "terms": terms, "fails": ~do_pass}
-        self._is_rounding = find_rounding_rows(ends[0], rows.rounding_floor(at.terms))
-        self._has_reference = reference > 0.0
-        self.residual = np.atleast_1d(relative.max(-1, initial=0.0))
-        passes = (do_pass & np.isfinite(at.w)).all(-1)
-        if np.any(passes):
-            is_open = ~(ends[1] <= absolute)
-            passes &= ~rows.are_refuted(x, at, tolerance, passes, is_open)
-        self.passes = np.atleast_1d(passes)
-
-    def of_blocks(self, name: str) -> Array:
-        """Return the largest "sizes", "relative", "terms" or "fails" in the rows of each block, shape (B, k)."""
-        x, starts = self._by_rows[name], self.stack.pattern.starts[:-1]
-        return np.maximum.reduceat(x[None] if x.ndim == 1 else x, starts, -1)
-
-    @derived_property
-    def is_limited(self) -> Array:
-        """Whether rounding explains the residuals of all laws that do not pass, shape (B,)."""
-        is_small = (self._by_rows["relative"] <= SMALL) | ~self._has_reference
-        is_open = self._by_rows["fails"] & ~(self._is_rounding & is_small)
-        return np.atleast_1d(~is_open.any(-1))
-
-
 class ConeCertificate:
     """Residuals of a point for a problem over cones.
 
@@ -302,38 +241,42 @@ class ConeCertificate:
         The block of the largest relative residual; −1 without blocks.
     """
 
-    def __init__(self, problem: Blocks, measures: Measures) -> None:
-        self.problem, self.measures, pattern = problem, measures, measures.stack.pattern
-        self.z = read_only(pattern.flat(measures.z)[0].copy())
-        self.w = read_only(pattern.flat(measures.w)[0].copy())
+    def __init__(self, problem: Blocks, rows: ConeRows, found: Measured) -> None:
+        self.problem, self.rows, self.found = problem, rows, found
+        self.z = read_only(rows.stack.pattern.flat(found.z)[0].copy())
+        self.w = read_only(found.rows.w.ravel().copy())
 
-    @property
+    @derived_property
     def relative_residual(self) -> float:
         """The largest residual of a law relative to the reference of its component."""
-        return float(self.measures.residual[0])
+        relative = divide_nonnegative(self.found.by_row.high, self.found.by_row.reference)
+        return float(relative.max(initial=0.0))
 
     @property
     def term_residual(self) -> float:
         """The least tolerance at which every law passes the componentwise test."""
-        return float(self.measures.of_blocks("terms").max(initial=0.0))
+        return float(self.found.by_row.terms.max(initial=0.0))
 
     @property
     def worst_index(self) -> int:
         """The block of the largest relative residual; −1 without blocks."""
-        relative = self.measures.of_blocks("relative")[0]
+        relative = self.rows.of_blocks(self.found.by_row.relative)[0]
         return int(np.argmax(relative)) if relative.size else -1
 
     @property
     def scaled_residual(self) -> float:
         """The residual of that block, in the unit of z."""
-        return float(self.measures.of_blocks("sizes")[0, self.worst_index]) if self.z.size else 0.0
+        if not self.z.size:
+            return 0.0
+        return float(self.rows.of_blocks(self.found.by_row.high)[0, self.worst_index])
 
     @derived_property
     def natural_residual(self) -> float:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
-        plain = copy(self.measures.stack)
+        plain = copy(self.rows.stack)
         plain.d = np.ones_like(plain.d)
-        return float(length(plain.residual(self.measures.z, self.measures.w)[0]).max(initial=0.0))
+        w = plain.pattern.wide(self.w[None])
+        return float(length(plain.residual(self.found.z, w)[0]).max(initial=0.0))
 
     @derived_property
     def dissipation(self) -> float:
@@ -411,7 +354,7 @@ class ContactInfeasibility:
         pulled, wide, rows = problem.rows.csr.T @ self.y, stack.pattern.wide, ConeRows(stack)
         of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
         weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
-        of_rows = np.broadcast_to(rows.reference, rows.q.shape).reshape(-1)
+        of_rows = np.broadcast_to(rows.references[0], rows.q.shape).reshape(-1)
         references = np.maximum.reduceat(of_rows, problem.starts[:-1])
         shares = np.where(weights > 0.0, weights * references, 0.0)
         return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))

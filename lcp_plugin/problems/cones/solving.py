@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
+from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, checked_start, derived_property, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
@@ -24,7 +25,7 @@ from ...core.solving.stage import Stage
 from ...core.solving.termination import FAILED, TerminationReason
 from ...methods.search import ExhaustiveSearch, is_searchable
 from ..contact import ContactMotion, motion_of
-from .certificate import ConeCertificate, ContactInfeasibility, Measures, infeasibility_proof
+from .certificate import ConeCertificate, ConeRows, ContactInfeasibility, infeasibility_proof
 from .data import Blocks
 from .frictional_contact import FrictionalContact
 from .methods import (
@@ -161,7 +162,7 @@ def solve_cone_stack(
                 break
         done = least <= goal
         best[done] = polish_points(here.take(done), best[done])[0]
-        found = Measures(here, here.snap(best), tolerance)
+        found = ConeRows(here).measure_blocks(here.snap(best), tolerance)
         is_better = found.passes | (found.residual < residual[left])
         z[left[is_better]] = found.z[is_better]
         residual[left[is_better]] = found.residual[is_better]
@@ -190,8 +191,8 @@ class ConeRun(Run):
 
     Attributes
     ----------
-    best : Measures or None
-        Measures of `point`; None if these are not due yet.
+    best : Measured or None
+        The measure of `point`; None if these are not due yet.
     point, residual : array, shape (1, k, m), float
         The point of the smallest residual, and this residual, as its method computed it.
     """
@@ -209,6 +210,7 @@ class ConeRun(Run):
         super().__init__(progress)
         self.share = problem.nonzeros / max((whole or problem).nonzeros, 1)  # of its work
         self.problem, self.stack, self.chosen, self.embed = problem, stack, chosen, embed
+        self.rows = ConeRows(stack)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance
         if self.absolute:
@@ -245,7 +247,11 @@ class ConeRun(Run):
         if EXACT < self.residual <= self.goal:
             self.point, residual = polish_points(self.stack, self.point)
             self.residual = float(residual[0])
-        self.best = Measures(self.stack, self.stack.snap(self.point), self.tolerance, self.absolute)
+        self.best = self.judged(self.stack.snap(self.point))
+
+    def judged(self, z: Array) -> Measured:
+        """Return the measure of z, shape (1, k, m), a point of the cones."""
+        return self.rows.measure_blocks(z, self.tolerance, self.absolute)
 
     def status(self, end: TerminationReason) -> Status:
         """Return the status; a proof of a component, or of the entire problem, excludes a solution."""
@@ -263,7 +269,7 @@ class ConeRun(Run):
             words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
         name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
         return self.result_at(
-            ConeCertificate(self.problem, self.best),
+            ConeCertificate(self.problem, self.rows, self.best),
             self.status(end),
             ConeResult,
             algorithm=f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name,
@@ -374,7 +380,9 @@ class ConeRun(Run):
         self.measure_best()
         flat = pattern.flat(self.best.z)[0].copy()
         labels = pattern.labels[0]
-        for label in np.unique(labels[self.best.of_blocks("fails")[0]]).tolist():
+        for label in np.unique(
+            labels[self.rows.of_blocks(self.best.by_row.fails(self.tolerance))[0]]
+        ).tolist():
             blocks = labels == label
             rows = blocks[pattern.of_row]
 
@@ -400,7 +408,7 @@ class ConeRun(Run):
             if self.progress.end is not None:
                 break
         z = pattern.wide(flat[None])
-        self.best = Measures(self.stack, z, self.tolerance, self.absolute)
+        self.best = self.judged(z)
         return True
 
 

@@ -44,12 +44,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.certificates.criterion import (
     POWER,
+    RowData,
     RowsAtPoint,
-    VectorEnds,
     row_data,
-    rows_near_start,
-    scaled_residual,
 )
+from ...core.certificates.measured import Measured
 from ...core.certificates.residuals import Certificate
 from ...core.checks import (
     BoolVector,
@@ -388,22 +387,95 @@ def _pattern(pattern: Any) -> sp.csc_array:
 NEARBY = 2.0**-6 / np.arange(1, 5)
 
 
+class LinearizedRows(RowData):
+    """Data of the criterion at x: the linearization there, with F(x) for w, and without sums in twice the precision.
+
+    Parameters
+    ----------
+    problem : NonlinearProblem
+    lcp : LCP
+        The linearization at x.
+    x, value, origin_value : ndarray, shape (n,)
+        The point, F(x) and F(z°).
+    """
+
+    def __init__(
+        self,
+        problem: NonlinearProblem,
+        lcp: LCP,
+        x: FloatVector,
+        value: FloatVector,
+        origin_value: FloatVector,
+    ) -> None:
+        self.__dict__.update(row_data(lcp).__dict__)
+        self.problem, self.lcp, self.x, self.value = problem, lcp, x, value
+        ends, distance = self.references, self.largest(np.abs(x - self.start))
+        residual = np.abs(self.residual(self.start, origin_value))
+        of_value = self.largest(np.where(np.isfinite(origin_value), residual, np.inf))
+        of_value = np.where(of_value > 0.0, of_value, np.inf)
+        least, most = (
+            np.minimum(np.where(self.is_near_start, distance, end), of_value) for end in ends
+        )
+        self.references = least, most
+
+    def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
+        """Return the values of all rows at z; a slack w that is known is F(x), without a bound of its rounding."""
+        at = super().rows(z, w)
+        return at if w is None else at._replace(rounding=np.zeros(z.size))
+
+    def sharp_product(self, z: FloatVector) -> None:
+        """Return None: F is not a sum."""
+
+    def measure_at(self, *given: Any, **how: Any) -> Measured:
+        """Measure x; it passes only if also no unknown grows, and rounding errors of F are small."""
+        found = super().measure_at(*given, **how)
+        if not found.passes:
+            return found
+        # Smaller rounding errors of F do not count, for any tolerance
+        limit = max(given[2], 1e-8) * found.by_row.reference
+        at = found.rows
+        is_doubtful = at.is_active & (EPSILON * at.terms > limit * self.scale)
+        is_wrong = is_doubtful.any() and (is_doubtful & (self.noise > limit)).any()
+        return found._replace(passes=not (self.growing(at).any() or is_wrong))
+
+    def growing(self, at: RowsAtPoint) -> BoolVector:
+        """Return the unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
+
+        Then F tends to 0 as x diverges, and rows have the scale of other unknowns: x₀ − 1 + e^(−x₁) = 0 = x₀ − 1.
+        """
+        lcp, x = self.lcp, self.x
+        weights = np.where(at.is_active, 1.0, 0.0) / self.scale
+        slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
+        step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
+        is_free = (x > lcp.lower) & (x < lcp.upper)
+        size = np.maximum(np.abs(x), 2.0**-10 * self.largest(np.abs(x)))
+        return np.asarray(is_free & (step * np.sign(x) > 2.0**-6 * size))
+
+    @derived_property
+    def noise(self) -> FloatVector:
+        """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
+
+        The estimate is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step to
+        the projected point, or of 2⁻³⁰ x if that is larger.
+        """
+        x = self.x
+        step = -self.residual(x, self.value)
+        # 1 − e⁻ˣ must round differently at that distance, for small x
+        step = np.copysign(np.maximum(np.abs(step), 2.0**-30 * np.abs(x)), step)
+        errors = []
+        for share in NEARBY:
+            near = np.clip(x + share * step, self.lower, self.upper)
+            errors.append(np.abs(self.problem.value(near) - self.value - self.M @ (near - x)))
+        return np.asarray(np.max(errors, 0) / self.scale)
+
+    def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
+        """Return the rounding level of each residual, with the rounding error inside F."""
+        return super().rounding_floor(terms, scale) + self.noise
+
+
 @dataclass(frozen=True, eq=False)
 class NonlinearCertificate(Certificate):
-    """Residuals of x as a solution of its linearization.
-
-    Attributes
-    ----------
-    problem : LCP
-        The linearization at x; ``derivative`` and ``explain`` use it.
-    z : ndarray, shape (n,)
-        The point x.
-    nonlinear : NonlinearProblem
-        The problem.
-    value : ndarray, shape (n,)
-        F(x), which is w.
-    origin_value : ndarray, shape (n,)
-        F(z°).
+    """Residuals of x as a solution of its linearization, which ``derivative`` and ``explain`` use.
 
     Examples
     --------
@@ -415,79 +487,21 @@ class NonlinearCertificate(Certificate):
 
     is_linearised: ClassVar[bool] = True
 
-    nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
-    value: FloatVector = field(kw_only=True, repr=False)
-    origin_value: FloatVector = field(kw_only=True, repr=False)
+    criterion: LinearizedRows = field(kw_only=True, repr=False)
 
     @derived_property
     def _rows(self) -> RowsAtPoint:
-        at = row_data(self.problem).rows(self.z, self.value)
-        return at._replace(rounding=np.zeros(self.z.size))
+        return self.criterion.rows(self.z, self.criterion.value)
 
     @property
     def violation(self) -> FloatVector:
         """The part of each F_i(x) with the wrong sign, |F_i(x)| off the bounds, shape (n,)."""
         return self._rows.violation
 
-    def _start_references(self) -> VectorEnds:
-        data, origin = row_data(self.problem), self.problem.nearest_to_zero
-        ends, is_solved = super()._start_references(), rows_near_start(self.problem)
-        distance = data.largest(np.abs(self.z - origin))
-        residual = data.residual(origin, self.origin_value)
-        of_value = data.largest(np.where(np.isfinite(self.origin_value), np.abs(residual), np.inf))
-        of_value = np.where(of_value > 0.0, of_value, np.inf)
-        least, most = (np.minimum(np.where(is_solved, distance, end), of_value) for end in ends)
-        return least, most
-
-    def meets(
-        self, settings: Settings, solved: BoolVector | None = None, *, power: float = POWER
-    ) -> bool:
-        """Return whether x passes the criterion, no unknown grows, and rounding errors of F are small."""
-        if not super().meets(settings, solved, power=power) or self.growing.any():
-            return False
-        # Smaller rounding errors of F do not count, for any tolerance
-        limit = max(settings.goal, 1e-8) * self.references[0]
-        scale, at = self.problem.residual_scale, self._rows
-        is_doubtful = at.is_active & (EPSILON * at.terms > limit * scale)
-        return not (is_doubtful.any() and (is_doubtful & (self.noise > limit)).any())
-
     @derived_property
     def growing(self) -> BoolVector:
-        """True for unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
-
-        Then F tends to 0 as x diverges, and rows have the scale of other unknowns: x₀ − 1 + e^(−x₁) = 0 = x₀ − 1.
-        """
-        lcp, x = self.problem, self.z
-        weights = np.where(self._rows.is_active, 1.0, 0.0) / lcp.residual_scale
-        slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
-        step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
-        is_free = (x > lcp.lower) & (x < lcp.upper)
-        size = np.maximum(np.abs(x), 2.0**-10 * row_data(lcp).largest(np.abs(x)))
-        return np.asarray(is_free & (step * np.sign(x) > 2.0**-6 * size))
-
-    @derived_property
-    def noise(self) -> FloatVector:
-        """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
-
-        The estimate is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step to
-        the projected point, or of 2⁻³⁰ x if that is larger.
-        """
-        problem, x = self.problem, self.z
-        step = -scaled_residual(problem, x, self.value)
-        # 1 − e⁻ˣ must round differently at that distance, for small x
-        step = np.copysign(np.maximum(np.abs(step), 2.0**-30 * np.abs(x)), step)
-        errors = []
-        for share in NEARBY:
-            near = np.clip(x + share * step, problem.lower, problem.upper)
-            value = self.nonlinear.value(near)
-            errors.append(np.abs(value - self.value - problem.M @ (near - x)))
-        return np.asarray(np.max(errors, 0) / problem.residual_scale)
-
-    @derived_property
-    def rounding_floor(self) -> FloatVector:
-        """Rounding bound of each residual, shape (n,), with the rounding error inside F."""
-        floor: FloatVector = super().rounding_floor + self.noise
-        return floor
+        """Mask of the unknowns that grow without limit, shape (n,)."""
+        return self.criterion.growing(self._rows)
 
 
 class Linearization:
@@ -524,13 +538,19 @@ class Linearization:
     @derived_property
     def certificate(self) -> NonlinearCertificate:
         """The certificate of x."""
-        return NonlinearCertificate(
-            self.lcp,
-            self.x,
-            nonlinear=self.problem,
-            value=self.value,
-            origin_value=self.points.origin.value,
-        )
+        origin = self.points.origin.value
+        data = LinearizedRows(self.problem, self.lcp, self.x, self.value, origin)
+        return NonlinearCertificate(self.lcp, self.x, criterion=data)
+
+    def measure(self, settings: Settings, power: float = POWER) -> Measured:
+        """Return the measure of x by the stopping criterion."""
+        data, absolute = self.certificate.criterion, settings.absolute_tolerance
+        return data.measure_at(self.x, self.value, settings.goal, power, absolute)
+
+    def is_limited(self, settings: Settings) -> bool:
+        """Return whether x fails only because of rounding, estimated by further values of F."""
+        data = self.certificate.criterion
+        return bool(data.are_limited(self.measure(settings), settings.goal))
 
     @derived_property
     def residual(self) -> float:

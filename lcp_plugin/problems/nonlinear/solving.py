@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ...auto import method_of, plan
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import POWER, references_of_components, row_data
+from ...core.certificates.criterion import POWER, row_data
 from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
@@ -163,7 +163,7 @@ class _NewtonRun:
 
     def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
-        if not self.here.certificate.residual_ends[1].any():
+        if not self.here.certificate.by_row.high.any():
             return None
         self.waits -= 1
         for shift in SHIFTS[1:] if self.waits > 0 else SHIFTS:
@@ -207,7 +207,7 @@ class _NewtonRun:
         return float(np.linalg.norm(self.weights * phi.value))
 
     def _is_at_floor(self) -> bool:
-        return self.here.certificate.is_limited_by_rounding
+        return self.here.is_limited(Settings(self.options.tolerance))
 
     def _progress(self, point: Linearization) -> float:
         """Return the measure that must fall: residuals and violations, and then the componentwise test.
@@ -216,7 +216,7 @@ class _NewtonRun:
         the violation falls. Both are in the units of the start.
         """
         certificate, scale = point.certificate, self.first.lcp.residual_scale
-        sizes = np.maximum(certificate.residual_ends[1], certificate.violation / scale)
+        sizes = np.maximum(certificate.by_row.high, certificate.violation / scale)
         size = float((self.weights * sizes).max(initial=0.0))
         is_small = point.residual <= max(self.options.tolerance, SMALLEST_TOLERANCE)
         return size * min(1.0, certificate.term_residual) if is_small else size
@@ -260,7 +260,7 @@ class _NewtonRun:
 
 def _weights(problem: LCP) -> FloatVector:
     """Return 1/reference of each row's component, shape (n,), or shape (1,) for one component."""
-    unit = references_of_components(problem)[1]
+    unit = row_data(problem).references[1]
     if unit.size == 1:
         return np.ones(1)
     return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
@@ -291,7 +291,7 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
     run = LCPRun(problem, method or "auto", settings, None, clock, start)
-    stages = _stages_of_step(problem, method, run.test.goal)
+    stages = _stages_of_step(problem, method, run.goal)
     return run.result(run.follow_all(stages))
 
 
@@ -504,7 +504,7 @@ class NonlinearRun(Run):
 
     def _passes(self, point: Linearization, power: float = POWER) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
-        if self._is_far(point) or not point.certificate.meets(self.settings, power=power):
+        if self._is_far(point) or not point.measure(self.settings, power).passes:
             return False
         if not self.has_doubts or not jacobian_warning(point):
             return True
@@ -513,14 +513,14 @@ class NonlinearRun(Run):
         twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
         twin = twin.with_size(point.x.size)
         there = Linearizations(twin).at(point.x)
-        return there.is_defined and there.certificate.meets(self.settings, power=power)
+        return there.is_defined and bool(there.measure(self.settings, power).passes)
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
         x = row_data(point.lcp).snap_to_bounds(point.x, point.value)
         if np.array_equal(x, point.x) or not (moved := self.points.at(x)).is_defined:
             return point
-        meets = [one.certificate.meets(self.settings) for one in (point, moved)]
+        meets = [bool(one.measure(self.settings).passes) for one in (point, moved)]
         is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
         return moved if is_no_worse else point
 
@@ -541,7 +541,7 @@ class NonlinearRun(Run):
         certificate = point.certificate
         passes = self._passes(point)
         is_open = not (passes or is_interrupted or self._is_far(point))
-        is_limited = is_open and certificate.is_limited_by_rounding
+        is_limited = is_open and point.is_limited(self.settings)
         self.best = Measured(point, point.residual, passes, is_limited)
         status, newton = self.status(end), self.newton
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.certificates.criterion import row_data
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.representation import format_count
-from ...core.settings import Settings, Status
+from ...core.settings import Status
 from ...core.solving.result import Outcome
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
@@ -104,15 +105,16 @@ class PathPoint(Outcome):
             return float(self.problem.cost(self.x, self.problem.product(self.x) - self.problem.b))
         return None if self.solution is None else float(self.solution.objective)
 
-    @cached_property
+    @derived_property
     def status(self) -> Status:
         """Status by the criterion of the problem class."""
         # Up to 100 times the tolerance the status is PRECISION_LIMIT
         tolerance, near = self._tolerance, 100.0 * self._tolerance
         if isinstance(self.problem, LCP):
-            found = self.certificate
-            is_solved = found.meets(Settings(tolerance=tolerance))
-            is_near = not is_solved and found.is_limited_by_rounding
+            data = row_data(self.problem)
+            found = data.measure_at(self.x, None, tolerance)
+            is_solved = bool(found.passes)
+            is_near = not is_solved and bool(data.are_limited(found, tolerance))
         elif self.solution is not None:
             is_solved = self.solution.is_optimal(tolerance)
             is_near = not is_solved and self.solution.error <= near

@@ -9,7 +9,7 @@ import pytest
 from campaigns import cones as campaign
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, march, solve, solve_batch
-from lcp_plugin.problems.cones.certificate import Measures
+from lcp_plugin.problems.cones.certificate import ConeRows
 from lcp_plugin.problems.cones.stack import ConeStack
 
 LINK = np.eye(6)
@@ -67,7 +67,7 @@ def test_a_constructed_wrong_point_is_never_solved(name: str) -> None:
             np.testing.assert_allclose(z, right, rtol=1e-6, atol=1e-6)
     assert solve(problem).is_solved is (right is not None)
     stack = ConeStack.of(problem)
-    measured = Measures(stack, stack.pattern.wide(wrong[None]), 1e-8)
+    measured = ConeRows(stack).measure_blocks(stack.pattern.wide(wrong[None]), 1e-8)
     is_moved = right is not None and np.allclose(measured.z.ravel(), right)
     assert is_moved or not measured.passes[0]
 
@@ -92,7 +92,7 @@ def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
                 moved = z * (1.0 + rng.integers(-1, 2, z.size) * (k > 0) * 2.0**-52)
                 with np.errstate(all="ignore"):
                     at = stack.snap(stack.pattern.wide(moved[None]))
-                measured = Measures(stack, at, 1e-8)
+                measured = ConeRows(stack).measure_blocks(at, 1e-8)
                 assert measured.passes[0] or measured.is_limited[0], (seed, moved)
                 count += 1
     assert count > 10

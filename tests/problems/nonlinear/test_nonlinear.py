@@ -126,7 +126,7 @@ def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
     result = solve_nonlinear(one.problem, rng.standard_normal(n) * is_far)
     assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED)
     certificate = result.certificate
-    if result.is_solved and certificate.references[1].max() > 0.0:
+    if result.is_solved and certificate.by_row.reference.max() > 0.0:
         assert one.sharp_relative_residual(result.z, certificate.problem.residual_scale) <= 1e-8
 
 

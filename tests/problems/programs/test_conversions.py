@@ -568,7 +568,11 @@ def test_a_direction_of_descent_beside_fixed_variables_is_proved() -> None:
         upper=[np.inf, 4.0, np.inf, 0.1],
     )
     proof = solve(program).proof
-    assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)
+    assert (proof.status.name.lower(), proof.program, proof.verify()) == (
+        "unbounded",
+        program,
+        True,
+    )
 
 
 # --- Properties of a program's matrices are computed once, and are shared ---

@@ -146,13 +146,19 @@ class Splitting(Algorithm):
                 x, new = points.send((x, new, squares))
 
 
-#: Sent: z⁺, an array to overwrite, ‖z⁺ − y‖²; received: y and the array.
+#: Sent: z⁺, an array to overwrite, ‖z⁺ − y‖² in a fixed unit; received: y and the array.
 Extrapolations = Generator[
     tuple[FloatVector, FloatVector], tuple[FloatVector, FloatVector, float], None
 ]
 SLOW_RATIO = 0.8  # of two plain steps; momentum has nothing to gain where they fall faster
 FALL = 1.0 - 1e-6  # of the steps of a cycle; without it, a cycle might never end nor converge
 GAIN = 0.99  # of the least plain step, for a cycle that pays
+
+
+def step_unit(largest: float) -> float:
+    """Return the power of two that brings the largest |q_i|/d_i near 1, so that squares of steps stay in range."""
+    exponent = math.frexp(largest)[1] if math.isfinite(largest) else 0
+    return math.ldexp(1.0, max(-1000, min(1000, -exponent)))
 
 
 def extrapolations(
@@ -329,8 +335,9 @@ class ProjectedType(ScaledByRows, Splitting):
             [problem.q, problem.lower, problem.upper, inverse_scale, step, pivot]
         )
         points = self.extrapolations(z0, problem.lower, problem.upper)
+        unit = step_unit(np.abs(problem.q * inverse_scale).max(initial=0.0))
         yield from self.swept(
-            problem, splitting_sweep, rows, (beta / alpha, True), z0, points=points
+            problem, splitting_sweep, rows, (beta / alpha, True, unit), z0, points=points
         )
 
     def facts(self, problem: LCP) -> IterationFacts:
@@ -593,7 +600,7 @@ class _Simultaneous(_Relaxation):
         step = omega / require_positive_diagonal(problem, self.name)
         inverse_scale, ones = inverse_residual_scale(problem.matrix), np.ones(problem.n)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale, step, ones])
-        yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False), z0)
+        yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False, 1.0), z0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,10 +20,11 @@ from ..core.matrix import (
     Matrix,
     balanced_factors,
     fact,
+    inverse_residual_scale,
     triangle_sums,
     unit_triangle_sums,
 )
-from ..core.splittings import ScaledByRows
+from ..core.splittings import ScaledByRows, step_unit
 from ..systems.factors import sparse_lu
 
 
@@ -66,6 +67,8 @@ class NPSplitting(ScaledByRows):
         scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
         factor = self._factorize(scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
+        scale = inverse_residual_scale(problem.matrix)
+        unit = step_unit(np.abs(problem.q * scale).max(initial=0.0))
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         points, z = self.extrapolations(z0, problem.lower, problem.upper), z0
         while True:
@@ -74,7 +77,11 @@ class NPSplitting(ScaledByRows):
             natural = np.clip(step * w, z - problem.upper, z - problem.lower)
             yield Step(z, residual, work=work)
             new = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
-            z = new if points is None else points.send((new, z, float(((new - z) ** 2).sum())))[0]
+            z = (
+                new
+                if points is None
+                else points.send((new, z, float((((new - z) * unit) ** 2).sum())))[0]
+            )
             work = (factor.nnz + problem.nonzeros) / entries
 
     def facts(self, problem: LCP) -> IterationFacts:

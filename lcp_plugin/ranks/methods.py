@@ -25,7 +25,7 @@ from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
 from ..core.rounding import read_only_views
-from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType
+from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType, step_unit
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.kernels import prolong, restrict
@@ -318,12 +318,13 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, algorithm: ProjectedTyp
     split, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
     lower, upper = read_only_views(*bounds)
+    unit = step_unit(halo.largest(float(np.abs(problem.q * step).max(initial=0.0))))
     new, points = x.copy(), algorithm.extrapolations(x, lower, upper, halo.total)
     while True:
         halo.fetch(x)
         new[problem.own :] = x[problem.own :]
         _, squares = splitting_sweep(
-            M.indptr, split, M.indices, M.data, rows, beta / alpha, True, False, x, new
+            M.indptr, split, M.indices, M.data, rows, beta / alpha, True, unit, False, x, new
         )
         x, new = (new, x) if points is None else points.send((new, x, squares))
         yield x[: problem.own], 1.0

@@ -25,9 +25,9 @@ from .rows import clamp, halves_of_row, residual_of_row, without_nearest
 
 @kernel
 def splitting_sweep(  # type: ignore[no-untyped-def]
-    indptr, split, indices, data, rows, coupling, projected, backward, z, new
+    indptr, split, indices, data, rows, coupling, projected, unit, backward, z, new
 ):
-    """Write the next iterate of an AOR-type splitting into `new`; return the residual of z, and Σ (new_i − z_i)².
+    """Write the next iterate of an AOR-type splitting into `new`; return the residual of z, and Σ (unit (new − z))².
 
     `rows` holds q, lower, upper, inverse_scale, step, inverse_pivot. With w = M z + q at the old z and
     c_i = Σ m_ij (new_j − z_j) over the columns j already updated:
@@ -79,7 +79,7 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         )
         new[i] = value
         near = value - zi
-        squares += near * near
+        squares += (near * unit) * (near * unit)
     return largest, squares
 
 

@@ -298,7 +298,10 @@ class BranchAndBound:
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:
                 return ended
-        if self.local.best is None:
+        # A first point of an objective of 0 would leave SCIP's rounding error as a gap: without a start it comes after.
+        if self.local.best is None and (
+            engine is None or self.problem.has_convex_relaxation or self.start is not None
+        ):
             self._try_decisions()
         if engine is None:
             return None

@@ -139,9 +139,8 @@ class RowData:
     def references(self) -> VectorEnds:
         """Bounds of ‖r_P(z°)‖∞ in the component of each row; the lower one is NaN if it is infinite."""
         z = self.start
-        if not self.anywhere(z != 0.0):  # r(z°) is not rounded
-            most = self.largest(self.residual_ends(z, self.q)[1])
-            least = most * (1.0 - 8.0 * EPSILON)
+        if not self.anywhere(z != 0.0):  # w(z°) is not rounded
+            least, most = map(self.largest, self.residual_ends(z, self.q))
         else:
             at = self.rows(z)
             least, most = map(self.largest, self.residual_ends(z, at.w, at.rounding))

@@ -113,12 +113,6 @@ class ConeRows(RowData):
         return np.maximum.reduceat(values[None] if values.ndim == 1 else values, starts, -1)
 
     @derived_property
-    def references(self) -> VectorEnds:
-        """Bounds of the residual at z = 0, with a margin for the rounding errors of norms and projections."""
-        least, most = super().references
-        return least * (1.0 - 2.0**-45), most * (1.0 + 2.0**-45)
-
-    @derived_property
     def demand(self) -> FloatVector:
         """Demand of each law; of contacts the largest of the component, because b may be rounding error in a pile."""
         demand: FloatVector = super().demand

@@ -298,10 +298,7 @@ class BranchAndBound:
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:
                 return ended
-        # A first point of an objective of 0 would leave SCIP's rounding error as a gap: without a start it comes after.
-        if self.local.best is None and (
-            engine is None or self.problem.has_convex_relaxation or self.start is not None
-        ):
+        if self.local.best is None:
             self._try_decisions()
         if engine is None:
             return None
@@ -355,7 +352,11 @@ class BranchAndBound:
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = ExternalBound(found.status, found.bound)
         if found.x is not None:
+            first, self.local.best = self.local.best, None
             self.local.from_point(found.x)
+            # Its bound is as accurate as the terms at its own point, which may be all 0 at the first one.
+            if first is not None and first.value <= self.local.value and not self._is_closed():
+                self.local.best = first
         if self.local.value < found.bound - self.allowed:  # a better point refutes the bound
             self.outside = ExternalBound(found.status, -math.inf)
         return ENDS.get(found.status)

@@ -115,8 +115,9 @@ def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None
 
     for drawn in (one for family in FAMILIES for one in draw(family, 60, 8)):
         data, n = (drawn.matrix.toarray(), drawn.q, drawn.lower, drawn.upper), drawn.n
+        solved = solve(drawn).z
         for size in (0.0, 1e-16, 1e-13, 1e-10, 1e-8):
-            z = solve(drawn).z * (1.0 + size * rng.normal(size=n))
+            z = solved * (1.0 + size * rng.normal(size=n))
             own = np.empty((9, n + 1)), np.empty(n, np.int64), np.empty(n, np.int64)
             bound = test(*data, z, *own)
             found = row_data(drawn).measure(z, 1e-8, power=1.0)

@@ -335,7 +335,7 @@ class RowData:
         """Return bounds of every |r_i(z)| for slacks within w ± rounding; 0 and ∞ for numbers that are not finite."""
         if rounding is None:
             size = np.abs(self.residual(z, w, scale))
-            return size, size * (1.0 + 4.0 * EPSILON)
+            return size * (1.0 - 4.0 * EPSILON), size * (1.0 + 4.0 * EPSILON)
         bottom, top = self.residual(z, np.array([w - rounding, w + rounding]), scale)
         low = np.maximum(np.maximum(bottom, -top), 0.0) * (1.0 - 4.0 * EPSILON)
         high = np.maximum(-bottom, top) * (1.0 + 4.0 * EPSILON)

@@ -19,6 +19,9 @@ from oracles.relations import bits, data_of, surroundings
 from lcp_plugin import LCP, Status, analyze, error_bound, prepare, solve
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
+with suppress(ImportError):  # its import sets a variable of the environment
+    import threadpoolctl  # noqa: F401
+
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = ["auto", *BOUNDED]
 ACCURACY = 1e-6

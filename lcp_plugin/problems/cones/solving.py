@@ -66,9 +66,6 @@ WORDS = {
     ),
 }
 SWEPT = "cheap sweeps over the blocks find most of the active set"
-FOLLOWS = "Newton's steps solve for the active set that the sweeps found"
-MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
-NEARBY = "from a point nearby"
 
 
 @np.errstate(all="ignore")
@@ -111,9 +108,7 @@ def solve_cones(
     log = RunLog(problem) if settings.verbose else None
     progress = Progress(settings, checked_callback(callback), clock, log)
     with threads_for(settings.threads):
-        stack = ConeStack.of(problem)
-        z = None if z0 is None else stack.snap(stack.pattern.wide(checked_start(problem, z0)[None]))
-        run = ConeRun(problem, stack, progress, z, chosen)
+        run = ConeRun(problem, progress, None if z0 is None else checked_start(problem, z0), chosen)
         result: ConeResult = run.solve(run.plan())
     return result
 
@@ -176,41 +171,37 @@ class ConeRun(Run):
     Parameters
     ----------
     problem : Blocks
-    stack : ConeStack
-        Stack of this problem only.
     progress : Progress
         Of the entire problem.
-    z : array, shape (1, k, m), or None
+    z : array, shape (n,), or None
         Start passed by the user.
     chosen : str or ConeAlgorithm
         "auto" or a method.
-    embed : callable
-        Function that embeds a point of the component, shape (n,), into a point of the entire problem.
-    whole : Blocks, optional
-        The entire problem, if `problem` is a component.
+    whole : ConeRun, optional
+        The run on the entire problem, if `problem` is a component.
+    rows : array of bool, optional
+        The rows of the component.
 
     Attributes
     ----------
-    best : Measured or None
-        The measure of `point`; None if these are not due yet.
-    point, residual : array, shape (1, k, m), float
-        The point of the smallest residual, and this residual, as its method computed it.
+    best : Measured
+        The point of the smallest residual, as its method computed it until the point is measured.
     """
 
     def __init__(
         self,
         problem: Blocks,
-        stack: ConeStack,
         progress: Progress,
-        z: Array,
+        z: FloatVector | None,
         chosen: str | ConeAlgorithm = "auto",
-        embed: Callable[[FloatVector], FloatVector] = lambda z: z,
-        whole: Blocks | None = None,
+        whole: ConeRun | None = None,
+        rows: Any = slice(None),
     ) -> None:
         super().__init__(progress)
-        self.share = problem.nonzeros / max((whole or problem).nonzeros, 1)  # of its work
-        self.problem, self.stack, self.chosen, self.embed = problem, stack, chosen, embed
-        self.rows = ConeRows(stack)
+        self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)
+        self.rows, stack = ConeRows(self.stack), self.stack
+        self.place = (np.empty(problem.n) if whole is None else whole.place[0]), rows
+        self.share = 1.0 if whole is None else problem.nonzeros / max(whole.problem.nonzeros, 1)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance
         if self.absolute:
@@ -218,19 +209,21 @@ class ConeRun(Run):
             least = np.maximum(stack.reference, self.absolute / reached)
             stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
         self.goal = CLOSER * reached
-        self.is_warm = z is not None and bool((z != stack.origin).any())
-        self.point = self.last = self.start = stack.origin if z is None else z
+        self.start = stack.origin if z is None else stack.snap(stack.pattern.wide(z[None]))
+        self.is_warm = z is not None and bool((self.start != stack.origin).any())
+        self.best = Measured(self.start, np.inf, passes=False)
 
-    def measure(self, stage: Stage, step: Step) -> None:
-        """Keep the point of a step if its residual is smaller; below EXACT differences are rounding errors."""
-        self.last = step.z
-        if step.residual is not None and step.residual < self.residual and self.residual > EXACT:
-            self.point, self.residual, self.best = step.z, step.residual, None
+    def measure(self, stage: Stage, step: Step) -> Measured | None:
+        """Return a point with the residual of its method; None if the best one is at rounding level."""
+        if step.residual is None or self.residual <= EXACT:
+            return None
+        return Measured(step.z, step.residual, passes=False)
 
     def shown(self, step: Step) -> FloatVector:
         """Return the point of the entire problem."""
-        flat = self.stack.pattern.flat(self.stack.snap(step.z))[0]
-        return read_only(self.embed(flat.copy()))
+        whole, rows = self.place
+        whole[rows] = self.stack.pattern.flat(self.stack.snap(step.z))[0]
+        return read_only(whole.copy())
 
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
         """Measure the best point, except after sweeps that leave a residual."""
@@ -242,16 +235,13 @@ class ConeRun(Run):
 
     def measure_best(self) -> None:
         """Measure the best point, after the linear system of its active set if it may pass."""
-        if self.best is not None:
-            return
-        if EXACT < self.residual <= self.goal:
-            self.point, residual = polish_points(self.stack, self.point)
-            self.residual = float(residual[0])
-        self.best = self.judged(self.stack.snap(self.point))
-
-    def judged(self, z: Array) -> Measured:
-        """Return the measure of z, shape (1, k, m), a point of the cones."""
-        return self.rows.measure_blocks(z, self.tolerance, self.absolute)
+        z = self.best.z
+        if self.best.rows is None:
+            if EXACT < self.residual <= self.goal:
+                z, residual = polish_points(self.stack, z)
+                self.residual = float(residual[0])
+            z = self.stack.snap(z)
+            self.best = self.rows.measure_blocks(z, self.tolerance, self.absolute)
 
     def status(self, end: TerminationReason) -> Status:
         """Return the status; a proof of a component, or of the entire problem, excludes a solution."""
@@ -284,7 +274,7 @@ class ConeRun(Run):
         """Return the stage of this method and reason, a new one or the earlier one, with further points."""
         for stage in self.progress.stages:
             if (stage.algorithm.name, stage.because) == (algorithm.name, because):
-                stage.steps = points
+                stage.steps, stage.z = points, None
                 return stage
         return Stage(algorithm, because, steps=points)
 
@@ -304,8 +294,7 @@ class ConeRun(Run):
         stack, problem, goal = self.stack, self.problem, self.goal
         has_friction = problem.has_friction
         if isinstance(self.chosen, ConeAlgorithm):
-            points = self.chosen.points(problem, stack, self.start, goal)
-            yield self.stage(self.chosen, "", points)
+            yield Stage(self.chosen, steps=self.chosen.points(problem, stack, self.start, goal))
             return
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
@@ -339,38 +328,38 @@ class ConeRun(Run):
             yield self._path(share)
         yield from self._late_stages()
 
+    def _late_stages(self) -> Iterator[Stage]:
+        """Yield sweeps until nothing changes, then Newton's method from points nearby."""
+        stack = self.stack
+        yield self._newton(stack.snap(self.best.z), "from the best point so far")
+        z = yield from self._sweeps_and_newton(stack.origin, LONG_SCHEDULE, "until nothing changes")
+        is_near = stack.relative_residual(z) < 1.0
+        z = z if is_near else stack.snap(self.best.z)
+        for seed in range(17):
+            yield self._newton(move_at_random(stack, z, seed), "from a point nearby")
+
     def _sweeps_and_newton(
         self, z: Array, schedule: Any, because: str = SWEPT
     ) -> Generator[Stage, None, Array]:
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
-            self.last = z
-            yield self.stage(ConeNSGS(), because, sweep_points(self.stack, z, count, self.goal))
-            z = self.last
-            points = newton_points(self.stack, z, steps, self.goal)
-            yield self.stage(ConeNewton(), FOLLOWS, points)
+            points = sweep_points(self.stack, z, count, self.goal)
+            yield (sweeps := self.stage(ConeNSGS(), because, points))
+            z = z if sweeps.z is None else sweeps.z
+            yield self._newton(
+                z, "Newton's steps solve for the active set that the sweeps found", steps
+            )
         return z
+
+    def _newton(self, z: Array, because: str, steps: int = NEWTON_STEPS) -> Stage:
+        return self.stage(ConeNewton(), because, newton_points(self.stack, z, steps, self.goal))
 
     def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
-        z = self.stack.origin if share is None else self.stack.snap(self.point)
+        z = self.stack.origin if share is None else self.stack.snap(self.best.z)
+        because = "from the middle of the impulses that make the same motion Newton converges"
         points = path_points(self.stack, z, share or 1.0, self.goal)
-        return self.stage(ConeInteriorPoint(), MIDDLE, points)
-
-    def _late_stages(self) -> Iterator[Stage]:
-        """Yield sweeps until nothing changes, then Newton's method from points nearby."""
-
-        def newton(z: Array, because: str) -> Stage:
-            points = newton_points(self.stack, z, NEWTON_STEPS, self.goal)
-            return self.stage(ConeNewton(), because, points)
-
-        stack = self.stack
-        yield newton(stack.snap(self.point), "from the best point so far")
-        z = yield from self._sweeps_and_newton(stack.origin, LONG_SCHEDULE, "until nothing changes")
-        is_near = stack.relative_residual(z) < 1.0
-        z = z if is_near else stack.snap(self.point)
-        for seed in range(17):
-            yield newton(move_at_random(stack, z, seed), NEARBY)
+        return self.stage(ConeInteriorPoint(), because, points)
 
     def _solve_components(self) -> bool:
         """Return whether there are several components; solve each that does not pass, and combine the points."""
@@ -378,37 +367,28 @@ class ConeRun(Run):
         if pattern.labels is None:
             return False
         self.measure_best()
-        flat = pattern.flat(self.best.z)[0].copy()
-        labels = pattern.labels[0]
-        for label in np.unique(
-            labels[self.rows.of_blocks(self.best.by_row.fails(self.tolerance))[0]]
-        ).tolist():
+        whole, labels = self.place[0], pattern.labels[0]
+        whole[:] = pattern.flat(self.best.z)[0]
+        is_open = self.rows.of_blocks(self.best.by_row.fails(self.tolerance))[0]
+        for label in np.unique(labels[is_open]).tolist():
             blocks = labels == label
             rows = blocks[pattern.of_row]
-
-            def embed(z: FloatVector, rows: Any = rows) -> FloatVector:
-                found = flat.copy()
-                found[rows] = z
-                return self.embed(found)
-
-            part = self.problem.part(blocks)
-            stack = ConeStack.of(part)
-            start = stack.pattern.wide(pattern.flat(self.start)[:, rows]) if self.is_warm else None
-            run = ConeRun(part, stack, self.progress, start, embed=embed, whole=self.problem)
+            start = pattern.flat(self.start)[0, rows] if self.is_warm else None
+            run = ConeRun(self.problem.part(blocks), self.progress, start, "auto", self, rows)
             try:
                 run.follow_all(run.plan())
             except KeyboardInterrupt:
                 self.progress.end = TerminationReason.INTERRUPTED
             run.measure_best()
-            flat[rows] = stack.pattern.flat(run.best.z)[0]
+            whole[rows] = run.stack.pattern.flat(run.best.z)[0]
             if run.proof is not None and not self._is_excluded():
                 y = np.zeros(pattern.n)
                 y[rows] = run.proof.y
                 self.proof = ContactInfeasibility(self.problem, y)
             if self.progress.end is not None:
                 break
-        z = pattern.wide(flat[None])
-        self.best = self.judged(z)
+        z = pattern.wide(whole[None])
+        self.best = self.rows.measure_blocks(z, self.tolerance, self.absolute)
         return True
 
 

@@ -319,9 +319,8 @@ def compile_everything() -> str:
     found = derivative(solve_batch([dense]))
     found.vjp(np.ones((1, 9)))
     found.jvp(dq=np.ones(9))
-    no_solution = LCP(
-        [[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]
-    )  # an exact search enumerates all pieces
+    # an exact search enumerates all pieces
+    no_solution = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, gallery.build("bimatrix_game").problem):
         solve(problem)

@@ -469,9 +469,8 @@ def balanced_factors(
     for first in range(0, matrix.n, BLOCK):
         rows = slice(first, first + BLOCK)
         total = sums[0][rows] + sums[1][rows]
-        is_dominant = is_dominant and bool(
-            total.max() <= 1.0 + ROUNDED
-        )  # False if it is not a number
+        # False if it is not a number
+        is_dominant = is_dominant and bool(total.max() <= 1.0 + ROUNDED)
         if not is_dominant:
             break
         quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2

@@ -72,9 +72,8 @@ class FreeBoundary:
         inside = level < 0.0
         crossed = inside.any(axis=1) & ~inside.all(axis=1)
         level, points, inside = level[crossed], points[crossed], inside[crossed]
-        alone = np.argmax(
-            inside == (inside.sum(axis=1) == 1)[:, None], axis=1
-        )  # the corner on its own side
+        # the corner on its own side
+        alone = np.argmax(inside == (inside.sum(axis=1) == 1)[:, None], axis=1)
         rows = np.arange(len(level))[:, None]
         others = (alone[:, None] + [1, 2]) % 3
         own, its = level[rows, alone[:, None]], points[rows, alone[:, None]]

@@ -22,13 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import FloatVector
-from ..core.errors import (
-    InvalidOption,
-    LCPError,
-    UnsuitableMatrix,
-    UnsuitableProblem,
-    did_you_mean,
-)
+from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.executors import run_on
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of, refusal
@@ -67,12 +61,8 @@ ERROR_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-ENDED = (
-    "SOLVED",
-    "PRECISION_LIMIT",
-    "STALLED",
-    "DIVERGED",
-)  # statuses after which a polish may be made
+# statuses after which a polish may be made
+ENDED = ("SOLVED", "PRECISION_LIMIT", "STALLED", "DIVERGED")
 LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution counts one pass
 
 NO_POINTS = np.zeros((0, len(POINT)))

@@ -201,11 +201,7 @@ def journal_bearing(
 
 @scene_builder
 def elastic_plastic_torsion(
-    *,
-    size: int = 100,
-    section: str = "square",
-    plastic_share: float = 0.5,
-    mixed: bool = False,
+    *, size: int = 100, section: str = "square", plastic_share: float = 0.5, mixed: bool = False
 ) -> Scene:
     """Stress function of a twisted elastic, perfectly plastic bar: a box whose width is the distance to the boundary.
 
@@ -319,11 +315,7 @@ def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Fl
 
 @scene_builder
 def market_equilibrium(
-    *,
-    goods: int = 30,
-    activities: int = 60,
-    running: float = 0.5,
-    seed: int = 0,
+    *, goods: int = 30, activities: int = 60, running: float = 0.5, seed: int = 0
 ) -> Scene:
     """Market equilibrium with linear demand and constant returns: M = [[D, A], [−Aᵀ, 0]], planted integers.
 

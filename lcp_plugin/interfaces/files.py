@@ -178,15 +178,8 @@ MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
 #: Names of the parts of sparse matrices: of M in CSR without a prefix, of P, A and G in CSC.
 PARTS = {key: "M" for key in MATRIX_KEYS} | {f"{M}_{key}": M for M in "PAG" for key in MATRIX_KEYS}
-DENSE = (
-    "M",
-    "W",
-    "P",
-    "A",
-    "G",
-    "H",
-    "Aeq",
-)  # matrices; everything else in a .mat file is a vector
+# matrices; everything else in a .mat file is a vector
+DENSE = ("M", "W", "P", "A", "G", "H", "Aeq")
 MOST_ROWS = 10**8
 LARGE_UNPACKED = 2**30  # bytes
 

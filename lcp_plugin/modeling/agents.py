@@ -275,9 +275,8 @@ def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
 def _check_program(agent: Optimal, rules: Convexity) -> None:
     """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
     program, has_kinks = agent.program, agent.conditions.has_kinks
-    stated = list(
-        map(StandardRows.of, program.constraints)
-    )  # raises for parameters that are not finite
+    # raises for parameters that are not finite
+    stated = list(map(StandardRows.of, program.constraints))
     if agent.check == "local" and not has_kinks:
         return
     goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)

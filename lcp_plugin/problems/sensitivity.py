@@ -849,12 +849,7 @@ class Derivative(LinearizedSystem):
     """
 
     def __init__(
-        self,
-        problem: LCP,
-        z: FloatVector,
-        w: FloatVector,
-        *,
-        before: Derivative | None = None,
+        self, problem: LCP, z: FloatVector, w: FloatVector, *, before: Derivative | None = None
     ) -> None:
         self.problem = problem
         self._found = z, w, None if before is None else before._rows.system

@@ -14,15 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
-from ..core.matrix import (
-    ROUNDED,
-    Exponents,
-    Matrix,
-    fact,
-    mismatch,
-    scale_matrix,
-    times_power,
-)
+from ..core.matrix import ROUNDED, Exponents, Matrix, fact, mismatch, scale_matrix, times_power
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits

@@ -70,10 +70,7 @@ class PositiveFactor:
 
 
 def factorise(
-    matrix: Any,
-    *,
-    is_symmetric: bool = False,
-    bandwidth: tuple[int, int] | None = None,
+    matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None
 ) -> Factor | None:
     """Return a factor of a square matrix, or None if a pivot is exactly zero or the entries overflow.
 
@@ -185,9 +182,8 @@ def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
         else {"permc_spec": "COLAMD"}
     )
     try:
-        factor = sparse_lu(
-            matrix.T, **options
-        )  # CSR of A is CSC of Aᵀ: factorize Aᵀ and solve with its transpose
+        # CSR of A is CSC of Aᵀ: factorize Aᵀ and solve with its transpose
+        factor = sparse_lu(matrix.T, **options)
     except RuntimeError:
         return None
 

@@ -73,10 +73,8 @@ class LinearizedSystem:
         return by_w - change, by_z - self._product(change, transposed=True), multiplier
 
 
-ALIKE, ENTRIES = (
-    8,
-    2**16,
-)  # blocks with a smaller difference in size are inverted together, at most so many entries at a time
+# blocks with a smaller difference in size are inverted together, at most so many entries at a time
+ALIKE, ENTRIES = (8, 2**16)
 
 
 def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
@@ -144,9 +142,8 @@ class FreeBlocks:
         )
         counts = np.minimum(-(-free.sum(axis=1) // ALIKE) * ALIKE, free.shape[1])
         for count, items in self._alike(counts):
-            rows = np.argsort(~free[items], axis=1, kind="stable")[
-                :, :count
-            ]  # fixed rows of the block are rows of I
+            # fixed rows of the block are rows of I
+            rows = np.argsort(~free[items], axis=1, kind="stable")[:, :count]
             own = free[items[:, np.newaxis], rows]
             which = (items if len(J) > 1 else np.zeros_like(items))[:, np.newaxis, np.newaxis]
             blocks = J[which, rows[:, :, np.newaxis], rows[:, np.newaxis]]
@@ -456,13 +453,11 @@ class FreeSystem:
 
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
         """Return whether terms cancel for a random right-hand side of this size, shape (|F|,)."""
-        x = factor.solve(
-            np.random.default_rng(0).standard_normal(scale.size) * scale
-        )  # a random vector is not in the range of a singular block
+        # a random vector is not in the range of a singular block
+        x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)
         self.work += factor.solve_work
-        at_most = (
-            self.matrix.row_largest[self.rows] * np.abs(x).sum()
-        )  # decides most blocks without a product
+        # decides most blocks without a product
+        at_most = self.matrix.row_largest[self.rows] * np.abs(x).sum()
         return not bool(
             (at_most <= SINGULAR * scale).all()
             or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()

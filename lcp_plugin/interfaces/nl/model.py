@@ -375,9 +375,8 @@ class EquilibriumModel(NLModel):
         InvalidOption
             For any other.
         """
-        from ...problems.equilibria.branch_and_bound import (
-            minimize_over_solutions,
-        )  # which loads more
+        # which loads more
+        from ...problems.equilibria.branch_and_bound import minimize_over_solutions
 
         wishes = _of_search({**options, "algorithm": algorithm})
         result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})

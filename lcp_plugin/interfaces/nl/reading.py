@@ -178,10 +178,8 @@ PLUS = 0  # the number of the operator
 PARTNER = 5  # the kind of a complementarity row
 MOST_OPTIONS = 9
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
-LITTLE_ENDIAN, BIG_ENDIAN = (
-    1,
-    2,
-)  # the kinds of arithmetic that can be read; 0 is the writer's own
+# the kinds of arithmetic that can be read; 0 is the writer's own
+LITTLE_ENDIAN, BIG_ENDIAN = (1, 2)
 
 
 class Token(IntEnum):

@@ -299,9 +299,8 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     ends = np.flatnonzero(content.is_integer & ~np.append(content.is_integer[1:], False)) + 1
     first = int(ends[0])
     if ends.size <= 2 and int(ends[-1]) in (first, n) and max(in_rows, in_objectives) <= first < n:
-        own = int(
-            content.is_integer[:first].sum()
-        )  # the last variables of the nonlinear and of the linear group
+        # the last variables of the nonlinear and of the linear group
+        own = int(content.is_integer[:first].sum())
         return first, first, (integers.size - own, own, 0, 0)
     if integers[0] != n - integers.size:
         raise InvalidProblem(

@@ -11,12 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    FloatVector,
-    checked_bounds,
-    checked_vector,
-    rectangular_matrix,
-)
+from ...core.checks import FloatVector, checked_bounds, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
 from ...proofs.exact import MOST_ENTRIES, exact_rows, rank_profile

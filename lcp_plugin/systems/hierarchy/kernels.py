@@ -212,9 +212,8 @@ def _update_rows(  # type: ignore[no-untyped-def]
     return products, changed_rows
 
 
-Matrix = tuple[
-    NDArray[Any], NDArray[Any], NDArray[Any], FloatVector
-]  # CSR arrays and the positions of the diagonal
+# CSR arrays and the positions of the diagonal
+Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector]
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
@@ -460,19 +459,7 @@ def _products(  # type: ignore[no-untyped-def]
 
 @kernel
 def _free_rows(  # type: ignore[no-untyped-def]
-    indptr,
-    indices,
-    data,
-    inverse,
-    q,
-    lower,
-    upper,
-    z,
-    is_free,
-    is_changed,
-    residual,
-    first,
-    end,
+    indptr, indices, data, inverse, q, lower, upper, z, is_free, is_changed, residual, first, end
 ):
     """Apply `free_rows` to the rows from first to end, in order; a NaN is the largest residual."""
     one, largest, changed = uintp(1), 0.0, 0

@@ -25,9 +25,8 @@ class TruncatedGrid:
     def __init__(self, grid: Grid, *, is_finest: bool) -> None:
         self.grid = grid
         n = grid.n
-        self.new_values = (
-            None if is_finest else grid.matrix.data.copy()
-        )  # the finest grid shares the values of the matrix
+        # the finest grid shares the values of the matrix
+        self.new_values = None if is_finest else grid.matrix.data.copy()
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
@@ -137,9 +136,8 @@ class Truncation:
         self.grids = [self.kind(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)]
         self.top = 0
         self.work = 0.0
-        self.spare: list[
-            FloatVector
-        ] = []  # the first access to new memory costs more than the arithmetic
+        # the first access to new memory costs more than the arithmetic
+        self.spare: list[FloatVector] = []
 
     def vector(self) -> FloatVector:
         """Return an uninitialized vector for the local values of the finest grid, shape (n,)."""
@@ -277,12 +275,7 @@ class KrylovCorrection:
     is_symmetric : bool
     """
 
-    def __init__(
-        self,
-        truncation: Truncation,
-        residual: FloatVector,
-        is_symmetric: bool,
-    ) -> None:
+    def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         # Squares of very large or small numbers leave the range of a double.
         self.unit: float = power_of_two(truncation.largest(span(residual)))

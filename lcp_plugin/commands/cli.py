@@ -11,7 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import typer
+try:
+    import typer
+except ImportError as error:
+    raise ImportError("the command needs typer; install it with: pip install typer rich") from error
 
 from .. import __version__
 from ..core.errors import LCPError

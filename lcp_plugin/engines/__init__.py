@@ -8,8 +8,10 @@ infeasible or unbounded only starts the search for a proof.
 
 from __future__ import annotations
 
+import warnings
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
@@ -29,6 +31,8 @@ __all__ = [
     "ProgramData",
     "SolverLimits",
     "engine_class",
+    "installed_engine",
+    "is_installed",
 ]
 
 
@@ -43,3 +47,29 @@ def engine_class(name: str) -> type[Engine]:
     """
     found: type[Engine] = getattr(import_module(".solvers", __name__), ENGINES[name])
     return found
+
+
+@cache
+def is_installed(name: str) -> bool:
+    """Return whether the package of an engine is there; HiGHS is a part of scipy."""
+    return name == "highs" or find_spec(name) is not None
+
+
+def installed_engine(name: str) -> type[Engine]:
+    """Return the class of the engine, or the built-in method if its package is not installed."""
+    return engine_class(name) if is_installed(name) else _substitute()
+
+
+@cache
+def _substitute() -> type[Engine]:
+    """Return the class of the built-in interior point method; warn once."""
+    missing = [name for name in ENGINES if not is_installed(name)]
+    warnings.warn(
+        f"{', '.join(missing)} not installed: convex programs use a built-in interior point method, which is slower; "
+        f"pip install {' '.join(missing)}",
+        RuntimeWarning,
+        stacklevel=3,
+    )
+    from .mehrotra import Mehrotra
+
+    return Mehrotra

@@ -13,6 +13,7 @@ repeated steps tend to a solution of the system without δ, the nearest solution
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -101,15 +102,21 @@ def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], Floa
             K + np.diag(shift * signs * np.where(size > 0.0, size, 1.0))
         )
         return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
-    import qdldl
-
     below = sp.csr_array((C.data, C.indices, C.indptr), shape=(m, n + m))
     K = sp.vstack([sp.hstack([P, sp.csr_array(C.T)], "csr"), below], format="csr")
     size = largest_in_rows(K)
     shifted = sp.triu(K) + sp.diags_array(shift * signs * np.where(size > 0.0, size, 1.0))
+    factorize: Callable[[Any], Any]
     try:
-        solver: Callable[[FloatVector], FloatVector]
-        solver = qdldl.Solver(sp.csc_matrix(shifted), upper=True).solve
+        from qdldl import Solver
+
+        factorize = partial(Solver, upper=True)
+    except ImportError:
+        from scipy.sparse.linalg import splu
+
+        factorize, shifted = splu, shifted + sp.triu(shifted, 1).T
+    try:
+        solver: Callable[[FloatVector], FloatVector] = factorize(sp.csc_matrix(shifted)).solve
     except RuntimeError:  # a pivot of 0, or no memory
         return None
     return solver

@@ -16,9 +16,8 @@ from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
-from ..engines import Engine, ProgramData, SolverLimits
+from ..engines import Engine, ProgramData, SolverLimits, installed_engine
 from ..engines.scaling import scale_program
-from ..engines.solvers import PIQP
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
 from .newton import classify, is_near, signature, solve_active_set
@@ -81,16 +80,17 @@ class InteriorPoint(Algorithm):
         seconds = 20 * operations / speed  # of PIQP's factorizations
         require_seconds(seconds)
         program = MonotoneProgram.of(with_signed_equations(problem))
+        engine = installed_engine(self.engine)
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
             require_seconds(seconds)
-            z, steps = program.answer(PIQP(max_iter=STEPS, **options))
+            z, steps = program.answer(engine(max_iter=STEPS, **options))
             if not np.isfinite(z).all():
                 return
             cases = _cases(problem, z, CASES)
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
-            sharp.remark = f"{PIQP.name} took {steps} steps"
+            sharp.remark = f"{engine.name} took {steps} steps"
             yield from chain([sharp, Step(z)], cases)
             if steps in (0, STEPS):  # PIQP gave up
                 return

@@ -153,7 +153,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import cvxpy as cp
+try:
+    import cvxpy as cp
+except ImportError as error:
+    raise ImportError("models need cvxpy; install it with: pip install cvxpy") from error
 
 
 def _solve(problem: cp.Problem, *args: Any, **options: Any) -> Any:

@@ -9,15 +9,28 @@ another file, delete the cache: the files ``*.nb?`` in ``__pycache__``, or the f
 
 from __future__ import annotations
 
+import warnings
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from ..deadline import compilation, pause_for_compilation
 
-with pause_for_compilation():  # most of a second
-    from numba import njit, uintp
-    from numba.core import event
+try:
+    with pause_for_compilation():  # most of a second
+        from numba import njit, uintp
+        from numba.core import event
+except ImportError:
+    HAS_NUMBA, uintp = False, int  # type: ignore[assignment]
+    warnings.warn(
+        "numba is not installed: kernels run as Python, which is slower; pip install numba",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+else:
+    HAS_NUMBA = True
 
 __all__ = [
     "helper",
@@ -33,21 +46,24 @@ OPTIONS: dict[str, Any] = {
 OF_HELPERS: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # nor Python these
 
 
-class _Seconds(event.Listener):
-    """Sum of the seconds of a thread for compilation, for loading cached code, and for waiting on another thread."""
+if HAS_NUMBA:
 
-    def on_start(self, event: Any) -> None:
-        compilation().begin()
+    class _Seconds(event.Listener):
+        """Sum of the seconds of a thread for compilation, for loading cached code, and for waiting on a thread."""
 
-    def on_end(self, event: Any) -> None:
-        compilation().end()
+        def on_start(self, event: Any) -> None:
+            compilation().begin()
 
+        def on_end(self, event: Any) -> None:
+            compilation().end()
 
-event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-call]
+    event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-call]
 
 
 def kernel(function: Any) -> Any:
     """Compile a function that Python calls, and keep the code in numba's cache if that is possible."""
+    if not HAS_NUMBA:
+        return np.errstate(all="ignore")(function)
     with suppress(RuntimeError):  # no directory for a cache
         compiled = njit(cache=True, **OPTIONS)(function)
         cache = compiled._cache
@@ -67,7 +83,9 @@ def helper(function: Any = None, **options: Any) -> Any:
 
     Python must not call it: without a wrapper for Python objects, a call ends the process.
     """
-    return njit(**(OF_HELPERS | options))(function) if function else partial(helper, **options)
+    if function is None:
+        return partial(helper, **options)
+    return njit(**(OF_HELPERS | options))(function) if HAS_NUMBA else function
 
 
 def inline(function: Any) -> Any:

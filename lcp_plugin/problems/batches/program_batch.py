@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ...core.checks import BoolVector, assemble_csr, read_only
 from ...core.errors import LCPError
 from ...core.kernels.floats import EPSILON
-from ...engines import engine_class
+from ...engines import engine_class, is_installed
 from ..many import rows_of_a_batch
 from ..programs.criterion import ProgramComponents, errors_of_each
 from ..programs.program import CANCELS, QuadraticProgram
@@ -189,7 +189,7 @@ class ProgramBatch(Instances):
         """Yield small programs in blocks, some for each thread."""
         (m, p, n, _), count = self.sizes, self.count
         entries = max(n * (n + m + p), 1)
-        if not may_be_small(n, m + p, [entries]):
+        if not (may_be_small(n, m + p, [entries]) and is_installed(ENGINE)):
             return
         data = self.arrays
         may = self.may_be_stated & _are_semidefinite(data[0])

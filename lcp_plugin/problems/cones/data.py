@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from importlib.util import find_spec
 from os import PathLike
 from typing import Any, Self
 
@@ -297,7 +298,12 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
 
 
 def minimizers(problem: Blocks, z: FloatVector) -> Iterator[FloatVector]:
-    """Yield the minimizers of convex programs, each with the terms that depend on z fixed at the last one."""
+    """Yield the minimizers of convex programs, each with the terms that depend on z fixed at the last one.
+
+    None if Clarabel is not installed.
+    """
+    if find_spec("clarabel") is None:
+        return
     M = sp.csc_array(problem.rows.csr)
     symmetric = sp.csc_array(0.5 * (M + M.T))
     rest, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector
 from ...core.settings import Status
 from ...core.solving.result import BaseResult
-from ...engines import engine_class
+from ...engines import installed_engine
 from ...proofs.bounds import Curvature, constrained_curvature
 from ..programs.criterion import QPSolution
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
@@ -116,7 +116,7 @@ class Relaxations:
                 node.bound == -math.inf
             ):  # a vertex has more zeros than multipliers to repair them by
                 inside = run_engine(
-                    program, engine_class("clarabel")(), self.tolerance, GIVEN
+                    program, installed_engine("clarabel")(), self.tolerance, GIVEN
                 ).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual

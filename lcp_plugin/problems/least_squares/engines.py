@@ -37,9 +37,8 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
-from ...engines import EngineAnswer, ProgramData, SolverLimits
+from ...engines import EngineAnswer, ProgramData, SolverLimits, installed_engine
 from ...engines.polish import polish_steps
-from ...engines.solvers import PIQP
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
 
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
@@ -429,7 +428,8 @@ class Split(NamedTuple):
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     """Return the program, and PIQP's point at a tolerance at which a small l1 counts."""
     program = ProgramData(*statement)
-    return program, PIQP(eps_abs=1e-13, eps_rel=1e-13).answer(program, SolverLimits(seconds_left()))
+    engine = installed_engine("piqp")(eps_abs=1e-13, eps_rel=1e-13)
+    return program, engine.answer(program, SolverLimits(seconds_left()))
 
 
 def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:

@@ -44,6 +44,8 @@ from ...engines import (
     ProgramData,
     SolverLimits,
     engine_class,
+    installed_engine,
+    is_installed,
 )
 from ...engines.polish import ROUNDS, polish_steps
 from ...engines.scaling import (
@@ -146,11 +148,15 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
         if engine is not None:
             if name == engine.name:
                 yield type(engine)(**{**options, **engine.options}), units
+        elif not is_installed(name):
+            continue
         elif name == "daqp":
             if matrices.is_small:
                 yield engine_class(name)(), units
         elif name != "highs" or not matrices.has_curvature:
             yield engine_class(name)(**options), units
+    if engine is None and not (is_installed("piqp") and is_installed("clarabel")):
+        yield from ((installed_engine("piqp")(), units) for units in (FITTED, GIVEN))
 
 
 def run_engine(
@@ -468,6 +474,10 @@ def solve_program(
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
     """Return the engine of that name with its options, or the passed engine; None for another algorithm."""
     if isinstance(algorithm, str):
+        if algorithm in ENGINES and not is_installed(algorithm):
+            raise InvalidOption(
+                f'{algorithm} is not installed; install it with: pip install {algorithm}, or use algorithm="auto"'
+            )
         return engine_class(algorithm)(**options) if algorithm in ENGINES else None
     if not isinstance(algorithm, Engine):
         return None

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector, read_only
 from ...core.deadline import require_seconds
-from ...core.matrix import Matrix, fact, is_nearly_symmetric
+from ...core.matrix import Matrix, fact, is_nearly_symmetric, largest_in_rows
 from . import kernels
 from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 
@@ -145,15 +145,55 @@ def interpolation_of(
     `rows` has a row for each of the `n` local unknowns, and an empty row for each ghost. `spread` adds the choices of
     ghosts to the local choices.
     """
-    from pyamg.classical.interpolate import direct_interpolation
-    from pyamg.classical.split import RS
-    from pyamg.strength import classical_strength_of_connection
-
     indptr, indices, data = rows
     width = indptr.size - 1
     M = sp.csr_matrix((data, indices, indptr), shape=(width, width))
+    try:
+        from pyamg.classical.interpolate import direct_interpolation
+        from pyamg.classical.split import RS
+        from pyamg.strength import classical_strength_of_connection
+    except ImportError:
+        return _interpolation_in_numpy(M, n, strength, spread)
     strong = classical_strength_of_connection(M, strength, norm="min")
     choice = spread(RS(strong if n == width else strong[:n, :n], second_pass=second_pass))
     P = sp.csr_array(direct_interpolation(M, strong, choice))
     is_lonely = (np.diff(P.indptr) == 0) & (np.diff(strong.indptr) > 1)  # strong has the diagonal
     return read_only(choice == 1), P, int(np.count_nonzero(is_lonely))
+
+
+def _interpolation_in_numpy(
+    M: Any, n: int, strength: float, spread: Callable[[Any], Any]
+) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
+    """Return the result of :func:`interpolation_of` without pyamg.
+
+    The coarse unknowns are a maximal independent set of the strong couplings, by Luby's rounds, and each other unknown
+    is interpolated directly from its strong coarse neighbors.
+    """
+    M = sp.csr_array(M)
+    diagonal = M.diagonal() + sp.csr_array(M - sp.diags_array(M.diagonal())).maximum(0).sum(axis=1)
+    coupling = sp.csr_array((-M).maximum(0))
+    strong = coupling.copy()
+    is_strong = coupling.data >= strength * np.repeat(
+        largest_in_rows(coupling), np.diff(coupling.indptr)
+    )
+    strong.data *= is_strong
+    strong.eliminate_zeros()
+    graph = sp.csr_array(strong[:n, :n] + strong[:n, :n].T)
+    # As Ruge and Stüben: first the unknowns on which many depend; the random share decides ties.
+    weight = np.bincount(strong[:n, :n].indices, minlength=n) + np.random.default_rng(0).random(n)
+    is_open, is_coarse = np.diff(graph.indptr) > 0, np.zeros(n, np.bool_)
+    while is_open.any():
+        rival = largest_in_rows(graph, np.where(is_open, weight, 0.0)[graph.indices])
+        is_new = is_open & (weight > rival)
+        is_coarse |= is_new
+        is_open &= ~is_new & (graph @ is_new == 0.0)
+    choice = np.asarray(spread(is_coarse.astype(np.int32))) == 1
+    used = strong[:, choice]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = coupling.sum(axis=1) / used.sum(axis=1) / diagonal
+    shares[choice | ~np.isfinite(shares)] = 0.0
+    P = sp.diags_array(shares) @ used + sp.eye_array(choice.size, format="csr")[:, choice]
+    P = sp.csr_array(P)
+    P.eliminate_zeros()
+    is_lonely = (np.diff(P.indptr) == 0) & (np.diff(strong.indptr) > 0)
+    return read_only(is_coarse), P, int(np.count_nonzero(is_lonely))

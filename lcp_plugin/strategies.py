@@ -44,7 +44,7 @@ try:
     from hypothesis.errors import Flaky
 except ImportError:
     raise ImportError(
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (the extra [test])"
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
 from .core.checks import FloatVector
@@ -944,5 +944,5 @@ try:
     import hypothesis  # noqa: F401 - to say what is missing before the modules below do
 except ImportError:
     raise ImportError(
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (the extra [test])"
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None

@@ -76,7 +76,7 @@ def require_matplotlib() -> Any:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise LCPError(
-            "a picture needs matplotlib; install it with: pip install matplotlib (the extra [report])"
+            "a picture needs matplotlib; install it with: pip install matplotlib (or lcp_plugin[report])"
         ) from error
     return Figure
 

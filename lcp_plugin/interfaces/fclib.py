@@ -39,7 +39,7 @@ def load_fclib(source: Path) -> FrictionalContact:
         import h5py
     except ImportError as error:
         raise UnreadableFile(
-            f"{source} is read by h5py; install it with: pip install h5py (the extra [fclib])"
+            f"{source} is read by h5py; install it with: pip install h5py (or lcp_plugin[fclib])"
         ) from error
     with opened(source, "HDF5 file") as file, h5py.File(file, "r") as content:
         try:

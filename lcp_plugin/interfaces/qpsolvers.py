@@ -35,7 +35,7 @@ def register_with_qpsolvers() -> None:
     Raises
     ------
     ImportError
-        If qpsolvers is not installed: ``pip install '.[qpsolvers]'``.
+        If qpsolvers is not installed: ``pip install 'lcp_plugin[qpsolvers]'``.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def register_with_qpsolvers() -> None:
         from qpsolvers.solve_problem import solve_function
     except ImportError as error:
         raise ImportError(
-            "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers (the extra [qpsolvers])"
+            "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers (or lcp_plugin[qpsolvers])"
         ) from error
     solve_function[NAME] = solve_problem
     for names in (available_solvers, dense_solvers, sparse_solvers):

@@ -21,7 +21,7 @@ try:
     from mpi4py import MPI
 except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
     raise InvalidOption(
-        f"several ranks need mpi4py and an MPI library ({error}); pip install mpi4py mpich (the extra [mpi])"
+        f"several ranks need mpi4py and an MPI library ({error}); pip install mpi4py mpich (or lcp_plugin[mpi])"
     ) from None
 
 T = TypeVar("T")

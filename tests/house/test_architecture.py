@@ -274,7 +274,7 @@ def test_star_import_needs_no_hypothesis() -> None:
     solved, *errors = printed_by(code).splitlines()
     assert solved == "SOLVED"
     assert errors == 3 * [
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (the extra [test])"
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ]
 
 
@@ -290,8 +290,8 @@ def test_layers_ask_for_their_frameworks() -> None:
     )
     needed = "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install {}"
     assert printed_by(code).splitlines() == [
-        needed.format("torch", "PyTorch", "torch (the extra [torch])"),
-        needed.format("jax", "JAX", "jax (the extra [jax])"),
+        needed.format("torch", "PyTorch", "torch (or lcp_plugin[torch])"),
+        needed.format("jax", "JAX", "jax (or lcp_plugin[jax])"),
     ]
 
 

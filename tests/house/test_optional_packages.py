@@ -43,7 +43,7 @@ print([(one.status.name, one.proof.verify()) for one in proofs])
     ],
 )
 def test_problems_are_solved_without_optional_packages(hidden: tuple[str, ...]) -> None:
-    """Each class is solved, with known answers, and a proof verifies; cvxpy is asked for if it is there."""
+    """Each class is solved, with known answers, and a proof verifies; cvxpy is imported if it is installed."""
     code = f"import sys\nsys.modules |= dict.fromkeys({hidden!r})\n" + SOLVES
     if not {"cvxpy", "qdldl"}.isdisjoint(hidden):  # cvxpy imports qdldl
         names = "LCP, BoundedLeastSquares, FrictionalContact, QuadraticProgram, gallery, march, solve, solve_batch"

@@ -24,6 +24,7 @@ RELEASED = (
     *(".ci/conda/recipe.yaml", "examples/manual/CHANGELOG.md"),
 )
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
+DEPENDENCIES = [line.partition(";")[0] for line in PROJECT["dependencies"]]
 SMALL = 1_300_000  # bytes: nothing but code, which grew by the search for the best solution, SCIP's interface, cones
 
 
@@ -89,7 +90,7 @@ def test_the_metadata_say_what_the_project_says(built: Path) -> None:
         for line in told.get_all("Requires-Dist")
         if "extra ==" not in line
     }  # type: ignore[index]
-    assert needed == {re.match(r"[\w.-]+", line)[0] for line in PROJECT["dependencies"]}  # type: ignore[index]
+    assert needed == {re.match(r"[\w.-]+", line)[0] for line in DEPENDENCIES}  # type: ignore[index]
 
 
 def test_the_source_archive_can_be_tested(built: Path) -> None:
@@ -142,7 +143,7 @@ def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
     assert f'python_min: "{floor}"' in recipe
     run, host = ({line.replace(" ", "") for line in listed(recipe, key)} for key in ("run", "host"))
     run = {line.replace("qdldl-python", "qdldl") for line in run}
-    assert run == {"python>=${{python_min}}", *PROJECT["dependencies"]}
+    assert run == {"python>=${{python_min}}", *DEPENDENCIES}
     assert host == {"python${{python_min}}.*", "pip", *BUILD["requires"]}
     assert listed(recipe, "entry_points") == [
         f"{name} = {function}" for name, function in PROJECT["scripts"].items()
@@ -156,9 +157,9 @@ def test_the_oldest_versions_are_the_floors_of_the_project() -> None:
     lines = ROOT.joinpath("tests", "oldest_versions.txt").read_text(encoding="utf-8").splitlines()
     pins = dict(line.split("==") for line in lines if not line.startswith("#"))
     extras = PROJECT["optional-dependencies"]
-    stated = [*PROJECT["dependencies"], *(line for name in EXTRAS for line in extras[name])]
+    stated = [*DEPENDENCIES, *(line for name in EXTRAS for line in extras[name])]
     floors = dict(line.split(",")[0].split(">=") for line in stated if not line.startswith("lcp"))
-    assert set(PROJECT["dependencies"]) <= {f"{name}>={floors[name]}" for name in pins}
+    assert set(DEPENDENCIES) <= {f"{name}>={floors[name]}" for name in pins}
     for name, pin in pins.items():
         numbers, floor = pin.split(".")[:3], floors[name].split(".")
         assert numbers == [*floor, "0", "0"][: len(numbers)], name

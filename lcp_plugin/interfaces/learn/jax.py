@@ -15,7 +15,7 @@ try:
     import jax
 except ImportError:
     raise ImportError(
-        "lcp_plugin.interfaces.learn.jax needs JAX; install it with: pip install jax (the extra [jax])"
+        "lcp_plugin.interfaces.learn.jax needs JAX; install it with: pip install jax (or lcp_plugin[jax])"
     ) from None
 
 import jax.numpy as jnp

@@ -11,7 +11,7 @@ try:
     import torch
 except ImportError:
     raise ImportError(
-        "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch (the extra [torch])"
+        "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch (or lcp_plugin[torch])"
     ) from None
 
 from ...core.checks import real_array

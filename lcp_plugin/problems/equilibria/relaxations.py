@@ -275,7 +275,7 @@ ENDS = {  # SCIP's names
     "userinterrupt": Status.INTERRUPTED,
 }
 BY_SCIP = "bound by SCIP, in floating point"
-GLOBAL = "pip install pyscipopt (the extra [global])"
+GLOBAL = "pip install pyscipopt (or lcp_plugin[global])"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
     Status.INFEASIBLE: "the linear constraints are inconsistent; next: check the data (proof: result.proof)",

@@ -205,4 +205,6 @@ def test_without_h5py_the_words_say_what_to_install(tmp_path: Path) -> None:
     found = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    assert "is read by h5py; install it with: pip install h5py (the extra [fclib])" in found.stdout
+    assert (
+        "is read by h5py; install it with: pip install h5py (or lcp_plugin[fclib])" in found.stdout
+    )

@@ -537,7 +537,7 @@ def test_pyomo_is_loaded_by_its_interface_only_and_named_if_it_lacks() -> None:
     )
     assert printed_by(code).splitlines() == [
         "False",
-        "lcp_plugin.pyomo needs pyomo; install it with: pip install pyomo (the extra [pyomo])",
+        "lcp_plugin.pyomo needs pyomo; install it with: pip install pyomo (or lcp_plugin[pyomo])",
     ]
 
 

@@ -160,5 +160,6 @@ def test_qpsolvers_is_loaded_by_its_interface_alone() -> None:
         "sys.modules['qpsolvers'] = None\nfrom lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers\n"
         "try:\n    register_with_qpsolvers()\nexcept ImportError as error:\n    print(error)"
     )
-    needed = "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers (the extra [qpsolvers])"
+    needed = "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers "
+    needed += "(or lcp_plugin[qpsolvers])"
     assert printed_by(code).splitlines() == ["False", needed]

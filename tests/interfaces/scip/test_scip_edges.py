@@ -123,11 +123,11 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path:
     for result in (minimize_over_solutions(bilinear()), Toll(most=20.0).solved()[1], solver.result):
         assert (result.status, result.bound_by, result.proof) == (Status.STALLED, None, None)
         assert result.x is None
-        assert "pip install pyscipopt (the extra [global])" in result.advice
+        assert "pip install pyscipopt (or lcp_plugin[global])" in result.advice
         assert "derivative(problem)" in result.advice
     found = answered_by_ampl(toll_in_pyomo(), tmp_path)
     assert found.code == 500
-    assert "pip install pyscipopt (the extra [global])" in found.message
+    assert "pip install pyscipopt (or lcp_plugin[global])" in found.message
 
 
 # --- Limits and Ctrl-C ---

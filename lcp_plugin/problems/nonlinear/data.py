@@ -66,6 +66,7 @@ from ...core.lcp import LCP
 from ...core.settings import Settings
 
 DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
+STEEPER = 60  # slopes 4^k that are tried in a row with an infinite slope
 STEP = float(np.sqrt(EPSILON))  # of max(|x_i|, 1): rounding and curvature take about as many digits
 
 
@@ -293,8 +294,9 @@ class NonlinearProblem:
     def linearize(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
         """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
 
-        A row with an infinite slope, as √x has at 0, gets the slope 1 in x_i and 0 in all other unknowns. The sign of
-        F_i is then correct, and x_i stays at its bound or leaves it.
+        A row with an infinite slope, as √x has at 0, gets a slope in x_i and 0 in all other unknowns: the least
+        power of 4, at least 1, with which a Newton step in x_i does not change the sign of F_i. So Newton's method
+        goes to a root of √x − 10⁻⁹ from below, and does not cycle.
 
         Parameters
         ----------
@@ -310,8 +312,8 @@ class NonlinearProblem:
         x = self._point(x)
         value = self.value(x) if value is None else value
         returned, name = self.call_jacobian(x, value)
-        M = _finite(_replace_infinite_rows(returned, x.size), name, x.size)
         problem = self.with_size(x.size)
+        M = _finite(_replace_infinite_rows(problem, x, value, returned), name, x.size)
         with np.errstate(all="ignore"):
             q = value - M @ x
             if not np.isfinite(q).all():
@@ -344,17 +346,30 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
         raise
 
 
-def _replace_infinite_rows(derivative: Any, n: int) -> Any:
-    """Return the derivative with identity rows for rows with an infinite entry."""
-    entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
+def _replace_infinite_rows(
+    problem: NonlinearProblem, x: FloatVector, value: FloatVector, derivative: Any
+) -> Any:
+    """Return the derivative with diagonal rows for rows with an infinite entry."""
+    n, entries = x.size, derivative.data if sp.issparse(derivative) else np.asarray(derivative)
     if np.shape(derivative) != (n, n) or entries.dtype.kind != "f" or not np.isinf(entries).any():
         return derivative
     M = sp.coo_array(derivative)
     is_steep = np.zeros(n, dtype=bool)
     is_steep[M.row[np.isinf(M.data)]] = True
+    slope = is_steep.astype(np.float64)
+    for _ in range(STEEPER):
+        there = np.clip(
+            x - np.where(is_steep, value / np.maximum(slope, 1.0), 0.0),
+            problem.lower,
+            problem.upper,
+        )
+        is_beyond = is_steep & (problem.value(there) * value < 0.0)
+        if not is_beyond.any():
+            break
+        slope[is_beyond] *= 4.0
     kept = ~is_steep[M.row]
     rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
-    levelled = sp.csr_array(rows) + sp.diags_array(is_steep.astype(np.float64))
+    levelled = sp.csr_array(rows) + sp.diags_array(slope)
     return sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()
 
 

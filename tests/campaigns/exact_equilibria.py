@@ -20,9 +20,8 @@ def extreme_equilibria(A: Any, B: Any) -> set[tuple[Strategy, Strategy]]:
     """
     A, B = ([[Fraction(value) for value in row] for row in payoffs] for payoffs in (A, B))
     m, k = len(A), len(A[0])
-    of_row = _vertices(
-        [[B[i][j] for i in range(m)] for j in range(k)]
-    )  # the column player's payoffs for each x
+    # the column player's payoffs for each x
+    of_row = _vertices([[B[i][j] for i in range(m)] for j in range(k)])
     of_column = _vertices(A)
     found = set()
     for x, unplayed_rows, best_columns in of_row:

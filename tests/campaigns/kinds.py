@@ -29,14 +29,7 @@ from lcp_plugin.core.algorithm import SWEEPS
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
-from . import (
-    convex_programs,
-    error_bounds,
-    guarantees,
-    least_squares,
-    search,
-    small_lcps,
-)
+from . import convex_programs, error_bounds, guarantees, least_squares, search, small_lcps
 
 Generator = np.random.Generator
 

@@ -632,9 +632,8 @@ def judged_program(
     if status == "SOLVED":
         if not np.isfinite(x).all():
             return Outcome(FALSE, f"SOLVED {x}: {text}")
-        rounded = np.where(
-            abs(x) <= 1e-15 * abs(x).max(), 0.0, x
-        )  # the rounding error of a zero has no reference size
+        # the rounding error of a zero has no reference size
+        rounded = np.where(abs(x) <= 1e-15 * abs(x).max(), 0.0, x)
         if min(conditions(data, x, duals), conditions(data, rounded, duals)) <= HOLDS_OF_PROGRAMS:
             return Outcome(RIGHT)
         best, violated, (value, size) = best_of(data), violation(data, x), value_of(data, x)

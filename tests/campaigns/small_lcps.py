@@ -174,9 +174,8 @@ def extreme_problem(kind: str, rng: Generator) -> LCP:
     lower, upper = np.zeros(n), np.full(n, np.inf)
     if rng.random() < 0.5:
         ends = np.sort(draw(rng, (2, n)), axis=0)
-        shape = rng.choice(
-            5, n, p=[0.4, 0.2, 0.15, 0.1, 0.15]
-        )  # plain, box or fixed, upper only, free, shifted
+        # plain, box or fixed, upper only, free, shifted
+        shape = rng.choice(5, n, p=[0.4, 0.2, 0.15, 0.1, 0.15])
         lower = np.select([shape == 0, (shape == 2) | (shape == 3)], [0.0, -np.inf], ends[0])
         upper = np.select([(shape == 1) | (shape == 2)], [ends[1]], np.inf)
     return LCP(M, q, lower=lower, upper=upper)
@@ -195,9 +194,8 @@ def random_problem(kind: str, rng: Generator, largest: int = LARGEST) -> LCP:
 def random_bounds(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     a = rng.integers(-2, 2, n).astype(float)
     b = a + rng.integers(1, 4, n)
-    shape = rng.choice(
-        6, n, p=[0.35, 0.2, 0.15, 0.1, 0.15, 0.05]
-    )  # plain, box, upper only, free, shifted, fixed
+    # plain, box, upper only, free, shifted, fixed
+    shape = rng.choice(6, n, p=[0.35, 0.2, 0.15, 0.1, 0.15, 0.05])
     lower = np.select([shape == 0, (shape == 2) | (shape == 3)], [0.0, -np.inf], a)
     upper = np.select([(shape == 1) | (shape == 2), shape == 5], [b, a], np.inf)
     return lower, upper

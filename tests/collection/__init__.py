@@ -7,13 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from . import (
-    games,
-    matrices,
-    programs,
-    textbook,
-    unsolvable,
-)
+from . import games, matrices, programs, textbook, unsolvable
 from .entry import Entry
 
 MODULES = (textbook, games, programs, matrices, unsolvable)

@@ -30,9 +30,8 @@ from lcp_plugin.core.solving.advice import advice_of_run
 
 CONTACT = falling_bodies(10)
 TRAPPED = scaling_trap().problem  # an H₊-matrix on which unscaled steps run into a cycle
-FAR = LCP(
-    [[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0]
-)  # a P-matrix, far from H₊
+# a P-matrix, far from H₊
+FAR = LCP([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0])
 SADDLE = LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 2.0])
 UNSUITED = LCP(-4.0 * np.eye(3) + 1.0, [1.0, -1.0, 1.0], upper=5.0)
 
@@ -83,9 +82,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(
-    ("problem", "failed"),
-    FOLLOWED,
-    ids=[f"{k} {failed}" for k, (_, failed) in enumerate(FOLLOWED)],
+    ("problem", "failed"), FOLLOWED, ids=[f"{k} {failed}" for k, (_, failed) in enumerate(FOLLOWED)]
 )
 def test_the_call_that_is_advised_solves_the_problem(problem: LCP, failed: dict[str, Any]) -> None:
     """The advice names auto, which differs from the failed call and solves the problem."""

@@ -18,18 +18,11 @@ from inputs.drawn_scaling import (
     scaled_solved,
 )
 from oracles.exact_criterion import references
-from oracles.truth import (
-    ExactData,
-    relative_residual,
-)
+from oracles.truth import ExactData, relative_residual
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import (
-    reference_residual,
-    row_data,
-    scaled_residual,
-)
+from lcp_plugin.core.certificates.criterion import reference_residual, row_data, scaled_residual
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 EPSILON = Fraction(1, 2**52)

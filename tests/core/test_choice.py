@@ -121,9 +121,8 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
     assert result.is_solved
     assert names(result)[:2] == ["npsor", "psor"]
     assert result.algorithm == "auto: " + ", ".join(names(result))
-    assert (
-        0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work
-    )  # the rest: measuring
+    # the rest: measuring
+    assert 0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work
     for stage in result.stages:
         assert f"  {stage.name}, {format_count(stage.iterations, 'iteration')}" in result.explain()
         assert stage.because in result.explain()

@@ -44,11 +44,8 @@ def test_all_algorithms_agree_with_each_other_and_with_enumeration(
     exact = exact_solution(problem)
     assert exact.z == planted
     found = answers(problem, ALL)
-    assert {*ALL} - {*found} <= {
-        "interior_point",
-        "newton",
-        "multigrid",
-    }  # which have no proof on H₊
+    # which have no proof on H₊
+    assert {*ALL} - {*found} <= {"interior_point", "newton", "multigrid"}
     truth = np.array([float(value) for value in exact.z])
     for name, z in found.items():
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name

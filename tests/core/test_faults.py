@@ -184,9 +184,8 @@ def test_a_lack_of_memory_is_an_error() -> None:
         done = in_a_process(MEMORY, MALLOC_MMAP_THRESHOLD_="65536")
         if done.returncode >= 0:
             break
-    assert "finished" in done.stdout.splitlines(), (
-        done.stdout + done.stderr
-    )  # because SuperLU may print later
+    # because SuperLU may print later
+    assert "finished" in done.stdout.splitlines(), done.stdout + done.stderr
     assert "MemoryError" in done.stdout
 
 

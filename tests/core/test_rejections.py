@@ -340,9 +340,8 @@ def test_numpy_numbers_are_numbers() -> None:
     assert solve(given.problem, "npsor", relaxation=np.int32(1)).is_solved
     assert solve(given.plain, "mgs", omega=np.float64(0.5)).is_solved
     assert solve(given.problem, "pgs", max_iterations=0, max_seconds=0, tolerance=0).iterations == 0
-    assert solve(
-        LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), max_iterations=10**30
-    ).is_solved  # in a compiled loop
+    # in a compiled loop
+    assert solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), max_iterations=10**30).is_solved
 
 
 # --- matrices that an algorithm does not support ------------------------------------------------------------

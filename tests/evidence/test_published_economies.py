@@ -63,9 +63,8 @@ def test_the_elastic_transport_problem_returns_to_fixed_demands_at_its_own_price
     cp.Problem(
         cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - demand >= 0)]
     ).solve(method="LCP")
-    np.testing.assert_allclose(
-        at_market.value, [0.225, 0.153, 0.126], atol=1e-9
-    )  # Dantzig's dual prices
+    # Dantzig's dual prices
+    np.testing.assert_allclose(at_market.value, [0.225, 0.153, 0.126], atol=1e-9)
     assert np.sum(cost * flow.value) == pytest.approx(153.675)  # and his optimum
     usual, elasticity = at_market.value, (1.5, 1.2, 2.0)
     wanted = cp.hstack(

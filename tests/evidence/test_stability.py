@@ -294,13 +294,8 @@ def test_a_front_is_no_standstill(name: str) -> None:
 def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
     """If partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
     M = np.eye(5)
-    M[0] = [
-        1e308,
-        1e308,
-        1e308,
-        -1.5e308,
-        -1.5e308,
-    ]  # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
+    # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
+    M[0] = [1e308, 1e308, 1e308, -1.5e308, -1.5e308]
     try:
         result = solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300)
     except (UnsuitableMatrix, UnsuitableProblem):

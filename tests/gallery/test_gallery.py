@@ -54,14 +54,7 @@ PLANTED = [
     for text in SMALL
     if gallery.parse(text).exact is not None and not text.startswith("bimatrix")
 ]
-OF_GRIDS = (
-    "american",
-    "convection",
-    "half",
-    "journal",
-    "obstacle",
-    "paper",
-)
+OF_GRIDS = ("american", "convection", "half", "journal", "obstacle", "paper")
 M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
 
 

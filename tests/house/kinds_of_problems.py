@@ -217,9 +217,8 @@ def program(name: str, ends: Any, x: Any, P: Any, c: Any, **rest: Any) -> Sample
 
 def least_squares(name: str, A: Any, b: Any, x: Any, **bounds: Any) -> Sample:
     A, b = np.asarray(A, float), np.asarray(b, float)
-    rest = {
-        name: bound for name, bound in bounds.items() if name != "l1"
-    }  # x ≥ 0: a penalty is linear
+    # x ≥ 0: a penalty is linear
+    rest = {name: bound for name, bound in bounds.items() if name != "l1"}
     data = full_data(A.T @ A, bounds.get("l1", 0.0) - A.T @ b, **{"lower": 0.0, **rest})
     return Sample(
         name,

@@ -55,10 +55,8 @@ NAMES = (
     *("add_an_algorithm", "learn_friction", "cournot_oligopoly"),
 )
 STYLE = 'Path(__file__).with_name("plots.mplstyle")', '"../plots.mplstyle"'  # in a notebook
-OF_SCRIPTS = (
-    "import typer",
-    "from pathlib import Path",
-)  # what saves the picture, and reads the command line
+# what saves the picture, and reads the command line
+OF_SCRIPTS = ("import typer", "from pathlib import Path")
 
 PICTURES = EXAMPLES / "pictures"
 LARGEST = 100_000  # bytes
@@ -94,9 +92,8 @@ def cells_of(name: str) -> Iterator[tuple[str, str]]:
     assert isinstance(main, ast.FunctionDef)
     assert main.name == "main"
     steps = [part for part in _parts(main.body[1:], lines) if part]
-    drawn = next(
-        k for k, part in enumerate(steps) if "plt.subplots" in part
-    )  # a figure is shown below its cell
+    # a figure is shown below its cell
+    drawn = next(k for k, part in enumerate(steps) if "plt.subplots" in part)
     yield from (("code", part) for part in (*steps[:drawn], "\n\n".join(steps[drawn:])))
 
 

@@ -34,9 +34,8 @@ def _named(targets: str) -> set[str]:
 
 _picture = re.search(r"```text\n(.*?)```", _section(), re.S)
 LINES = _picture[1].splitlines() if _picture else []
-ARROWS = {
-    name: targets for line in LINES for name, targets in _arrows(line).items()
-}  # beside those to the core
+# beside those to the core
+ARROWS = {name: targets for line in LINES for name, targets in _arrows(line).items()}
 DRAWN = set(ARROWS)
 # A method of one file that imports the core alone need not be drawn.
 ARROWS |= {

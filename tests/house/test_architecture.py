@@ -30,24 +30,11 @@ HEAVY = (
     "quantecon",
     "h5py",
 )
-FOLDERS_ALONE = (
-    "__init__",
-    "__main__",
-    "methods",
-    "problems",
-    "interfaces",
-)  # which contain only a docstring
+# which contain only a docstring
+FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")
 LEADS_ON = {  # imports inside a function from a layer above: importing file, target, reason
     "core.lcp": (
-        {
-            "contact",
-            "files",
-            "modeling",
-            "program_files",
-            "programs",
-            "ranks",
-            "reformulations",
-        },
+        {"contact", "files", "modeling", "program_files", "programs", "ranks", "reformulations"},
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
     "core.certificates.criterion": (
@@ -123,9 +110,8 @@ def imported_modules(file: Path) -> tuple[set[str], set[str]]:
 
 BOTH = {module: imported_modules(file) for module, file in MODULES.items()}
 PLAIN = {module: plain for module, (plain, _) in BOTH.items()}
-PLAIN["lcp_plugin.algorithms"] |= {
-    one for one in MODULES if one.startswith("lcp_plugin.methods.")
-}  # its table's
+# its table's
+PLAIN["lcp_plugin.algorithms"] |= {one for one in MODULES if one.startswith("lcp_plugin.methods.")}
 INSIDE = {module: inside for module, (_, inside) in BOTH.items()}
 LED = {
     module: {
@@ -136,9 +122,8 @@ LED = {
     }
     for module, targets in INSIDE.items()
 }
-IMPORTS = {
-    module: PLAIN[module] | INSIDE[module] - LED[module] for module in MODULES
-}  # shown in the figure
+# shown in the figure
+IMPORTS = {module: PLAIN[module] | INSIDE[module] - LED[module] for module in MODULES}
 
 
 def assert_has_no_circle(imports: dict[str, set[str]]) -> None:

@@ -148,22 +148,14 @@ FORMULAS: dict[str, tuple[str, dict[str, Any], Callable[[Any], Any]]] = {
     ),
     "pj": ("z⁺ = max(0, z − D⁻¹ w)", {}, aor_step(1.0, 0.0)),
     "pgs": ("z_i ← max(0, z_i − w_i/d_i), w current", {}, sor_step(1.0)),
-    "psor": (
-        "z_i ← max(0, z_i − ω w_i/d_i), w current",
-        {"relaxation": 1.25},
-        sor_step(1.25),
-    ),
+    "psor": ("z_i ← max(0, z_i − ω w_i/d_i), w current", {"relaxation": 1.25}, sor_step(1.25)),
     "paor": (
         "z⁺ = max(0, z − D⁻¹(ω w − β L (z⁺ − z)))",
         {"relaxation": 1.25, "acceleration": 0.75},
         aor_step(1.25, 0.75),
     ),
     "gfp": ("z⁺ = max(0, z − ω D⁻¹ w)", {"relaxation": 1.25}, aor_step(1.25, 0.0)),
-    "mj": (
-        "(Ω + D)(x⁺ − x) = −2(w − Ω max(0, −x))",
-        {"omega": 1.5},
-        modulus_step(1.5, 1.0, 0.0),
-    ),
+    "mj": ("(Ω + D)(x⁺ − x) = −2(w − Ω max(0, −x))", {"omega": 1.5}, modulus_step(1.5, 1.0, 0.0)),
     "mgs": (
         "(Ω + D − L)(x⁺ − x) = −2(w − Ω max(0, −x))",
         {"omega": 1.5},

@@ -115,9 +115,8 @@ def test_rounding_hides_no_residual() -> None:
     result = solve(infeasible, FarAway())
     assert not result.is_solved
     assert result.status is not Status.PRECISION_LIMIT
-    nearly_singular = LCP(
-        [[1.0, -1.0], [-1.0, 1.0 + 2.0**-50]], [0.0, -1.0]
-    )  # here the large z is right
+    # here the large z is right
+    nearly_singular = LCP([[1.0, -1.0], [-1.0, 1.0 + 2.0**-50]], [0.0, -1.0])
     right = solve(nearly_singular, "newton")
     assert right.is_solved
     assert right.z.tolist() == [2.0**50, 2.0**50]

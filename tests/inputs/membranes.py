@@ -131,12 +131,7 @@ def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float =
 
 
 BUILDERS: dict[str, Callable[..., Scene]] = {
-    builder.__name__: builder
-    for builder in (
-        obstacle_3d,
-        coefficient_jumps,
-        rotated_anisotropy,
-    )
+    builder.__name__: builder for builder in (obstacle_3d, coefficient_jumps, rotated_anisotropy)
 }
 
 

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 from lcp_plugin import gallery
 
-FEW = {
-    "size": 6,
-    "n": 9,
-    "blocks": 2,
-    "goods": 4,
-    "activities": 5,
-    "steps": 3,
-}  # what a parameter of this name counts
+# what a parameter of this name counts
+FEW = {"size": 6, "n": 9, "blocks": 2, "goods": 4, "activities": 5, "steps": 3}
 
 
 def small(name: str, parameters: dict[str, object]) -> str:

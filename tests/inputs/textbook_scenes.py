@@ -8,11 +8,7 @@ from lcp_plugin import LCP
 from lcp_plugin.gallery import Scene
 
 
-def murty(
-    *,
-    n: int = 50,
-    orientation: str = "upper",
-) -> Scene:
+def murty(*, n: int = 50, orientation: str = "upper") -> Scene:
     """Murty's triangular matrix, on which pivoting methods can take exponentially many steps.
 
     Parameters
@@ -36,12 +32,7 @@ def murty(
     M = np.eye(n) + (np.triu(twos, 1) if orientation == "upper" else np.tril(twos, -1))
     exact = np.zeros(n)
     exact[-1 if orientation == "upper" else 0] = 1.0
-    return Scene(
-        problem=LCP(M, np.full(n, -1.0)),
-        exact=exact,
-        is_symmetric=n == 1,
-        is_h_plus=True,
-    )
+    return Scene(problem=LCP(M, np.full(n, -1.0)), exact=exact, is_symmetric=n == 1, is_h_plus=True)
 
 
 def scaling_trap() -> Scene:

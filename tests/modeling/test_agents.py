@@ -460,9 +460,8 @@ def test_walras_prices_are_those_of_cobb_and_douglas() -> None:
         )
         for h in range(2)
     ]
-    producer = optimal(
-        cp.Problem(cp.Maximize((price - 2) * made)), over=[made]
-    )  # 2 of good 1 make 1 of good 2
+    # 2 of good 1 make 1 of good 2
+    producer = optimal(cp.Problem(cp.Maximize((price - 2) * made)), over=[made])
     supply = own.sum(axis=0)[1] + made
     clearing = complements(price, supply - eaten[0][1] - eaten[1][1])
     cp.Problem(cp.Minimize(0), [*consumers, producer, clearing]).solve(method="LCP")

@@ -119,11 +119,9 @@ FORMS = {
     "parameters, not DPP": lambda u: (u.p * u.P) @ u.x + cp.exp(u.p) * u.v,
     "parameter in a shifted product": lambda u: S @ (u.x + u.v),
 }
-MISSING = {
-    "stack": "stack",
-    "einsum": "einsum",
-    "broadcast_to": "broadcast_to",
-} | {name: name for name in ("convolve", "permute_dims")}
+MISSING = {"stack": "stack", "einsum": "einsum", "broadcast_to": "broadcast_to"} | {
+    name: name for name in ("convolve", "permute_dims")
+}
 
 
 def affine_map(expression, memo=None):

@@ -38,11 +38,7 @@ def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) ->
     M, q, x_true, w_true = planted()
     x, w = cp.Variable(N, name="x"), cp.Variable(N, name="w")
     F = M @ x + q
-    equation = {
-        "w == F": w == F,
-        "-3 w == -3 F": -3 * w == -3 * F,
-        "first": w == F,
-    }[side]
+    equation = {"w == F": w == F, "-3 w == -3 F": -3 * w == -3 * F, "first": w == F}[side]
     pair = complements(x >= 0, w >= 0) if order == 0 else complements(w >= 0, x >= 0)
     constraints = [equation, pair] if side == "first" else [pair, equation]
     model = build(constraints)

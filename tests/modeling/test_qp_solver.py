@@ -77,9 +77,8 @@ def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
     for constraint, dual in zip(constraints, expected[2], strict=True):
         np.testing.assert_allclose(constraint.dual_value, dual, atol=2e-6)
     assert problem.solver_stats.solver_name == "LCP"
-    assert (
-        problem.solver_stats.num_iters >= 0
-    )  # 0 where the minimum on the equations meets the rest
+    # 0 where the minimum on the equations meets the rest
+    assert problem.solver_stats.num_iters >= 0
 
 
 def parametric(where: str, seed: int) -> tuple[Any, Any]:

@@ -111,9 +111,8 @@ def _guesses(problem: LCP) -> Iterator[States]:
     M, scale = problem.csr.toarray(), problem.residual_scale
     z, seen = np.array(problem.nearest_to_zero), []
     for _ in range(NEWTON_STEPS):
-        target = np.nan_to_num(
-            z - (M @ z + problem.q) / scale
-        )  # finite, so that it is beyond no infinite bound
+        # finite, so that it is beyond no infinite bound
+        target = np.nan_to_num(z - (M @ z + problem.q) / scale)
         states = np.where(
             target <= problem.lower, LOWER, np.where(target >= problem.upper, UPPER, FREE)
         )

@@ -30,10 +30,7 @@ from lcp_plugin.proofs.verdicts import (
     nonpositive_pair,
     positive_margin,
 )
-from lcp_plugin.systems.definiteness import (
-    is_positive_definite,
-    is_semidefinite_to_rounding,
-)
+from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding
 from lcp_plugin.systems.factors import factor_fits
 from lcp_plugin.systems.graph import comparison_product, exact_comparison_row, row_excess_signs
 
@@ -204,9 +201,8 @@ def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
     assert analyze(gram).is_positive_definite is None
     assert analyze(gram).is_positive_semidefinite is None
     assert analyze(gram).evidence["is_positive_semidefinite"].startswith("undecided: λ_min ≥ −")
-    gram[3, 3] = np.nextafter(
-        gram[3, 3], 0.0
-    )  # the columns of a Gram matrix are dependent: this one is indefinite
+    # the columns of a Gram matrix are dependent: this one is indefinite
+    gram[3, 3] = np.nextafter(gram[3, 3], 0.0)
     assert analyze(gram).is_positive_semidefinite is None
     delta = float(analyze(gram).evidence["is_positive_semidefinite"].split("−")[1].split(",")[0])
     assert 0.0 < delta < 1e-9 * gram.max()

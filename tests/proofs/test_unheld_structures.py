@@ -93,9 +93,8 @@ def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak:
     unit = sp.diags_array(np.ldexp(1.0, np.arange(n) % 4))
     K = sp.csr_array(unit @ sp.diags_array([-spring, d, -spring], offsets=[-1, 0, 1]) @ unit)
     x = (2.0**weak + np.append(np.ones(n - 1), 0.0)) / unit.diagonal()
-    structure = Structure(
-        K, -(K @ x), np.full(n, -np.inf)
-    )  # without any rounding: x is the minimum
+    # without any rounding: x is the minimum
+    structure = Structure(K, -(K @ x), np.full(n, -np.inf))
     for result in (solve(structure.problem), solve(structure.program)):
         assert not result.has_no_solution
         assert "nothing holds" not in result.explain()

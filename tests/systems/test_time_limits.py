@@ -13,12 +13,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from lcp_plugin import LCP, QuadraticProgram, Status, gallery, solve
-from lcp_plugin.core.deadline import (
-    OutOfTimeError,
-    enforced_seconds_left,
-    is_over,
-    time_limit,
-)
+from lcp_plugin.core.deadline import OutOfTimeError, enforced_seconds_left, is_over, time_limit
 from lcp_plugin.systems import factors
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 
@@ -97,9 +92,8 @@ def test_ctrl_c_acts_after_the_factorization_under_way(monkeypatch: pytest.Monke
     def interrupted(*arguments: Any, **options: Any) -> Any:
         factor = splu(*arguments, **options)
         ended.append(factor)
-        signal.pthread_kill(
-            main, signal.SIGINT
-        )  # Python hears it after the call, whenever it comes
+        # Python hears it after the call, whenever it comes
+        signal.pthread_kill(main, signal.SIGINT)
         return factor
 
     monkeypatch.setattr("scipy.sparse.linalg.splu", interrupted)

@@ -18,9 +18,8 @@ from lcp_plugin import LCP, UnreadableFile
 from lcp_plugin.interfaces.files import read_mat
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
-WRITTEN_BY_MATLAB = sorted(
-    Path(scipy.io.matlab.__file__).parent.glob("tests/data/*.mat")
-)  # not in every installation
+# not in every installation
+WRITTEN_BY_MATLAB = sorted(Path(scipy.io.matlab.__file__).parent.glob("tests/data/*.mat"))
 
 
 def written(content: dict[str, Any], **how: Any) -> bytes:

@@ -166,9 +166,8 @@ def test_an_objective_beside_complementarities_is_answered(
     assert (found.code, message in found.message) == (code, True), found.message
     assert "inf" not in found.message.replace("infeasible", "")
     if code == 0:
-        ties = (
-            [[1.0, 0.0], [0.0, 1.0]] if content.objective_trees is CONCAVE else [[1.0, 0.0]]
-        )  # y - y² is 0 at both
+        # y - y² is 0 at both
+        ties = [[1.0, 0.0], [0.0, 1.0]] if content.objective_trees is CONCAVE else [[1.0, 0.0]]
         assert any(found.values == pytest.approx(best_one, abs=1e-6) for best_one in ties)
     elif code not in (400, 401):
         assert found.values is None

@@ -220,10 +220,8 @@ def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
     """A tree of 10⁵ levels is read, or raises an error if its end is missing, without recursion."""
     levels = 100_000
     kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
-    kinds[[0, -1]], values[[0, -1]] = (
-        0,
-        [0.0, 1.0],
-    )  # row 0 is a number, row 1 the chain of minus signs
+    # row 0 is a number, row 1 the chain of minus signs
+    kinds[[0, -1]], values[[0, -1]] = (0, [0.0, 1.0])
     trees = Trees(kinds, values, np.where(kinds == 2, 1, 0), np.array([0, 1, levels + 2]))
     write_form(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
     data = (tmp_path / "m.nl").read_bytes()

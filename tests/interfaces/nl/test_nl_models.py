@@ -16,14 +16,7 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import (
-    LCP,
-    QuadraticProgram,
-    Status,
-    UnsupportedModel,
-    complements,
-    solve,
-)
+from lcp_plugin import LCP, QuadraticProgram, Status, UnsupportedModel, complements, solve
 from lcp_plugin.expressions.rows import Program
 from lcp_plugin.interfaces.nl import model_of, write_nl
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions

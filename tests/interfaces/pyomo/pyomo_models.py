@@ -107,8 +107,7 @@ def oligopoly(
     m.best = Complementarity(
         firms,
         rule=lambda m, i: complements(
-            m.q[i] >= 0,
-            m.cost[i].marginal - m.price + m.q[i] * m.price / (gamma * m.total) >= 0,
+            m.q[i] >= 0, m.cost[i].marginal - m.price + m.q[i] * m.price / (gamma * m.total) >= 0
         ),
     )
     return Published(m, each(m.q), answers)
@@ -289,8 +288,7 @@ def braess() -> Published:
     m.wardrop = Complementarity(
         m.path,
         rule=lambda m, p: complements(
-            sum(fixed[r] + rise[r] * m.use[r] for r in p.split()) >= m.time,
-            m.flow[p] >= 0,
+            sum(fixed[r] + rise[r] * m.use[r] for r in p.split()) >= m.time, m.flow[p] >= 0
         ),
     )
     m.demand = pe.Constraint(expr=sum(m.flow[p] for p in m.path) == 6)
@@ -334,10 +332,7 @@ def bratu_under_a_ceiling() -> Published:
     rows = affine(A, np.zeros(size * size), m.u)
     m.pairs = Complementarity(
         range(size * size),
-        rule=lambda m, i: complements(
-            m.u[i] <= m.top,
-            rows[i] <= 6 * h2 * pe.exp(m.u[i]),
-        ),
+        rule=lambda m, i: complements(m.u[i] <= m.top, rows[i] <= 6 * h2 * pe.exp(m.u[i])),
     )
     return Published(m, each(m.u))
 

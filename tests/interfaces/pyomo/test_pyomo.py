@@ -326,9 +326,8 @@ def test_what_is_not_taken_is_refused_by_name(name: str) -> None:
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(m)
     assert words in str(caught.value)
-    assert "LCP(" not in str(
-        caught.value
-    )  # LCP(…) would omit the constraints and pairs of the model
+    # LCP(…) would omit the constraints and pairs of the model
+    assert "LCP(" not in str(caught.value)
     assert campaign.picture(m) == before
 
 

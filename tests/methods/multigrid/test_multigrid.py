@@ -221,9 +221,8 @@ def second_order(cells: int) -> LCP:
         )
         / 6.0
     )
-    corners = np.array(
-        [[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]]
-    )  # and middles of edges, in half cells
+    # and middles of edges, in half cells
+    corners = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]])
     size, (x, y) = 2 * cells + 1, 2 * np.indices((cells, cells)).reshape(2, -1)
     places = (
         [(x + i) * size + y + j for i, j in corners],

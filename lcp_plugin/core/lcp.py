@@ -20,6 +20,7 @@ from .checks import (
 )
 from .errors import InvalidOption
 from .matrix import Matrix
+from .names import Names, checked_names
 from .representation import describe_lcp
 
 
@@ -40,6 +41,8 @@ class LCP:
         Real, finite.
     lower, upper : scalar or array, shape (n,)
         Bounds of z in the unit of z, lower ≤ upper; lower ≤ −1e20 and upper ≥ 1e20 mean no bound.
+    names : sequence of str, or a pair of sequences, optional
+        Names that messages use: of the unknowns and their rows, or a pair, names of the rows and of the unknowns.
 
     Raises
     ------
@@ -66,6 +69,7 @@ class LCP:
         lower: FloatVector
         upper: FloatVector
         origin: Any
+        names: Names
         _facts: dict[Any, Any]
 
     def __init__(
@@ -75,6 +79,7 @@ class LCP:
         *_bounds: ArrayLike,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
+        names: Any = None,
     ) -> None:
         if _bounds:
             raise InvalidOption(
@@ -86,6 +91,7 @@ class LCP:
         need = f"q must be a finite vector of length {n} (M is {n}×{n})"
         given["q"] = checked_vector(q, "q", n, need=need)
         given["lower"], given["upper"] = checked_bounds(lower, upper, n)
+        given["names"] = checked_names(names, n, n)
         given["origin"], given["_facts"] = None, {}
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -189,7 +195,7 @@ class LCP:
         """
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-            return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
+            return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1], names=self.names)
         other = object.__new__(LCP)
         need = f"q must be a finite vector of length {self.n} (M is {self.n}×{self.n})"
         vars(other).update(
@@ -200,6 +206,7 @@ class LCP:
             upper=self.upper,
             nearest_to_zero=self.nearest_to_zero,
             origin=None,
+            names=self.names,
             _facts={},
         )
         return other

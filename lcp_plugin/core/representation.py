@@ -33,6 +33,18 @@ def _bounds_in_words(problem: Any) -> str:
     return ", ".join(f"{count} {kind}" for count, kind in parts if count)
 
 
+def three_digits_below(value: float) -> str:
+    """Return three digits of a lower bound that are at most the bound.
+
+    Examples
+    --------
+    >>> three_digits_below(0.25), three_digits_below(1 / 1.5)
+    ('0.25', '0.663')
+    """
+    text = f"{value:.3g}"
+    return text if float(text) <= value else f"{value * (1.0 - 0.005):.3g}"
+
+
 def describe_radius(radius: float, what: str) -> str:
     """Return the points up to a radius, rounded down, to which a proof is restricted; an empty text if it is ∞.
 

@@ -9,8 +9,9 @@ left are matched with the unknowns left: the diagonal that a splitting method di
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from ..core.checks import BoolVector, FloatVector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
+from ..core.names import Names
 from ..core.representation import format_count
 from ..core.settings import ConeOptions, NonlinearOptions
 from ..core.solving.result import Result
@@ -279,6 +281,7 @@ def _row_dots(first: sp.csr_array, second: sp.csr_array) -> FloatVector:
     return np.asarray(first.multiply(second).sum(axis=1), dtype=np.float64).ravel()
 
 
+Numbers = Sequence[int] | Indices
 BEGUN = (
     "started from the values of the variables, which are the last solution unless others were set"
 )
@@ -306,6 +309,8 @@ class StatedRows:
         Unknowns complementary to the rows: sign · rows ≥ 0 if z = low, ≤ 0 if z = high, and 0 between.
     slacks : ndarray of int or None
         Unknowns that the rows define.
+    name : callable or None
+        From the number of a row to its name.
     """
 
     rows: Rows
@@ -315,6 +320,7 @@ class StatedRows:
     sign: Any = 1.0
     z: Any = None
     slacks: Any = None
+    name: Callable[[int], str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,18 +419,27 @@ class Statement:
         self.pairs: list[StatedRows] = []
         self._repeated: list[int] = []  # unknowns of further pairs of which they are the variable
 
-    def constrain(self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None) -> None:
+    def constrain(
+        self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None, name: Any = None
+    ) -> None:
         """Let low ≤ rows ≤ high."""
         zero = np.zeros(rows.size)
-        self.rows.append(StatedRows(rows, zero + low, zero + high, origin))
+        self.rows.append(StatedRows(rows, zero + low, zero + high, origin, name=name))
 
     def complement(
-        self, z: Indices, w: Rows, low: Any, high: Any, sign: Any = 1.0, origin: Any = None
+        self,
+        z: Indices,
+        w: Rows,
+        low: Any,
+        high: Any,
+        sign: Any = 1.0,
+        origin: Any = None,
+        name: Any = None,
     ) -> None:
         """Let sign · w complement the unknowns z between low and high."""
         zero = np.zeros(z.size)
         self.is_paired[z] = True
-        self.pairs.append(StatedRows(w, zero + low, zero + high, origin, zero + sign, z))
+        self.pairs.append(StatedRows(w, zero + low, zero + high, origin, zero + sign, z, name=name))
 
     def entries(self, rows: Rows) -> tuple[Indices, FloatVector, FloatVector] | None:
         """Return columns, weights and constants of rows weights · distinct unknowns + constants, or None."""
@@ -521,15 +536,26 @@ class Statement:
             free = free[order]
             columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
         places = np.argsort(columns, kind="stable")
-        matched, signs = kept[free], signs[places]
-        bounds = {"lower": lower[kept], "upper": upper[kept]}
+        signs = signs[places]
+        left = np.delete(np.arange(sum(sizes)), sizes[0] + elimination.rows)[places]
+        own: dict[str, Any] = {
+            "lower": lower[kept],
+            "upper": upper[kept],
+            "names": self._names([*self.pairs, *self.rows], left, kept),
+        }
         problem: LCP | NonlinearProblem
         if program is None:
-            problem = LCP(*_arranged(M, q, E, e, places, signs), **bounds)
+            problem = LCP(*_arranged(M, q, E, e, places, signs), **own)
         else:
             program = program.rearranged(places, signs)
-            problem = NonlinearProblem(program.value, program.jacobian, **bounds)
-        return SquareModel(problem, elimination, stored, places, signs, matched, dropped)
+            problem = NonlinearProblem(program.value, program.jacobian, **own)
+        return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped)
+
+    def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
+        """Return the names of a problem with some of the stated rows and of the unknowns."""
+        own = [(one.rows.size, one.name) for one in stated]
+        unknown = partial(_name_of_unknown, self.name, self._named, kept)
+        return Names(partial(name_of_row, own, rows), unknown)
 
     def _not_square(self, free: Indices, equations: int) -> UnsupportedModel:
         """Return the error that there are not as many equations as unknowns without a pair."""
@@ -629,7 +655,8 @@ class Statement:
         A, shift = assembled([one.rows for one in linear], self.first, n)
         low, high = (ends - shift for ends in _stacked(linear, "low", "high"))
         bounds = self.lower, self.upper
-        program = QuadraticProgram.from_ranges(P, c, A, low, high, *bounds, constant)
+        names = self._names(linear, range(low.size), range(n))
+        program = QuadraticProgram.from_ranges(P, c, A, low, high, *bounds, constant, names)
         first, low, high = _stacked(self.pairs, "z", "low", "high")
         return EquilibriumProgram(
             program,
@@ -685,6 +712,23 @@ class Statement:
             ]
             rows = added([replace(rows, blocks=left), *named], rows.shape)
         return rows
+
+
+def _name_of_unknown(name: Callable[[int], str], count: int, kept: Numbers, i: int) -> str:
+    """Return the name of unknown i of a problem; nothing for an unknown that stands for an expression."""
+    return name(int(kept[i])) if kept[i] < count else ""
+
+
+def name_of_row(
+    stated: list[tuple[int, Callable[[int], str] | None]], rows: Numbers, i: int
+) -> str:
+    """Return the name of row i of a problem, by the sizes and names of what was stated; nothing if it has none."""
+    k = int(rows[i])
+    for size, name in stated:
+        if k < size:
+            return "" if name is None else name(k)
+        k -= size
+    return ""
 
 
 def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
 from ..core.lcp import LCP
+from ..core.names import Names
 from ..core.problem_classes import with_article
 from ..problems.cones.data import CONES, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
@@ -26,7 +27,7 @@ from .nl.model import lcp_in_nl, program_in_nl
 
 Lines = list[list[str]]  # the words of each line
 Entries = dict[tuple[int, int], float]
-Read = tuple[float, list[str], list[str], Any]
+Read = tuple[float, Names, list[str], Any]
 WITH_WORDS = ("NAME", "OBJSENSE", "QSECTION")  # headers that other words may follow
 SECTIONS = (*WITH_WORDS, "ROWS", "COLUMNS", "RHS", "RANGES", "BOUNDS", "QUADOBJ", "QMATRIX")
 FIELDS = ((1, 3), (4, 12), (14, 22), (24, 36), (39, 47), (49, 61))
@@ -35,7 +36,7 @@ INTEGER = ("BV", "LI", "UI", "SC")
 BOUNDS = ("LO", "UP", "FX", "FR", "MI", "PL", *INTEGER)
 
 
-class Names(dict[str, int]):
+class NumberOf(dict[str, int]):
     """Numbers of the rows or of the columns by their names."""
 
     def __init__(self, section: str, names: Iterable[str], remarks: list[str]) -> None:
@@ -59,7 +60,7 @@ class Names(dict[str, int]):
 
 
 def read_mps(source: Path, remarks: list[str]) -> Read:
-    """Return −1 if the file maximizes, else 1; names of variables, of integers; the arguments of `from_ranges`.
+    """Return −1 if the file maximizes, else 1; names of all, of integers; the arguments of `from_ranges`.
 
     Parameters
     ----------
@@ -84,9 +85,12 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     kinds = np.array([words[0].upper() for words in sections["ROWS"]], dtype=np.str_)
     if strange := {*kinds.tolist()} - {*"NLGE"} or {*sense} - {"MIN", "MAX"}:
         raise InvalidProblem(f"{strange.pop()} is not a row N, L, G, E or a sense MIN, MAX")
-    rows = Names("ROWS", (words[-1] for words in sections["ROWS"]), remarks)
+    rows = NumberOf("ROWS", (words[-1] for words in sections["ROWS"]), remarks)
     names = (name for name, _ in groupby(words[0] for words in sections["COLUMNS"]))
-    columns, integers = Names("COLUMNS", names, remarks), [words[0] for words in sections[MARKED]]
+    columns, integers = (
+        NumberOf("COLUMNS", names, remarks),
+        [words[0] for words in sections[MARKED]],
+    )
     entries = _entries(sections, "COLUMNS", rows, columns)
     right, ranges = (_entries(sections, section, rows) for section in ("RHS", "RANGES"))
     lower, upper = _bounds(sections["BOUNDS"], columns, integers)
@@ -102,7 +106,8 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     first, is_row = np.flatnonzero(kinds == "N")[:1], kinds != "N"
     limits = low[is_row], high[is_row], _row(lower, 0.0, n), _row(upper, np.inf, n)
     c, constant = sign * A[first].sum(axis=0), 0.0 - sign * b[first].sum()
-    return sign, [*columns], [*dict.fromkeys(integers)], (P, c, A[is_row], *limits, constant)
+    both = Names([name for name, k in rows.items() if is_row[k]], [*columns])
+    return sign, both, [*dict.fromkeys(integers)], (P, c, A[is_row], *limits, constant)
 
 
 def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, Lines]:
@@ -136,7 +141,7 @@ def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, 
 
 
 def _entries(
-    sections: dict[str, Lines], section: str, names: Names, columns: Names | None = None
+    sections: dict[str, Lines], section: str, names: NumberOf, columns: NumberOf | None = None
 ) -> Entries:
     """Return the values by the number of a line's column, 0 if there is none, and of the name before the value."""
     found: Entries = {}
@@ -157,7 +162,7 @@ def _entries(
     return found
 
 
-def _bounds(lines: Lines, columns: Names, integers: list[str]) -> tuple[Entries, Entries]:
+def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entries, Entries]:
     """Return the lower and upper bounds; of several for one variable the last one holds.
 
     The lower bound is −∞ for a negative upper bound without a lower one.
@@ -213,7 +218,7 @@ class LoadedProgram(NamedTuple):
     sign : float
         −1 if the file maximizes: its objective is sign · objective of the program.
     names : sequence of str or None
-        Names of the variables.
+        Names of the variables; the program has those of the rows also.
     """
 
     program: QuadraticProgram
@@ -525,7 +530,7 @@ def _from_mps(source: Path) -> LoadedProgram:
     if remarks:
         warnings.warn(f"{source}: {'; '.join(remarks[:3])}", ModelWarning, stacklevel=2)
     program = _stated(source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts))
-    return LoadedProgram(program, sign, names)
+    return LoadedProgram(program.with_names(names), sign, names.unknowns)
 
 
 def read_lp(source: Path, remarks: list[str]) -> Read:
@@ -558,4 +563,5 @@ def read_lp(source: Path, remarks: list[str]) -> Read:
     parts = sign * P, sign * np.array(linear.col_cost_), matrix(linear.a_matrix_, linear.num_row_)
     kinds = zip(linear.col_names_, linear.integrality_, strict=False)
     integers = [name for name, kind in kinds if kind != highspy.HighsVarType.kContinuous]
-    return sign, linear.col_names_, integers, (*parts, *limits, sign * linear.offset_ + 0.0)
+    names = Names(linear.row_names_ or None, linear.col_names_ or None)
+    return sign, names, integers, (*parts, *limits, sign * linear.offset_ + 0.0)

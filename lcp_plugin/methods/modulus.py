@@ -110,7 +110,7 @@ def _require_lower_bounds_only(problem: LCP, name: str) -> None:
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise UnsuitableProblem(
-            f"{name} needs a finite lower and no upper bound on every row, but row {i} has bounds "
+            f"{name} needs a finite lower and no upper bound on every row, but {problem.names.row(i)} has bounds "
             f'[{problem.lower[i]}, {problem.upper[i]}]; try algorithm="auto"'
         )
 

@@ -114,8 +114,8 @@ make by itself, ``best.dual_value`` has the dual values of the program's constra
 ('optimal', 'SOLVED')
 
 The residuals of the program that cvxpy compiles decide the status. "infeasible" and "unbounded" require a proof; after
-``method="LCP"`` ``extra_stats.contradiction`` names the inconsistent constraints. Bounds that cvxpy infers for its own
-variables are not used. Tolerances are relative to the data of the program, not to x.
+``method="LCP"`` ``extra_stats.explain()`` names the inconsistent constraints in your words. Bounds that cvxpy infers
+for its own variables are not used. Tolerances are relative to the data of the program, not to x.
 
 **Certificates.** ``lcp_plugin.certify(problem)`` proves values and status of any solver; objective and constraints are
 evaluated as they are written in the model:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -34,6 +35,7 @@ from ..core.settings import Status
 from ..expressions.rows import uniform
 
 LONGEST_NAME = 80
+WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
 
 
 SUM = (AddExpression,)
@@ -157,10 +159,25 @@ def solver_errors() -> Iterator[None]:
         raise UnsolvableModel(str(error)) from error
 
 
+def entry_of(variable: Any, k: int) -> str:
+    """Return the name of entry k of a variable, column by column: h[2]."""
+    return f"{variable.name()}{_place(variable, k, '[{}]') if variable.shape else ''}"
+
+
+def row_of(stated: Any, k: int, label: str | None = None) -> str:
+    """Return the name of entry k of a constraint or expression, which a label takes the place of: F(x), entry 2."""
+    form = ", entry {}" if label is None else "[{}]"
+    return (label or name_of(stated)) + (_place(stated, k, form) if stated.size > 1 else "")
+
+
+def _place(stated: Any, k: int, form: str) -> str:
+    return form.format(", ".join(map(str, np.unravel_index(k, stated.shape, order="F"))))
+
+
 def name_of(expression: Any) -> str:
     """Return the expression as cvxpy prints it, in one line, not too long."""
     try:
-        text = " ".join(str(expression).split())
+        text = WHOLE_SUM.sub(r"sum(\1)", " ".join(str(expression).split()))
     except RecursionError:
         text = f"a deep {type(expression).__name__}"
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…"

@@ -36,7 +36,9 @@ from ._compat import (
     bound_value,
     by_columns,
     dense_value,
+    entry_of,
     name_of,
+    row_of,
     sense_of,
     statistics,
     values_below,
@@ -231,7 +233,8 @@ class Model:
         for constraint in constraints:
             # Always the same expression object, so that the memo finds it again.
             rows = self.reader.rows(constraint.expr)
-            self.statement.constrain(rows, origin=constraint.expr)
+            name = partial(row_of, constraint)
+            self.statement.constrain(rows, origin=constraint.expr, name=name)
             self._equations.append(constraint)
             for key, block in rows.blocks.items():
                 if key in self.spans and is_definition(as_matrix(block, rows.size)):
@@ -323,7 +326,9 @@ class Model:
         if side.kind != "value":
             stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
-        self.statement.complement(columns, self.read(other).rows, low, high, sign, other.expression)
+        name = partial(row_of, other.expression, label=getattr(pair, "label", None))
+        rows, origin = self.read(other).rows, other.expression
+        self.statement.complement(columns, rows, low, high, sign, origin, name)
         self._report(pair, side, other, columns, sign, scale, offset, expression)
         return remarks
 
@@ -595,9 +600,7 @@ def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
     """Return the name of an unknown: h[2]."""
     for variable in variables:
         if 0 <= (k := column - spans[variable.id].start) < variable.size:
-            place = np.unravel_index(k, variable.shape, order="F")
-            entry = f"[{', '.join(map(str, place))}]" if place else ""
-            return f"{variable.name()}{entry}"
+            return entry_of(variable, k)
     return ""
 
 

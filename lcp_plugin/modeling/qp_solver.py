@@ -10,6 +10,7 @@ of the constraint residuals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -23,7 +24,9 @@ from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem, UnsupportedModel
+from ..core.names import Names
 from ..expressions.rows import Indices
+from ..expressions.statement import name_of_row
 from ..problems.programs.certification import Certification, certify
 from ..problems.programs.criterion import QPSolution
 from ..problems.programs.no_minimum import QPInfeasibility
@@ -31,10 +34,13 @@ from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import QuadraticProgramResult, solve_program
 from ._compat import (
     CVXPY_STATUS,
+    EQUATIONS,
     attribute_bounds,
     dense_value,
+    entry_of,
     leaf_value,
     name_of,
+    row_of,
     sense_of,
     solver_errors,
     statistics,
@@ -44,8 +50,6 @@ from ._compat import (
 BEGUN = "started from the last solution; warm_start=False starts from zero"
 PROGRAM = "lcp_plugin.program"  # the key of the last program in the solver cache
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
-DIGITS = 0.005  # of which the last of three digits is at least a tenth
-MOST_NAMED = 5  # constraints that a contradiction lists
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
@@ -53,7 +57,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
     The status is computed from the program's residuals. Infeasible and unbounded come with a proof,
     ``problem.solver_stats.extra_stats.proof``; cvxpy ≥ 1.9 passes on the multipliers that prove infeasibility as dual
-    values, and `conflicting_constraints` names the constraints that have some.
+    values.
 
     Stateless, because cvxpy keeps the compiled problem under the first solver object. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
@@ -176,41 +180,6 @@ def _are_same(one: Any, other: Any) -> bool:
 QPSolver = _LCPQuadraticSolver()
 
 
-def _rounded_down(value: float) -> str:
-    """Return three digits of a lower bound that are no more than it."""
-    text = f"{value:.3g}"
-    return text if float(text) <= value else f"{value * (1.0 - DIGITS):.3g}"
-
-
-def conflicting_constraints(problem: Any, proof: QPInfeasibility) -> str:
-    """Return the constraints of an infeasible problem that have a multiplier, the largest first, and their violation.
-
-    Parameters
-    ----------
-    problem : cvxpy.Problem
-        Solved by QPSolver: its dual values are the multipliers that prove infeasibility.
-    proof : QPInfeasibility
-        ``problem.solver_stats.extra_stats.proof``.
-    """
-    weights = []
-    for constraint in problem.constraints:
-        dual = constraint.dual_value
-        if dual is None or not np.any(values := np.atleast_1d(np.abs(dense_value(dual)))):
-            continue
-        first = np.unravel_index(np.argmax(values), values.shape)
-        entry = "" if values.size == 1 else f", entry {', '.join(map(str, map(int, first)))}"
-        others = int(np.count_nonzero(values)) - 1
-        more = f" and {others} more of its entries" if others else ""
-        weights.append((float(values.max()), f"{name_of(constraint)}{entry}{more}"))
-    weights.sort(key=lambda pair: -pair[0])
-    named = "; ".join(name for _, name in weights[:MOST_NAMED])
-    left = f"; and {len(weights) - MOST_NAMED} more" if len(weights) > MOST_NAMED else ""
-    if not named:
-        return ""
-    what = "are inconsistent" if len(weights) > 1 else "cannot hold"
-    return f"{named}{left} {what}: every point violates a constraint by {_rounded_down(proof.least_violation)} or more"
-
-
 class Entries(NamedTuple):
     """Unknowns of a program that are the entries of a variable, column by column.
 
@@ -291,16 +260,66 @@ class CompiledProblem:
             data, chain, inverse = twin.get_problem_data(QPSolver, **options)
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
-        program, columns = quadratic_program(data, {}), data[settings.PARAM_PROB].var_id_to_col
+        program = quadratic_program(data, {})
+        entries = name_rows(problem, program, (data, chain, inverse))
         if is_folded:
             program = program.folded.reduced
-        entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
         program = program.with_vectors(constant=float(inverse[-1][settings.OFFSET]))
         return cls(program, entries)
 
     def values(self, x: FloatVector) -> dict[int, Any]:
         """Return the value of each variable by its id."""
         return {key: one.taken(x) for key, one in self.entries.items()}
+
+
+def name_rows(problem: Any, program: QuadraticProgram, compiled: Any = None) -> dict[int, Entries]:
+    """Name the rows of a problem's program, unless they are folded; return the entries of each variable by its id."""
+    data, chain, inverse = compiled or problem.get_problem_data(QPSolver)
+    columns = data[settings.PARAM_PROB].var_id_to_col
+    entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
+    program.with_names(_names_of(problem, data, entries))
+    return entries
+
+
+def _names_of(problem: Any, data: Any, entries: dict[int, Entries]) -> Names:
+    """Return the names of the rows and unknowns of the program that cvxpy compiles, in the user's words.
+
+    A row that cvxpy adds, as for abs(x) <= 1, has the name of the constraint that shares an added variable with it.
+    """
+    stated, columns = data[settings.PARAM_PROB].constraints, data[settings.PARAM_PROB].var_id_to_col
+    known = {int(one.places[0]) for one in entries.values() if one.places.size}
+    owner: dict[int, Any] = {one.id: one for one in problem.constraints}  # or of an added variable
+    own, before = {*owner}, 0
+    while len(owner) > before:
+        before = len(owner)
+        for one in stated:
+            added = [each.id for each in one.variables() if columns.get(each.id) not in known]
+            keys = one.id, *added
+            if found := [owner[key] for key in keys if key in owner]:
+                owner |= {key: found[0] for key in keys if key not in owner}
+    rows: list[tuple[int, Any]] = []
+    for kind in (False, True):  # rows of G, then of A
+        rows += [
+            (one.size, partial(_row_name, owner.get(one.id), one.id in own))
+            for one in stated
+            if isinstance(one, EQUATIONS) is kind
+        ]
+    places = [(one, entries[one.id].places) for one in problem.variables()]
+    count = sum(size for size, _ in rows)
+    return Names(partial(name_of_row, rows, range(count)), partial(_unknown_name, places))
+
+
+def _row_name(stated: Any, is_own: bool, k: int) -> str:
+    if stated is None:
+        return ""
+    return row_of(stated, k) if is_own else name_of(stated)  # the objective has no name
+
+
+def _unknown_name(places: list[tuple[Any, Indices]], column: int) -> str:
+    for variable, own in places:
+        if (at := np.flatnonzero(own == column)).size:
+            return entry_of(variable, int(at[0]))
+    return ""
 
 
 CLAIMED = {

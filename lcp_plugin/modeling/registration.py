@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 import weakref
-from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
@@ -16,12 +15,11 @@ from cvxpy.error import SolverError
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.statement import solve_from
-from ..problems.programs.no_minimum import QPInfeasibility
 from ._compat import CVXPY_STATUS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .constraint import Complements, Condition, box, complements
 from .model import Model
-from .qp_solver import QPSolver, conflicting_constraints
+from .qp_solver import QPSolver, name_rows
 
 CVXPY_FLAGS = (
     "gp",
@@ -248,7 +246,6 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
         raise refused from error
     result = problem.solver_stats.extra_stats
     # cvxpy answers a problem without variables itself.
-    if result is not None and isinstance(result.proof, QPInfeasibility):
-        named = conflicting_constraints(problem, result.proof)
-        problem.solver_stats.extra_stats = replace(result, contradiction=named)
+    if result is not None and not result.is_solved:
+        name_rows(problem, result.program)
     return value

@@ -34,6 +34,7 @@ from ..core.checks import FloatVector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
+from ..core.names import Names
 from ..core.representation import describe_radius
 from ..core.settings import Status
 from ..systems.free_systems import FreeSystem
@@ -43,6 +44,7 @@ from .farkas import DECISIVE, WIDE, FarkasCertificate, LinearConstraints
 # Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
 MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
 NAMED = 4
+NAMELESS = Names()
 
 
 def _left(P: Any, d: FloatVector) -> float:
@@ -51,7 +53,7 @@ def _left(P: Any, d: FloatVector) -> float:
     return float(np.abs(P @ d).sum()) / terms if terms > 0.0 else 0.0
 
 
-def moved_unknowns(d: Any) -> str:
+def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
     """Return a text with the unknowns that move along a direction, except for negligible movements.
 
     Examples
@@ -63,7 +65,7 @@ def moved_unknowns(d: Any) -> str:
     """
     sizes = np.abs(np.array([float(value) for value in d]))
     moving = np.flatnonzero(sizes > 1e-6 * sizes.max(initial=0.0)).tolist()
-    named = ", ".join(map(str, moving[:NAMED]))
+    named = ", ".join(names.unknown(j, "{}") for j in moving[:NAMED])
     if len(moving) > NAMED:
         return f"unknowns {named}, … ({len(moving)} of {len(d)})"
     return f"unknown{'s' * (len(moving) != 1)} {named}"
@@ -375,17 +377,16 @@ class Infeasibility(NoSolutionProof):
         problem, points = self.problem, describe_radius(self.radius, "z")
         how = f"checked for {points}" if points else "proof: exact"
         if is_nearly_symmetric(problem.matrix) and is_at_rest(problem.matrix.array, self.y):
-            return (
-                f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
-                f"way; {how}"
-            )
+            moved = moved_unknowns(self.y, problem.names)
+            return f"nothing holds {moved}: along them M d = 0 and qᵀd < 0, and no bound is in the way; {how}"
         rows = list(self._used)
-        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (
+        name = problem.names.row
+        named = ", ".join(f"{self.y[i]:.4g} × {name(i)}" for i in rows[:4]) + (
             ", …" if len(rows) > 4 else ""
         )
         combined = f"{len(rows)} rows are inconsistent ({named})"
         if len(rows) == 1:
-            combined = f"row {rows[0]} contradicts its bounds"
+            combined = f"{name(rows[0])} contradicts its bounds"
         return f"no z within its bounds gives w the signs it needs: {combined}; {how}"
 
     def __repr__(self) -> str:

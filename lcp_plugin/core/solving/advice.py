@@ -39,7 +39,7 @@ def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status,
     if (negative := (problem.diagonal < 0.0)).all() and negative.size:
         end = f"every m_ii is negative: is −M meant, as for a Laplacian with the other sign? {end}"
     elif negative.any():
-        end = f"M is not monotone (m_ii < 0 for i = {int(negative.argmax())}); {end}"
+        end = f"M is not monotone (m_ii < 0 in {problem.names.row(int(negative.argmax()))}); {end}"
     for status in WITHOUT_END:
         said[status] += f"; {end}"
     if not settings.prove_infeasibility:

@@ -568,11 +568,13 @@ class FileStatement:
         stated = self._statement()
         stated.integers = np.flatnonzero(content.is_integer[own])
         for part in self._parts(others):
-            stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
+            ends, name = (content.row_lower[part], content.row_upper[part]), content.rows_of(part)
+            stated.constrain(found.rows(part), *ends, name=name)
         as_stated = bool(self.has_objective() or content.is_integer.any())
         for part in (pairs := self._parts(self.pairs)):
             bounds = pair_bounds(content, part, as_stated=as_stated)
-            stated.complement(place[content.partners[part]], found.rows(part), *bounds)
+            z = place[content.partners[part]]
+            stated.complement(z, found.rows(part), *bounds, name=content.rows_of(part))
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
         goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
@@ -619,9 +621,12 @@ class FileStatement:
         order = [self._parts(pairs), self._parts(equations)]
         for part in order[0]:
             z = place[content.partners[part]]
-            statement.complement(z, found.rows(part), statement.lower[z], statement.upper[z])
+            ends = statement.lower[z], statement.upper[z]
+            statement.complement(z, found.rows(part), *ends, name=content.rows_of(part))
         for part in order[1]:
-            statement.constrain(found.rows(part), right[part], right[part])
+            statement.constrain(
+                found.rows(part), right[part], right[part], name=content.rows_of(part)
+            )
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square((~statement.is_paired).astype(np.int64))
         bounded = found.unknowns[arrangement.dropped]

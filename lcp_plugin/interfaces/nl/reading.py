@@ -9,8 +9,10 @@ from __future__ import annotations
 import io
 import math
 from array import array
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from struct import Struct
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import INFINITE_LIMIT, FloatVector
 from ...core.errors import UnreadableFile, UnsupportedModel
+from ...core.names import Names
 from ..files import checked_path, opened
 
 CONVERTERS: dict[str, type] = {"i": int, "h": int, "d": float}
@@ -340,11 +343,19 @@ class NLContent:
         """Return the name of a variable, or its number; behind the last one come the defined variables."""
         if column >= self.lower.size:
             return f"defined variable {column - self.lower.size}"
-        return f"variable {column}" if self.names is None else self.names[column]
+        return Names(unknowns=self.names).unknown(column, "variable {}")
 
     def row(self, row: int) -> str:
         """Return the name of a row, or its number."""
-        return f"row {row if self.row_names is None else self.row_names[row]}"
+        return Names(self.row_names).row(row)
+
+    def rows_of(self, part: Indices) -> Callable[[int], str]:
+        """Return the function from a place in some rows to the name of the row."""
+        return partial(_row_in, self.row_names, part)
+
+
+def _row_in(names: Sequence[str] | None, part: Indices, k: int) -> str:
+    return Names(names).row(int(part[k]))
 
 
 ENDING = ".nl"

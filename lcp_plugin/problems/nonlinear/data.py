@@ -63,6 +63,7 @@ from ...core.checks import (
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
+from ...core.names import checked_names
 from ...core.settings import Settings
 
 DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
@@ -178,6 +179,8 @@ class NonlinearProblem:
     pattern : sparse array, shape (n, n), optional
         Sparsity pattern of the derivative: the stored entries, with any values. Only without `jacobian`;
         without both the pattern is full, up to n = 1000.
+    names : sequence of str, or a pair of sequences, optional
+        Names that messages use: of the unknowns and their rows, or a pair, names of the rows and of the unknowns.
 
     Raises
     ------
@@ -201,6 +204,7 @@ class NonlinearProblem:
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         pattern: Any = None,
+        names: Any = None,
     ) -> None:
         self.F, self.jacobian = _callable(F, "F"), jacobian
         if jacobian is not None:
@@ -213,12 +217,13 @@ class NonlinearProblem:
         sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
         self.n: int | None = sizes[0][0] if sizes else None
-        self._bounds = lower, upper
+        self._bounds, self._given_names = (lower, upper), names
         if self.n is not None:
             self._set_bounds(self.n)
 
     def _set_bounds(self, n: int) -> None:
         self.lower, self.upper = checked_bounds(*self._bounds, n)
+        self.names = checked_names(self._given_names, n, n)
         self._differences: Differences | None = None
 
     def with_size(self, n: int) -> NonlinearProblem:
@@ -320,7 +325,7 @@ class NonlinearProblem:
                 raise UndefinedDerivativeError(
                     "F(x) − F′(x) x overflows; start nearer to 0, or scale F and x"
                 )
-            return LCP(M, q, lower=problem.lower, upper=problem.upper)
+            return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
     def _point(self, x: ArrayLike) -> FloatVector:
         return checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)

@@ -577,6 +577,6 @@ def jacobian_warning(point: Linearization) -> str:
         return ""
     i = int(np.argmax(wrong))
     return (
-        f"jacobian disagrees with F at the start: along one direction row {i} of jacobian(x0) gives {slope[i]:.6g}, "
-        f"and differences of F give {quotients[0][i]:.6g}; correct it, or leave it out"
+        f"jacobian disagrees with F at the start: along one direction {problem.names.row(i)} of jacobian(x0) gives "
+        f"{slope[i]:.6g}, and differences of F give {quotients[0][i]:.6g}; correct it, or leave it out"
     )

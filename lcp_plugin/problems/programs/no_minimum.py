@@ -21,6 +21,7 @@ from ...core.checks import FloatVector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix import largest_products
+from ...core.names import listed
 from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
 
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
 CANCELS = 1e-6  # of the terms of a sum that a linear program takes for 0
-MOST_NAMED = 4  # constraints in a sentence
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
 
 
@@ -147,24 +147,10 @@ class QPInfeasibility:
 
     def __str__(self) -> str:
         how = f"multipliers {_describe_check(self.radius, 'x')}"
-        return f"infeasible: {len(self._found.y)} of its constraints are inconsistent, {self._named()} ({how})"
-
-    def _named(self) -> str:
-        """Return the constraints of the largest multipliers by name."""
-        program, heaviest = (
-            self.program,
-            sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0])),
-        )
-        rows = ("row {} of G", program.h.size), ("row {} of A", program.b.size)
-        parts = *rows, ("lower[{}]", program.n), ("upper[{}]", program.n)
-        starts = np.cumsum([0, *(size for _, size in parts)])
-        names = []
-        for k, _ in heaviest[:MOST_NAMED]:
-            part = int(np.searchsorted(starts, k, side="right")) - 1
-            names.append(parts[part][0].format(k - starts[part]))
-        return ", ".join(names) + (
-            f" and {len(heaviest) - MOST_NAMED} more" if len(heaviest) > MOST_NAMED else ""
-        )
+        heaviest = sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0]))
+        names = [*dict.fromkeys(self.program.name(k) for k, _ in heaviest)]
+        happened = "are inconsistent" if len(names) > 1 else "cannot hold"
+        return f"infeasible: {len(names)} of its constraints {happened}, {listed(names)} ({how})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +314,8 @@ class QPUnboundedness:
         missed = f"point that misses constraints by {self.violation:.1e} of their terms, at most"
         along = f"a direction from a {missed if self.violation else 'feasible point'}"
         if self.is_free_motion:
-            along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
+            moved = moved_unknowns(self.direction, self.program.names)
+            along += f", as nothing holds {moved}: P maps it to 0, and no constraint ends it"
         return f"unbounded below along {along} ({how})"
 
 

@@ -26,6 +26,7 @@ from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.matrix import largest_in_rows, mismatch
+from ...core.names import Names, checked_names
 from ...core.rounding import compensated_pair, compensated_product
 from .criterion import PROGRAM_TOLERANCE
 from .no_minimum import (
@@ -59,6 +60,8 @@ class QuadraticProgram:
         In the unit of x; none by default. ±1e20 and beyond means none, as ±∞ does.
     constant : float
         Constant of the objective, in its value and in the bounds of the value.
+    names : sequence of str, or a pair of sequences, optional
+        Names that messages use: of the unknowns, or a pair, names of the rows of G, then of A, and of the unknowns.
 
     Attributes
     ----------
@@ -68,7 +71,7 @@ class QuadraticProgram:
         P, G and A with their cached properties.
     ranges : tuple or None
         For a program built by `from_ranges`: the original row of each row of G and A, its sign, and the number of
-        original rows.
+        original rows, which have the names.
 
     Raises
     ------
@@ -97,6 +100,7 @@ class QuadraticProgram:
     constant: float = 0.0
     asymmetry: float = field(default=0.0)
     ranges: Any = field(default=None, repr=False)
+    names: Names = field(default=Names(), repr=False)
     matrices: ProgramMatrices = field(init=False, repr=False)
 
     def __init__(
@@ -110,6 +114,7 @@ class QuadraticProgram:
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
         constant: float = 0.0,
+        names: Any = None,
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
@@ -121,6 +126,7 @@ class QuadraticProgram:
         below, above = checked_bounds(lower, upper, n)
         self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
         self.__dict__.update(asymmetry=asymmetry, constant=checked_constant(constant))
+        self.__dict__["names"] = checked_names(names, limits.size + right.size, n)
 
     @classmethod
     def from_ranges(
@@ -133,6 +139,7 @@ class QuadraticProgram:
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
         constant: float = 0.0,
+        names: Any = None,
     ) -> QuadraticProgram:
         """Return the program min ½ xᵀP x + cᵀx + constant over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
 
@@ -143,6 +150,8 @@ class QuadraticProgram:
         A : array or sparse array, shape (m, n)
         lower_rows, upper_rows : scalar or array, shape (m,)
             Lower and upper bounds of the rows; equal bounds are an equality. 1e20 and beyond means ∞, also for x.
+        names : sequence of str, or a pair of sequences, optional
+            Names of the unknowns, or a pair, names of the rows of A and of the unknowns.
 
         Raises
         ------
@@ -176,7 +185,7 @@ class QuadraticProgram:
         )
         program.__dict__.update(asymmetry=asymmetry, ranges=(order, signs, m))
         program.__dict__["constant"] = checked_constant(constant)
-        return program
+        return program.with_names(checked_names(names, m, n))
 
     @property
     def n(self) -> int:
@@ -247,11 +256,31 @@ class QuadraticProgram:
             below,
             above,
         )
-        made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
+        made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges, names=self.names)
         made.__dict__["constant"] = (
             self.constant if constant is None else checked_constant(constant)
         )
         return made
+
+    def with_names(self, names: Names) -> QuadraticProgram:
+        """Return this new program with names of its rows and unknowns."""
+        self.__dict__["names"] = names
+        return self
+
+    def name(self, k: int) -> str:
+        """Return the name of a row of `constraints`; of a bound, and of a nameless row of one unknown, its text."""
+        rows, (m, p, n, _) = self.constraints, self.constraints.sizes
+        stated = k if k >= m + p or self.ranges is None else int(self.ranges[0][k])
+        if k < m + p and (name := self.names.row(stated, "")):
+            return name
+        row = rows.matrix[[k]]
+        if row.nnz == 1 and (name := self.names.unknown(int(row.indices[0]), "")):
+            sign = "=" if rows.is_equality[k] else "≤" if row.data[0] > 0.0 else "≥"
+            return f"{name} {sign} {rows.limit[k] / row.data[0] + 0.0:.9g}"
+        words = ("row {} of G", "row {} of A", "lower[{}]", "upper[{}]")
+        starts = np.cumsum([0, m, p, n])
+        part = int(np.searchsorted(starts, k, side="right")) - 1
+        return words[part].format(k - starts[part])
 
     @classmethod
     def with_matrices(cls, matrices: ProgramMatrices, *vectors: FloatVector) -> QuadraticProgram:

@@ -28,7 +28,7 @@ from ...core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
-from ...core.representation import describe_radius
+from ...core.representation import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status, checked_callback
 from ...core.solving.progress import Progress
 from ...core.solving.result import NEXT, BaseResult, Sample
@@ -322,8 +322,6 @@ class QuadraticProgramResult(BaseResult):
         With ``record=True``, the start and the end of an external solver, or the samples of a run on the LCP.
     begun : str
         Same meaning as in :class:`lcp_plugin.Result`.
-    contradiction : str
-        Names of the inconsistent constraints of an infeasible cvxpy problem.
     doubtful : QPInfeasibility or QPUnboundedness or None
         Proof that holds only by rounding, or only within a radius, so that it excludes no solution.
     """
@@ -332,7 +330,6 @@ class QuadraticProgramResult(BaseResult):
 
     solution: QPSolution
     proof: QPInfeasibility | QPUnboundedness | None = None
-    contradiction: str = ""
     doubtful: QPInfeasibility | QPUnboundedness | None = None
 
     @property
@@ -395,7 +392,9 @@ class QuadraticProgramResult(BaseResult):
                 f"{ROWS:.0e}), the duality gap is {found.duality_gap:.1e} (tolerance {self.tolerance:.0e}), each "
                 "relative to its terms"
             )
-        return f"{self.proof}\n{self.contradiction}" if self.contradiction else str(self.proof)
+        least = getattr(self.proof, "least_violation", 0.0)
+        missed = f"\nevery point violates a constraint by {three_digits_below(least)} or more"
+        return f"{self.proof}{missed if least else ''}"
 
 
 @np.errstate(all="ignore")

@@ -194,7 +194,7 @@ def test_bounds_of_a_variable_belong_to_its_pair(name: str, tmp_path: Path) -> N
         f"x stops at its own {side} bound {bound:g}, which counts although"
         in results.solver.message
     )
-    assert "row c, does not state it" in results.solver.message
+    assert "c, does not state it" in results.solver.message
     write_nl(m, tmp_path / "m.nl")
     again = read_nl(tmp_path / "m.nl").solve()
     assert (again.is_solved, again.x.tolist()) == (True, pytest.approx([bound]))
@@ -214,7 +214,7 @@ def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
     )
     m.beside = pe.Constraint(expr=m.q[0] <= 1e6)
     write_nl(m, tmp_path / "m.nl")
-    assert read_nl(tmp_path / "m.nl").beside.names() == ["row beside"]
+    assert read_nl(tmp_path / "m.nl").beside.names() == ["beside"]
 
 
 @pytest.mark.parametrize("size", [1e-10, 1e-3, 1.0, 1e10])

@@ -1,0 +1,83 @@
+"""Names of the rows and unknowns of a problem: the only place that turns an index into a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+from .errors import InvalidProblem
+
+Naming = Sequence[str] | Callable[[int], str] | None
+
+
+class Names(NamedTuple):
+    """Names of the rows and unknowns of a problem, each a sequence, a function of the index, or None for numbers.
+
+    Attributes
+    ----------
+    rows, unknowns : sequence of str, callable or None
+        A large model passes a function, because few names are ever printed.
+
+    Examples
+    --------
+    >>> names = Names(["market", "budget"])
+    >>> names.row(1), names.unknown(1)
+    ('budget', 'z[1]')
+    """
+
+    rows: Naming = None
+    unknowns: Naming = None
+
+    def row(self, i: int, otherwise: str = "row {}") -> str:
+        """Return the name of row i, by default "row 3"."""
+        return _name(self.rows, i) or otherwise.format(i)
+
+    def unknown(self, i: int, otherwise: str = "z[{}]") -> str:
+        """Return the name of unknown i, by default "z[3]"."""
+        return _name(self.unknowns, i) or otherwise.format(i)
+
+
+def listed(names: Iterable[str], most: int = 4, between: str = ", ") -> str:
+    """Return different names as text: the first ones, and the number of the others.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "a", "c"], 2)
+    'a, b and 1 more'
+    """
+    different = [*dict.fromkeys(names)]
+    more = f" and {len(different) - most} more" if len(different) > most else ""
+    return between.join(different[:most]) + more
+
+
+def _name(names: Naming, i: int) -> str:
+    if names is None:
+        return ""
+    return str(names(int(i)) if callable(names) else names[int(i)])
+
+
+def checked_names(given: Any, rows: int, unknowns: int) -> Names:
+    """Return the names that a constructor was given: of the unknowns, or a pair, of the rows and of the unknowns.
+
+    Raises
+    ------
+    InvalidProblem
+        If their number is not that of the rows or unknowns.
+
+    Examples
+    --------
+    >>> checked_names(["a", "b"], 2, 2).row(1), checked_names(None, 2, 2).row(1)
+    ('b', 'row 1')
+    >>> checked_names([["r"], None], 1, 2).row(0)
+    'r'
+    """
+    if given is None or isinstance(given, Names):
+        return given or Names()
+    is_pair = len(given) == 2 and not any(isinstance(one, str) for one in given)
+    both = Names(*given) if is_pair else Names(given if rows == unknowns else None, given)
+    for what, names, count in (("rows", both.rows, rows), ("unknowns", both.unknowns, unknowns)):
+        if names is not None and not callable(names) and len(names) != count:
+            raise InvalidProblem(
+                f"names has {len(names)} names of {what}, and the problem has {count}; give one name each"
+            )
+    return both

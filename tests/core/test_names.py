@@ -1,0 +1,66 @@
+"""Names of rows and unknowns: messages and proofs of every way in use the user's words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, complements, load_problem, solve
+
+MPS = """NAME p
+ROWS
+ N obj
+ L cap
+ G steel
+COLUMNS
+ a obj 1 cap 1
+ a steel 1
+RHS
+ RHS cap 1 steel 4
+ENDATA
+"""
+
+
+def test_an_infeasible_lcp_names_its_row() -> None:
+    """The proof of an LCP names the row that it was given, and q may change."""
+    problem = LCP([[-1, 0], [0, 1]], [-1, 2], names=["market", "budget"])
+    assert "market contradicts its bounds" in str(solve(problem.with_q([-2, 2])).proof)
+    with pytest.raises(InvalidProblem, match="3 names of rows, and the problem has 2"):
+        LCP(np.eye(2), [0, 0], names=["a", "b", "c"])
+
+
+def test_programs_name_rows_and_bounds(tmp_path: Path) -> None:
+    """Rows of arrays and of an MPS file keep their names; a bound is written with the name of its unknown."""
+    named = [["cap"], ["ship", "store"]]
+    program = QuadraticProgram(None, [1, 1], [[1, 1]], [1], lower=[4, 0], names=named)
+    assert "cap, ship ≥ 4" in str(solve(program).proof)
+    assert "row 0 of G, lower[0]" in str(
+        solve(QuadraticProgram(None, [1, 1], [[1, 1]], [1], lower=[4, 0])).proof
+    )
+    (tmp_path / "p.mps").write_text(MPS)
+    assert "2 of its constraints are inconsistent, cap, steel" in str(
+        solve(load_problem(tmp_path / "p.mps")).proof
+    )
+
+
+def test_cvxpy_models_speak_in_the_users_words() -> None:
+    """A program and a complementarity problem name constraints as written, labels where there are some."""
+    ship = cp.Variable(3, name="ship", nonneg=True)
+    cap = cp.sum(ship) <= 10
+    stated = [cap, ship >= 4, cp.norm1(ship[1:] - ship[:2]) <= 1]
+    problem = cp.Problem(cp.Minimize(cp.sum(ship)), stated)
+    problem.solve(method="LCP")
+    said = problem.solver_stats.extra_stats.explain()
+    assert "sum(ship) <= 10.0, 4.0 <= ship, entry 0" in said
+    assert "norm1" not in said
+    price = cp.Variable(2, name="price", nonneg=True)
+    pair = complements(price, cp.hstack([-1 - price[0], 2 + price[1]]))
+    model = cp.Problem(cp.Minimize(0), [pair])
+    if hasattr(pair, "set_label"):  # cvxpy 1.9
+        pair.set_label("market")
+    model.solve(method="LCP")
+    name = "market[0]" if hasattr(pair, "set_label") else "entry 0"
+    assert f"{name} contradicts its bounds" in model.solver_stats.extra_stats.explain()

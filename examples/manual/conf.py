@@ -4,7 +4,12 @@ The pages are the Markdown files of ``examples``, and the reference is read from
 so that the site needs no network.
 """
 
+import posixpath
 import re
+from pathlib import Path
+
+from docutils import nodes
+from sphinx import addnodes
 
 import lcp_plugin
 
@@ -16,6 +21,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
+    "sphinx_copybutton",
 ]
 root_doc = "index"
 exclude_patterns = ["notebooks"]
@@ -32,7 +38,10 @@ html_theme = "alabaster"
 html_show_copyright = False
 html_title = f"lcp_plugin {release}"
 html_copy_source = html_show_sourcelink = False
-html_static_path = ["static"]
+html_static_path, templates_path = ["static"], ["templates"]
+html_scaled_image_link = False  # a figure leads to its script
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
 html_css_files = ["site.css"]
 html_theme_options = {
     "description": "Complementarity problems in Python and cvxpy",
@@ -40,7 +49,7 @@ html_theme_options = {
     "page_width": "940px",
     "sidebar_width": "250px",
     "show_powered_by": False,
-    "show_relbars": False,
+    "show_relbar_bottom": True,
     "font_family": "system-ui, -apple-system, 'Segoe UI', sans-serif",
     "head_font_family": "system-ui, -apple-system, 'Segoe UI', sans-serif",
 }
@@ -82,6 +91,48 @@ def repair_docstring(app, what, name, thing, options, lines: list[str]) -> None:
     lines[:] = repaired
 
 
+def split_table(app, docname: str, source: list[str]) -> None:
+    """Turn each row of the wide table of algorithms into a short section, in place."""
+    head = "| name | algorithm |"
+    if head not in source[0]:
+        return
+    before, table = source[0].split(head)
+    table, after = table.split("\n\n", 1)
+    sections = []
+    for row in table.splitlines()[2:]:
+        name, title, update, needs, proved, cost, options = row[2:-2].split(" | ")
+        facts = {
+            "Needs": needs,
+            "Proved to converge on": proved,
+            "Cost per iteration": cost,
+            "Options": options,
+        }
+        lines = [f"- {key}: {fact}" for key, fact in facts.items() if fact.strip("|– ")]
+        sections.append("\n".join([f"### {name}: {title}", "", f"    {update}", "", *lines, ""]))
+    source[0] = before + "\n".join(sections) + "\n" + after
+
+
+def link_scripts(app, tree) -> None:
+    """Turn links to Python scripts into links to their pages, in place."""
+    here = posixpath.dirname(app.env.current_document.docname)
+    for link in list(tree.findall(addnodes.download_reference)):
+        script = posixpath.normpath(posixpath.join(here, link["reftarget"]))
+        if script.endswith(".py") and "/" not in script:
+            uri = posixpath.relpath(f"scripts/{script.removesuffix('.py')}.html", here or ".")
+            link.replace_self(nodes.reference("", "", *link.children, refuri=uri))
+
+
+def collect_scripts(app):
+    """Yield a page with the highlighted code of each script."""
+    for file in sorted(Path(app.srcdir).glob("*.py")):
+        code = app.builder.highlighter.highlight_block(file.read_text("utf-8"), "python")
+        body = f"<h1>{file.name}</h1>{code}"
+        yield f"scripts/{file.stem}", {"title": file.name, "body": body}, "page.html"
+
+
 def setup(app) -> None:
-    """Register the repair of docstrings."""
+    """Register the repair of docstrings, the sections of algorithms and the pages of scripts."""
     app.connect("autodoc-process-docstring", repair_docstring, priority=900)
+    app.connect("source-read", split_table)
+    app.connect("doctree-read", link_scripts)
+    app.connect("html-collect-pages", collect_scripts)

@@ -111,14 +111,54 @@ def page(browser: Any) -> Iterator[Any]:
     assert all(url.startswith(("file:", "data:")) for url in requests)
 
 
-def test_search_finds_the_page_on_friction(site: Path, page: Any) -> None:
-    """The search box of the site finds the page on contact for the word friction."""
+@pytest.mark.parametrize(
+    ("word", "title"),
+    {
+        "friction": "Contact",
+        "mpc": "Model predictive control (MPC)",
+        "licence": "Guarantees and limitations",
+        "license": "Guarantees and limitations",
+        "sklearn": "Coming from another package",
+        "cuda": "PyTorch, JAX and cvxpy gradients",
+        "gpu": "PyTorch, JAX and cvxpy gradients",
+        "float32": "PyTorch, JAX and cvxpy gradients",
+        "tutorial": "Manual and examples",
+        "quantlib": "American options",
+        "only_last": "American options",
+        "bug": "lcp_plugin",
+        "contribute": "lcp_plugin",
+        "spectral radius": "lcp_plugin.proofs.guarantees.Guarantee.spectral_radius",
+    }.items(),
+)
+def test_search_finds_a_word(site: Path, page: Any, word: str, title: str) -> None:
+    """The search box of the site finds the page on a subject."""
     page.goto((site / "index.html").as_uri())
-    page.fill("input[name=q]", "friction")
+    page.fill("input[name=q]", word)
     page.press("input[name=q]", "Enter")
     page.wait_for_selector("ul.search li a")
+    page.wait_for_timeout(500)
     found = page.eval_on_selector_all("ul.search li a", "all => all.map(one => one.textContent)")
-    assert "Contact" in found
+    assert title in found
+
+
+def test_pages_have_a_menu_buttons_and_neighbors(site: Path, page: Any) -> None:
+    """On a telephone a menu leads to other pages; code has copy buttons; a page has links to the next one."""
+    page.set_viewport_size({"width": NARROW, "height": 800})
+    page.goto((site / "manual" / "options.html").as_uri())
+    assert page.locator("button.copybtn").count() > 0
+    assert page.locator("#rellinks a").all_inner_texts() == ["Glossary", "Contact"]
+    page.click("details.menu summary")
+    page.click("details.menu >> text=Glossary")
+    assert page.inner_text("div.body h1").startswith("Glossary")
+
+
+def test_scripts_and_help_pages_are_not_empty(site: Path) -> None:
+    """The picture of an example leads to its highlighted code, and each module of the topics has its text."""
+    readme = (site / "README.html").read_text(encoding="utf-8")
+    assert 'href="scripts/american_put.html"' in readme
+    assert 'class="k">def' in (site / "scripts" / "american_put.html").read_text(encoding="utf-8")
+    for part in (site / "manual" / "subjects.html").read_text(encoding="utf-8").split("<h2>")[1:]:
+        assert len(part) > 1000
 
 
 def test_formulas_and_pictures_are_shown(site: Path, page: Any) -> None:

@@ -32,7 +32,7 @@ functions, ``Expression``; fixed variables, deactivated components, mutable para
 equations and pairs as variables. Without complementarities: linear and convex quadratic programs, and nonlinear
 systems. **An objective with complementarities** requests the best of all solutions; then inequalities and bounds are
 constraints, there may be any number of equalities, and integer variables. Objective, rows and pairs may be smooth,
-convex or not: SCIP searches if it is installed (``pip install 'lcp_plugin[global]'``). Without it, and with
+convex or not: SCIP searches if it is installed (``pip install '.[global]'``). Without it, and with
 ``prove=True``, rows are affine and the objective convex quadratic, and the gap is proved.
 
 - Without an objective, all bounds of a variable belong to its pair, stated there or not, as PATH and AMPL take them:

@@ -35,7 +35,7 @@ def register_with_qpsolvers() -> None:
     Raises
     ------
     ImportError
-        If qpsolvers is not installed: ``pip install 'lcp_plugin[qpsolvers]'``.
+        If qpsolvers is not installed: ``pip install '.[qpsolvers]'``.
 
     Examples
     --------

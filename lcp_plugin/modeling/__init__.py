@@ -61,7 +61,7 @@ log_sum_exp``, with affine expressions around and inside them. Curvature is not 
 **The best of all solutions.** With an objective, ``method="LCP"`` searches for the best point that satisfies all pairs,
 equations and inequalities: leader and followers, tolls, the best design of a contact. The objective, sides and rows
 may be smooth, convex or not, with ``abs``; of a maximum write bounds: t >= x, t >= y. Variables may be ``integer`` or
-``boolean``. Install SCIP for the search: ``pip install 'lcp_plugin[global]'``; without SCIP only convex pieces are
+``boolean``. Install SCIP for the search: ``pip install '.[global]'``; without SCIP only convex pieces are
 searched completely.
 
 >>> price, sold = cp.Variable(nonneg=True), cp.Variable(nonneg=True)

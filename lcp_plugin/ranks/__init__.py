@@ -1,6 +1,6 @@
 """LCPs whose rows are spread over the ranks of an MPI job, for problems that do not fit one machine.
 
-Install mpi4py and an MPI library: ``pip install 'lcp_plugin[mpi]'``. Each rank passes its local rows::
+Install mpi4py and an MPI library: ``pip install '.[mpi]'``. Each rank passes its local rows::
 
     import numpy as np, scipy.sparse as sp
     from mpi4py import MPI

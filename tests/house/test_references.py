@@ -87,10 +87,13 @@ def test_every_help_command_opens_a_page() -> None:
 
 
 def test_install_commands_use_the_clone() -> None:
-    """No file installs lcp_plugin from an index: the name is not uploaded yet, so that a stranger could own it."""
+    """No file installs lcp_plugin from an index: the name is not uploaded yet, so that a stranger could own it.
+
+    Messages name the extra of the installed package in parentheses.
+    """
     files = [*SOURCES, *PAGES, *(ROOT / "examples").glob("*.py")]
     for file in files:
-        for command in re.findall(r"pip install [^`\n]+", file.read_text(encoding="utf-8")):
+        for command in re.findall(r"pip install [^`\n(]+", file.read_text(encoding="utf-8")):
             assert not re.search(r"lcp[_-]plugin", command), f"{file.name}: {command}"
 
 

@@ -239,7 +239,7 @@ class BaseResult(Outcome):
         return {} if self.objective is None else {"objective": self.objective}
 
     def plot(self, **how: Any) -> Any:
-        """Return matplotlib's axes with a plot of the result; needs ``pip install 'lcp_plugin[report]'``.
+        """Return matplotlib's axes with a plot of the result; needs ``pip install '.[report]'``.
 
         Parameters
         ----------

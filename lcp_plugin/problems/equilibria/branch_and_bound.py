@@ -183,7 +183,7 @@ def minimize_over_solutions(
     -----
     Built-in bounds are rigorous for the stored floating-point data. Multipliers that are checked in rational
     arithmetic prove every infeasible node, and ``result.verify()`` checks all proofs again. The worst case is 2ᵏ nodes
-    for k pairs. SCIP (``pip install 'lcp_plugin[global]'``) also accepts objectives that are not convex, smooth rows
+    for k pairs. SCIP (``pip install '.[global]'``) also accepts objectives that are not convex, smooth rows
     and integers.
 
     Examples

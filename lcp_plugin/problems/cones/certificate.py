@@ -24,6 +24,9 @@ and so
 
 no residual is smaller than the *margin*, −qᵀy divided by this sum, in the unit of z. With friction ‖R_k‖ is the larger
 of both laws' residuals: u_N ≥ −d |R_N|, and (z_N, z_T − R_T) is in K. Signs are verified in exact arithmetic.
+
+If M = J Jᵀ with more rows than columns is stored in floating point, −Mᵀy is at rounding level where it should be 0. As
+for an LCP (:class:`lcp_plugin.proofs.no_solution.Infeasibility`), the proof then covers the z up to a radius.
 """
 
 from __future__ import annotations
@@ -41,7 +44,11 @@ from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, div
 from ...core.certificates.measured import Measured
 from ...core.checks import FloatVector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
+from ...core.matrix import is_nearly_symmetric
+from ...core.representation import describe_radius
 from ...core.settings import Status
+from ...proofs.farkas import FarkasCertificate, LinearConstraints
+from ...proofs.no_solution import is_minimizer_beyond_radius
 from .data import Blocks, conic_rows, solve_conic
 from .stack import ON, OUT, WITHIN, Array, ConeStack, length
 
@@ -299,6 +306,8 @@ class ConeCertificate:
 
 
 DIGITS = 2.0**-20  # of the largest |y_i|: y is rounded to multiples, so that sums cancel exactly
+UNUSED = 1e-6  # of the largest |y_i|: Clarabel's points reach 0 to about 1e-8
+FEW_ROWS = 1000  # of y: a least squares problem of a second
 MARGIN = 1e-3  # reduction of the margin, for the rounding error of its sums
 
 
@@ -318,34 +327,58 @@ class ContactInfeasibility:
     problem: Blocks
     y: FloatVector
 
-    def verify(self) -> bool:
-        """Return whether y proves infeasibility, in exact arithmetic."""
-        problem, M = self.problem, self.problem.rows.csr
-        y = [Fraction(value) for value in self.y.tolist()]
-        v = [Fraction(0)] * problem.n  # −Mᵀy
-        for i in np.flatnonzero(self.y):
-            for p in range(M.indptr[i], M.indptr[i + 1]):
-                v[M.indices[p]] -= Fraction(float(M.data[p])) * y[i]
+    @derived_property
+    def _found(self) -> FarkasCertificate:
+        """The certificate of w ≥ 0 for any z, without cones."""
+        problem, (no, all_) = self.problem, (np.zeros(self.problem.n), np.ones(self.problem.n))
+        bounds = -np.inf * all_, np.inf * all_
+        anything = LinearConstraints(
+            problem.rows.csr, problem.q, all_ > 0, all_ > 0, *bounds, all_, (no, no)
+        )
+        y = {int(i): Fraction(float(self.y[i])) for i in np.flatnonzero(self.y)}
+        return FarkasCertificate(anything, y)
+
+    def _is_in_cones(self, x: Any, *, is_dual: bool) -> bool:
+        """Return whether x, in exact numbers, is in the cones: of the y that are allowed, or of the −Mᵀy."""
+        problem = self.problem
         for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):
             if b - a == 1:
                 is_free, is_half = kind_of_row(problem, a)
-                is_right = v[a] == 0 and (is_free or y[a] == 0)
-                is_right |= is_half and v[a] >= 0 and y[a] >= 0
+                fits = x[a] == 0 or (is_free and is_dual) or (is_half and x[a] > 0)
             else:
-                square = Fraction(float(problem.slope[k])) ** 2
-                is_right = min(v[a], y[a]) >= 0
-                is_right &= v[a] ** 2 >= square * sum(one**2 for one in v[a + 1 : b])
-                most = 0 if problem.has_friction else square * y[a] ** 2
-                is_right &= sum(one**2 for one in y[a + 1 : b]) <= most
-            if not is_right:
+                square, tangent = Fraction(float(problem.slope[k])) ** 2, x[a + 1 : b]
+                size = sum(one**2 for one in tangent)
+                of_y = size <= (0 if problem.has_friction else square * x[a] ** 2)
+                fits = x[a] >= 0 and (of_y if is_dual else x[a] ** 2 >= square * size)
+            if not fits:
                 return False
-        return self._value < 0
+        return True
+
+    @derived_property
+    def is_exact(self) -> bool:
+        """True if −Mᵀy is in the dual cones, so that the proof covers all z."""
+        pull = self._found.product
+        return self._is_in_cones([-pull.get(j, 0) for j in range(self.problem.n)], is_dual=False)
 
     @property
-    def _value(self) -> Fraction:
-        """The exact qᵀy."""
-        pairs = zip(self.problem.q.tolist(), self.y.tolist(), strict=True)
-        return sum((Fraction(q) * Fraction(y) for q, y in pairs if y), Fraction(0))
+    def radius(self) -> float:
+        """Bound of the |z_j| that the proof covers."""
+        return np.inf if self.is_exact else self._found.radius
+
+    def verify(self) -> bool:
+        """Return whether y proves infeasibility for the z within the radius, in exact arithmetic."""
+        found, rows = self._found, self.problem.rows
+        y = [Fraction(value) for value in self.y.tolist()]
+        if not (found.plain > 0 and self._is_in_cones(y, is_dual=True)):
+            return False
+        return self.is_exact or (
+            found.is_rounding()
+            and found.is_wide_beside_terms()
+            and (
+                not is_nearly_symmetric(rows.matrix)
+                or is_minimizer_beyond_radius(rows.matrix.array, rows.q, self.y, found.left)
+            )
+        )
 
     @derived_property
     def margin(self) -> float:
@@ -357,7 +390,8 @@ class ContactInfeasibility:
         of_rows = np.broadcast_to(rows.references[0], rows.q.shape).reshape(-1)
         references = np.maximum.reduceat(of_rows, problem.starts[:-1])
         shares = np.where(weights > 0.0, weights * references, 0.0)
-        return float(-float(self._value) / shares.sum() * (1.0 - MARGIN))
+        value = self._found.plain if self.is_exact else self._found.size
+        return float(float(value) / shares.sum() * (1.0 - MARGIN))
 
     def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:
         """Return whether the proof excludes SOLVED for every point."""
@@ -368,8 +402,9 @@ class ContactInfeasibility:
         named = ", ".join(map(str, blocks[:5])) + (
             "" if blocks.size <= 5 else f" and {blocks.size - 5} more"
         )
+        points = describe_radius(self.radius, "z") or "all z"
         return (
-            f"blocks {named}: a sum of their slacks with weights of the dual cone is negative whatever z is, by "
+            f"blocks {named}: a sum of their slacks with weights of the dual cone is negative for {points}, by "
             f"{self.margin:.1e} of the reference at the least"
         )
 
@@ -408,9 +443,20 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     y = np.zeros(n)
     y[where] = np.asarray(found.z)[limits.size :]
     unit = np.abs(y).max(initial=0.0) or 1.0
-    for grain in (DIGITS, 2.0**-8, 0.25, None):
-        rounded: Any = y if grain is None else np.round(y / (unit * grain))
-        proof = ContactInfeasibility(problem, rounded)
-        if rounded.any() and proof.verify():
+    rounded: list[Any] = [np.round(y / (unit * grain)) for grain in (DIGITS, 2.0**-8, 0.25)]
+    for one in [*rounded, y, without_pull(problem, y / unit)]:
+        proof = ContactInfeasibility(problem, one)
+        if one.any() and proof.verify():
             return proof
     return None
+
+
+def without_pull(problem: Blocks, y: FloatVector) -> FloatVector:
+    """Return y near a given one with Mᵀy = 0 to rounding, without its entries at rounding level."""
+    used = np.flatnonzero(np.abs(y) > UNUSED)
+    columns = problem.rows.csr[used].toarray().T if used.size <= FEW_ROWS else np.zeros((0, 0))
+    x, found = y[used], np.zeros(problem.n)
+    for _ in range(3 if columns.size else 0):
+        x = x - np.linalg.lstsq(columns, columns @ x, rcond=DIGITS)[0]
+    found[used] = x
+    return found

@@ -200,7 +200,8 @@ class ConeRun(Run):
         super().__init__(progress)
         self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)
         self.rows, stack = ConeRows(self.stack), self.stack
-        self.place = (np.empty(problem.n) if whole is None else whole.place[0]), rows
+        values = np.empty(problem.n) if whole is None else whole.place[0]
+        self.place: tuple[FloatVector, Any] = values, rows
         self.share = 1.0 if whole is None else problem.nonzeros / max(whole.problem.nonzeros, 1)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance

@@ -42,6 +42,8 @@ def factorize_matrix(J: Any) -> Factors:
     """
     from scipy.linalg.lapack import dgetrf, dgetrs
 
+    if not J.shape[0]:  # LAPACK prints a complaint
+        return Factors(lambda right: right, 0.0)
     if not sp.issparse(J) or J.shape[0] <= DENSE_SYSTEMS_UP_TO:
         factors, pivots, failed = dgetrf(J.toarray() if sp.issparse(J) else J)
         if failed:

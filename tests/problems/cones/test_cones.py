@@ -279,6 +279,7 @@ def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
 
 
 SQUEEZED = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+LOW = np.random.default_rng(3).standard_normal((24, 3))  # L Lᵀ is singular up to rounding
 HOPELESS: dict[str, Any] = {
     "nothing moves the normal": FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
     "between two walls that close": FrictionalContact(
@@ -288,6 +289,10 @@ HOPELESS: dict[str, Any] = {
         np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5
     ),
     "no M": ConeProblem(np.zeros((3, 3)), [-1.0, 0.0, 0.0], [("second_order", 3)]),
+    "J Jᵀ, contacts": FrictionalContact(LOW @ LOW.T, np.tile([-2.0, 0.3, -0.1], 8), 0.5),
+    "J Jᵀ, cones": ConeProblem(
+        LOW[6:12, :2] @ LOW[6:12, :2].T, [-2.0, 1, 0, -2.0, 0, -1], [("second_order", 3)] * 2
+    ),
 }
 
 

@@ -58,9 +58,9 @@ the bound. The present values of the variables are tried first. The command
 and ``unbounded`` only with a proof. ``noSolution`` means that none was found and none excluded. ``other`` means that
 double precision allows no better result (if the bounds are the solution, set ``absolute_tolerance``), or that a side
 condition is violated. ``results.solver.message`` has the reason; ``solver.result`` is the result object of the last
-solve. A ``dual`` suffix gets the value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the
-multipliers of a program; ``rc`` gets the multipliers of its variables. With an objective and complementarities, rows
-without a pair get 0.
+solve; its ``conflict`` lists the constraints that conflict, if the model is infeasible. A ``dual`` suffix gets the
+value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers of a program; ``rc``
+gets the multipliers of its variables. With an objective and complementarities, rows without a pair get 0.
 """
 
 from __future__ import annotations
@@ -232,6 +232,10 @@ def _results_of(answer: PyomoAnswer) -> Any:
     results = SolverResults()
     condition = TerminationCondition.other if answer.is_violated else ENDS[found.status]
     results.solver.name, results.solver.message = NAME, found.message
+    if hasattr(type(found.result.proof), "conflict"):
+        results.solver.message += (
+            "; print(solver.result.conflict) lists the constraints that conflict"
+        )
     results.solver.status = STATES.get(condition, SolverStatus.warning)
     results.solver.termination_condition = condition
     results.solver.time = found.result.seconds

@@ -42,8 +42,8 @@ class Status(Enum):
     STALLED = "not solved, and nothing is proved: the residual no longer falls, or too slowly for max_iterations"
     DIVERGED = "the iterates diverged: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
-        "infeasible, even if every condition is relaxed by the tolerance; next: check the data "
-        "(proof: result.proof)"
+        "infeasible, even if every condition is relaxed by the tolerance; next: print(result.conflict), which "
+        "conditions conflict"
     )
     NO_SOLUTION = (
         "no solution exists: the inequalities are feasible, but not with complementarity; every active set is "

@@ -38,6 +38,7 @@ from ..core.names import Names
 from ..core.representation import describe_radius
 from ..core.settings import Status
 from ..systems.free_systems import FreeSystem
+from .conflict import Conflict, find_conflict
 from .exact import ZERO, Rational, integer_matrix, rounded_down
 from .farkas import DECISIVE, WIDE, FarkasCertificate, LinearConstraints
 
@@ -368,6 +369,36 @@ class Infeasibility(NoSolutionProof):
                 or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, found.left)
             )
         )
+
+    @cached_property
+    def conflict(self) -> Conflict:
+        """Irreducible set of signs of w and bounds of z that conflict, by name; computed on first access."""
+        problem, n = self.problem, self.problem.n
+        own, nothing = sp.eye_array(n), np.zeros(n)
+        rises, falls = problem.upper == np.inf, problem.lower == -np.inf
+        signs = np.where(rises, 1.0, -1.0)
+        rows = LinearConstraints(
+            sp.csr_array(sp.vstack([sp.diags_array(signs) @ problem.csr, own, -own])),
+            np.concatenate([signs * problem.q, -problem.lower, problem.upper]),
+            np.concatenate([rises | falls, ~falls, ~rises]),
+            np.concatenate([rises & falls, nothing > 0.0, nothing > 0.0]),
+            nothing - np.inf,
+            nothing + np.inf,
+            np.ones(3 * n),
+            (nothing, nothing),
+        )
+        y = {i: value * int(signs[i]) for i, value in self._used.items()}
+        y |= {n + j + (value > 0) * n: abs(value) for j, value in self._found.product.items()}
+        return find_conflict(rows, self._name_of_condition, y)
+
+    def _name_of_condition(self, k: int) -> str:
+        """Return the name of the sign of w_i, then of the lower and of the upper bounds."""
+        (part, i), problem = divmod(k, self.problem.n), self.problem
+        low, high = float(problem.lower[i]), float(problem.upper[i])
+        if part:
+            return f"{problem.names.unknown(i)} {'≥' if part == 1 else '≤'} {low if part == 1 else high:.9g}"
+        sign = "≤" if high < np.inf else "=" if low == -np.inf else "≥"
+        return f"w {sign} 0 in {problem.names.row(i)}"
 
     def closings(self) -> Iterator[Margins | None]:
         """Yield the margins of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""

@@ -153,6 +153,15 @@ class BaseResult(Outcome):
         return None
 
     @property
+    def conflict(self) -> Any:
+        """Irreducible set of constraints that cannot hold together, by name; computed on first access.
+
+        A :class:`lcp_plugin.proofs.conflict.Conflict`: `names`, `verify()` and a `point(k)` that satisfies
+        all members but number k. None without a Farkas certificate.
+        """
+        return getattr(self.proof, "conflict", None)
+
+    @property
     def advice(self) -> str:
         """Meaning of the status for this run, and the recommended next step after ``next:``."""
         happened, begins, to_do = self._advice_of_status().partition(NEXT)

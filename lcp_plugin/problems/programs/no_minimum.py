@@ -25,6 +25,7 @@ from ...core.names import listed
 from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
+from ...proofs.conflict import Conflict, find_conflict
 from ...proofs.exact import (
     ZERO,
     Vector,
@@ -139,6 +140,13 @@ class QPInfeasibility:
     def excludes(self, tolerance: float) -> bool:
         """Return whether the contradiction is more than rows of a solution may be off by, at any tolerance."""
         return self.margin > ROWS
+
+    @derived_property
+    def conflict(self) -> Conflict:
+        """Irreducible set of constraints that conflict, by name; computed on first access."""
+        exact = self if self.is_exact else prove_infeasible(self.program) or self
+        y = dict(enumerate(exact.multipliers))
+        return find_conflict(self.program.constraints.as_rows, self.program.name, y)
 
     @property
     def doubt(self) -> str:

@@ -291,7 +291,7 @@ FAR = 1e6  # times the largest limit: an x out there may be on its way to infini
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
     Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance; next: rescale the data",
-    Status.INFEASIBLE: "no x satisfies all constraints; next: check the data (proof: result.proof)",
+    Status.INFEASIBLE: "no x satisfies all constraints; next: print(result.conflict), which of them conflict",
     Status.STALLED: (
         "no point passes the test, and no proof of infeasibility or unboundedness was found or requested; "
         "next: check the data and their units"

@@ -1,0 +1,113 @@
+"""Conflicts: HiGHS finds each set infeasible, and feasible without any one member; both proofs are exact."""
+
+from __future__ import annotations
+
+import time
+from fractions import Fraction
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from lcp_plugin import LCP, QuadraticProgram, solve
+from lcp_plugin.proofs.conflict import find_conflict
+
+
+def planted(seed: int, rows: int, unknowns: int) -> tuple[QuadraticProgram, int]:
+    """Return a feasible program of inequalities and equalities to which 2 to 6 conflicting rows are added."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 7))
+    point = rng.integers(-5, 6, unknowns)
+    A = rng.integers(-3, 4, (rows, unknowns)) * (rng.random((rows, unknowns)) < 0.3)
+    b = A @ point + rng.integers(0, 10, rows)
+    C = 1.0 * rng.integers(-3, 4, (count, unknowns)) * (rng.random((count, unknowns)) < 0.5)
+    y = rng.integers(1, 4, count - 1)
+    C[-1] = -(y @ C[:-1])
+    d = C @ point + 1.0
+    d[-1] = -(y @ d[:-1]) - 1.0
+    order, equal = rng.permutation(rows + count), min(3, rows)
+    G, h = np.vstack([A, C])[order], np.append(b, d)[order]
+    E = rng.integers(-2, 3, (equal, unknowns))
+    bounds = (-20.0, 20.0) if seed % 2 else (-np.inf, np.inf)
+    return QuadraticProgram(None, np.zeros(unknowns), G, h, E, E @ point, *bounds), count
+
+
+def is_feasible(program: QuadraticProgram, members: list[int]) -> bool:
+    """Return whether HiGHS finds a point of some rows of ``program.constraints``."""
+    rows = program.constraints
+    C, d = rows.matrix[members], rows.limit[members]
+    equal = rows.is_equality[members]
+    parts = {"A_ub": C[~equal], "b_ub": d[~equal], "A_eq": C[equal], "b_eq": d[equal]}
+    kept = {name: part for name, part in parts.items() if part.shape[0]}
+    return linprog(np.zeros(program.n), bounds=(None, None), method="highs", **kept).status == 0
+
+
+def assert_irreducible(program: QuadraticProgram, conflict: Any) -> None:
+    """Let HiGHS and the exact proofs judge a conflict."""
+    members = conflict.members
+    assert conflict.is_irreducible
+    assert conflict.verify()
+    assert not is_feasible(program, members)
+    assert all(is_feasible(program, [i for i in members if i != k]) for k in members)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_a_planted_conflict_is_found(seed: int) -> None:
+    """Conflicts of 2 to 6 rows among 20 to 200, with equalities and bounds or without."""
+    program, count = planted(seed, 20 + 8 * seed, 4 + seed)
+    conflict = solve(program).conflict
+    assert_irreducible(program, conflict)
+    assert len(conflict.members) <= max(count, program.n + 1)
+
+
+def test_dependent_equalities_are_reduced() -> None:
+    """A proof by three rows, equalities that depend on one another among them, is reduced to two rows."""
+    A = [[1.0, 1.0], [2.0, 2.0], [1.0, 1.0], [1.0, -1.0]]
+    program = QuadraticProgram(None, [0, 0], A=A, b=[1, 2, 3, 0])
+    rows = program.constraints.as_rows
+    y = {0: Fraction(3), 1: Fraction(-1), 2: Fraction(-1)}
+    conflict = find_conflict(rows, program.name, y)
+    assert len(conflict.members) == 2
+    assert_irreducible(program, conflict)
+    assert not find_conflict(rows, program.name, y, max_seconds=0.0).is_irreducible
+
+
+def test_a_large_program_takes_a_second() -> None:
+    """The reduction of a proof with hundreds of rows is cheaper than the search for the proof."""
+    program, _ = planted(3, 1000, 200)
+    result = solve(program)
+    began = time.thread_time()
+    conflict = result.conflict
+    assert time.thread_time() - began < 5.0
+    assert_irreducible(program, conflict)
+
+
+def test_an_lcp_without_signs_names_row_and_bound() -> None:
+    """The row of w and the bound of z conflict; without one of them z exists, in a box and with w ≤ 0 also."""
+    conflict = solve(LCP([[-1, 0], [0, 1]], [-1, 2], names=["market", "price"])).conflict
+    assert conflict.names == ["w ≥ 0 in market", "market ≥ 0"]
+    assert conflict.verify()
+    upper = solve(LCP([[-1.0]], [1.0], lower=-np.inf, upper=0.0)).conflict
+    assert upper.names == ["w ≤ 0 in row 0", "z[0] ≤ 0"]
+    assert upper.verify()
+
+
+def test_cvxpy_lists_what_conflicts_as_written() -> None:
+    """A demand above a capacity: three constraints of the user, in the user's words."""
+    ship = cp.Variable(4, name="ship", nonneg=True)
+    stated = [
+        cp.sum(ship) <= 10,
+        ship[0] >= 4,
+        cp.sum(ship[1:]) >= 7,
+        ship <= 8,
+        ship[3] <= ship[1],
+    ]
+    problem = cp.Problem(cp.Minimize(ship @ np.arange(4.0)), stated)
+    problem.solve(method="LCP")
+    result = problem.solver_stats.extra_stats
+    assert "print(result.conflict)" in result.explain()
+    assert sorted(result.conflict.names) == sorted(
+        ["sum(ship) <= 10.0", "4.0 <= ship[0]", "7.0 <= sum(ship[1:4])"]
+    )

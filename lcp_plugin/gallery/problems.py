@@ -2,7 +2,7 @@
 
 A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
 
-Games, markets and options: Nash equilibria, prices that clear, the American put and the tree that checks it.
+Games and options: Nash equilibria, the American put and the tree that checks it.
 
 Problems with a solution chosen first: the paper's examples, one with active constraints, and a random H₊-matrix.
 """
@@ -311,55 +311,6 @@ def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Fl
     x, y = np.array(row, dtype=np.float64), np.array(column, dtype=np.float64)
     answer: FloatVector = np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
     return answer
-
-
-@scene_builder
-def market_equilibrium(
-    *, goods: int = 30, activities: int = 60, running: float = 0.5, seed: int = 0
-) -> Scene:
-    """Market equilibrium with linear demand and constant returns: M = [[D, A], [−Aᵀ, 0]], planted integers.
-
-    Parameters
-    ----------
-    goods
-        Number of markets; the first unknowns are their prices.
-    activities
-        Number of activities; the last unknowns are their levels.
-    running
-        Share of the goods that a running activity of their own produces, in [0, 1], as far as there are activities.
-    seed
-        Seed of the generator that draws all data.
-
-    Notes
-    -----
-    Prices p ≥ 0 against excess supply A y + D p − b ≥ 0, levels y ≥ 0 against losses c − Aᵀp ≥ 0. The symmetric part
-    of D is diagonal and positive, so that the prices are unique. Running activities have positive prices and linearly
-    independent columns, all others make strict losses, so that the levels are also unique. Some goods are free. M is
-    positive semidefinite with a zero diagonal block, and demand is not integrable (D is not symmetric), so no
-    quadratic program has this answer.
-
-    References
-    ----------
-    Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.2.
-    """
-    require(0.0 <= running <= 1.0, f"running must lie in [0, 1], got {running}")
-    generator = np.random.default_rng(seed)
-    count = min(round(running * goods), activities)
-    D = np.triu(generator.integers(-2, 3, (goods, goods)), 1).astype(np.float64)
-    D = D - D.T + np.diag(generator.integers(1, 9, goods))
-    A = generator.integers(-1, 4, (goods, activities)).astype(np.float64)
-    A[:count, :count] = np.tril(A[:count, :count], -1) + np.eye(count)
-
-    price = generator.integers(0, 10, goods).astype(np.float64)
-    price[:count] += 1.0
-    level = np.where(np.arange(activities) < count, generator.integers(1, 10, activities), 0.0)
-    excess = np.where(price == 0.0, generator.integers(0, 5, goods), 0.0)
-    loss = np.where(level == 0.0, generator.integers(1, 5, activities), 0.0)
-    M = np.block([[D, A], [-A.T, np.zeros((activities, activities))]])
-    exact = np.concatenate([price, level])
-    problem = LCP(M, np.concatenate([excess, loss]) - M @ exact)
-    is_diagonal = activities == 0 and not np.triu(D, 1).any()
-    return Scene(problem=problem, exact=exact, is_symmetric=is_diagonal, is_h_plus=is_diagonal)
 
 
 # --- Options ----------------------------------------------------------------------------------------------------

@@ -37,8 +37,6 @@ SMALL = [
     "elastic_plastic_torsion:size=10,section=disc,plastic_share=0.75",
     "elastic_plastic_torsion:size=11,plastic_share=0,mixed=true",
     "half_active:n=81,delta=0,block=2,degenerate=false",
-    "market_equilibrium:goods=6,activities=9",
-    "market_equilibrium:goods=5,activities=3,running=1,seed=2",
     "convection_diffusion:size=6,diffusion=0,wind_angle=3.6",
     "journal_bearing:size=10,eccentricity=0.99,half_length=0.5",
     "obstacle_2d:size=12,shifted=true",
@@ -333,20 +331,6 @@ def test_unique_equilibria_are_equilibria() -> None:
         assert np.abs(np.minimum(scene.exact, scene.problem.slack(scene.exact))).max() <= 4e-16
         declared += 1
     assert declared == 4
-
-
-def test_market_clears_and_nobody_runs_at_a_loss() -> None:
-    """Paid goods are in balance at the known solution, and running activities break even."""
-    scene = gallery.build("market_equilibrium", running=0.2)
-    w = scene.problem.slack(scene.exact)
-    assert w.min() == 0.0
-    assert not (w * scene.exact).any()
-    assert np.any(scene.exact[:30] == 0.0)
-    assert np.count_nonzero(scene.exact[30:]) == 6
-    assert (
-        np.linalg.eigvalsh(scene.problem.csr.toarray() + scene.problem.csr.toarray().T).min()
-        > -1e-9
-    )
 
 
 def plastic(scene: gallery.Scene, z: np.ndarray) -> np.ndarray:

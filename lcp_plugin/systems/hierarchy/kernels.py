@@ -67,18 +67,10 @@ def product(
     entries = Operator(pattern.indptr, pattern.indices, np.zeros(pattern.nnz))
     split, inverse = pivots(entries, SMALLEST_PIVOT)
     values = np.empty(pattern.nnz)
-    update_product(
-        *matrix.arrays,
-        np.ones(width, np.bool_),
-        np.ones(width, np.bool_),
-        *prolongation.arrays,
-        *restriction.arrays,
-        *entries.arrays[:2],
-        values,
-        split,
-        inverse.copy(),
-        *(np.zeros(columns, np.bool_) for _ in range(3)),
-    )
+    all_rows, flags = np.ones(width, np.bool_), (np.zeros(columns, np.bool_) for _ in range(3))
+    coarse = *entries.arrays[:2], values, split, inverse.copy(), *flags
+    parts = matrix.arrays, (all_rows, all_rows.copy()), prolongation.arrays, restriction.arrays
+    update_product(*parts, coarse)
     return Operator(pattern.indptr, pattern.indices, values)
 
 
@@ -104,61 +96,38 @@ def _mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first,
             touched[i] |= is_free_changed[uintp(indices[k])]
 
 
-def update_product(*operands: Any) -> tuple[float, int]:
+def update_product(
+    matrix: Any, flags: Any, prolongation: Any, restriction: Any, coarse: Any
+) -> tuple[float, int]:
     """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
 
-    The operands are the arrays that `_update_rows` names first.
+    The operands are tuples of arrays, as `_update_rows` names them.
     """
-    indices, is_interpolated, r_indptr, c_is_free = (
-        operands[1],
-        operands[3],
-        operands[8],
-        operands[-3],
-    )
+    width, kind = flags[0].size, matrix[1].dtype
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        width = is_interpolated.size
-        fine_place, fine = np.zeros(width, indices.dtype), np.empty(width, indices.dtype)
-        space = fine_place, fine, np.empty(width), np.empty(c_is_free.size)
-        counts: tuple[float, int] = _update_rows(*operands, *space, first, end)
+        sums = np.empty(width), np.empty(coarse[5].size)
+        space = np.zeros(width, kind), np.empty(width, kind), *sums
+        counts: tuple[float, int] = _update_rows(
+            matrix, flags, prolongation, restriction, coarse, space, first, end
+        )
         return counts
 
-    products, changed = zip(*share(piece, r_indptr.size - 1, 16384), strict=True)
+    products, changed = zip(*share(piece, restriction[0].size - 1, 16384), strict=True)
     return sum(products), sum(changed)
 
 
 @kernel
-def _update_rows(  # type: ignore[no-untyped-def]
-    indptr,
-    indices,
-    data,
-    is_interpolated,
-    touched,
-    p_indptr,
-    p_indices,
-    p_data,
-    r_indptr,
-    r_indices,
-    r_data,
-    c_indptr,
-    c_indices,
-    c_data,
-    c_diagonal,
-    c_inverse,
-    c_is_free,
-    c_free_changed,
-    c_row_changed,
-    fine_place,
-    fine,
-    fine_sums,
-    sums,
-    first,
-    end,
-):
+def _update_rows(matrix, flags, prolongation, restriction, coarse, space, first, end):  # type: ignore[no-untyped-def]
     """Compute the changed coarse rows. A row of R M is computed before its product with P: it adds up couplings.
 
     A coarse unknown is fixed if all of its fine unknowns are fixed or held, or if its pivot is not positive.
     """
+    (indptr, indices, data), (is_interpolated, touched) = matrix, flags
+    (p_indptr, p_indices, p_data), (r_indptr, r_indices, r_data) = prolongation, restriction
+    c_indptr, c_indices, c_data, c_diagonal, c_inverse = coarse[:5]
+    c_is_free, c_free_changed, c_row_changed = coarse[5:]
+    fine_place, fine, fine_sums, sums = space
     one = uintp(1)
     products = 0.0
     changed_rows = 0
@@ -240,42 +209,23 @@ def residual_after_first_sweep(
 ) -> None:
     """Write b − M x after `first_sweep` into `residual`: row i was exact until later rows changed."""
     split, reach = rows[1], blocks.reach
-    shared(_product_of(rows, split, 1, inverse, -1.0, b, 0.0, x, residual), inverse.size)
-    whole = _product_of(rows, rows[0], 0, inverse, -1.0, b, 1.0, x, residual)
+    operands = x, residual
+    shared(_product_of(rows, split, 1, inverse, -1.0, read_only(b), 0.0, *operands), inverse.size)
+    whole = _product_of(rows, rows[0], 0, inverse, -1.0, read_only(b), 1.0, *operands)
     for edge in blocks.edges[2:-1:2].tolist():  # next to these edges, other rows changed before
         whole(edge - reach, edge + reach)
 
 
 def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:
     """Product ← M x on the free rows, 0 elsewhere."""
-    shared(_product_of(rows, rows[0], 0, inverse, 1.0, inverse, 0.0, x, product), inverse.size)
+    operands = 1.0, read_only(inverse), 0.0, x, product
+    shared(_product_of(rows, rows[0], 0, inverse, *operands), inverse.size)
 
 
-def _product_of(
-    rows: Matrix,
-    begins: Any,
-    further: int,
-    inverse: FloatVector,
-    sign: float,
-    b: FloatVector,
-    weight: float,
-    x: FloatVector,
-    product: FloatVector,
-) -> Callable[[int, int], Any]:
+def _product_of(rows: Matrix, begins: Any, further: int, inverse: Any, *operands: Any) -> Any:
+    """Return a function that computes some rows of `_products`; the operands are sign, b, weight, x, product."""
     indptr, _, *rest = rows
-    operands = (
-        indptr,
-        begins,
-        further,
-        *rest,
-        read_only(inverse),
-        sign,
-        read_only(b),
-        weight,
-        x,
-        product,
-    )
-    return partial(_products, *operands)
+    return partial(_products, indptr, begins, further, *rest, read_only(inverse), *operands)
 
 
 def sweep(
@@ -319,8 +269,8 @@ def free_rows(
     Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
     residual of the problem, and how many rows changed.
     """
-    indptr, _, *rest = rows
-    piece = partial(_free_rows, indptr, *rest, *vectors, z, is_free, is_changed, residual)
+    matrix = rows[0], *rows[2:]
+    piece = partial(_free_rows, matrix, vectors, z, is_free, is_changed, residual)
     found = shared(piece, residual.size)
     largest = np.max([one for one, _ in found])  # a NaN kept
     return float(largest), int(sum(changed for _, changed in found))
@@ -344,36 +294,20 @@ def _swept(
 ) -> None:
     """Sweep the blocks of one color and then the blocks of the other color; the entries of row i end before ends[i]."""
     indptr, *rest = rows
-    operands, edges = (*rest, *vectors, sign, relaxation, is_first, backward, x), blocks.edges
+    operands = tuple(rest), vectors, (sign, relaxation, is_first, backward), x
+    edges, block_ends = blocks.edges, blocks.edges[1:]
+
+    def piece(colour: int, first: int, last: int) -> None:
+        # In the first sweep, so many rows at the end of an odd block need all their entries.
+        reach = blocks.reach if is_first and colour == 1 else 0
+        seams = read_only(block_ends - reach)
+        _sweep(indptr, ends, *operands, (colour, edges, seams), first, last)
+        if reach:
+            _sweep(indptr, indptr[1:], *operands, (colour, seams, block_ends), first, last)
+
     for colour in (1, 0) if backward else (0, 1):
         if count := blocks.count(colour):
-            reach = blocks.reach if is_first and colour == 1 else 0
-            share(
-                partial(_swept_piece, indptr, ends, operands, x, edges, reach, colour),
-                count,
-                blocks.smallest_share,
-            )
-
-
-def _swept_piece(
-    indptr: Any,
-    ends: Any,
-    operands: tuple[Any, ...],
-    x: FloatVector,
-    edges: Any,
-    reach: int,
-    colour: int,
-    first: int,
-    last: int,
-) -> None:
-    """Sweep some blocks of a colour; so many rows at the end of each need all their entries in the first sweep."""
-    block_ends = edges[1:]
-    if reach == 0:
-        _sweep(indptr, ends, *operands, colour, edges, block_ends, first, last)
-        return
-    seams = read_only(block_ends - reach)
-    _sweep(indptr, ends, *operands, colour, edges, seams, first, last)
-    _sweep(indptr, indptr[1:], *operands, colour, seams, block_ends, first, last)
+            share(partial(piece, colour), count, blocks.smallest_share)
 
 
 @inline
@@ -385,32 +319,14 @@ def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-unt
 
 
 @kernel
-def _sweep(  # type: ignore[no-untyped-def]
-    indptr,
-    ends,
-    split,
-    indices,
-    data,
-    inverse,
-    b,
-    lower,
-    upper,
-    sign,
-    relaxation,
-    is_first,
-    backward,
-    x,
-    colour,
-    begins,
-    block_ends,
-    first_block,
-    last_block,
-):
+def _sweep(indptr, ends, entries, vectors, how, x, blocks, first_block, last_block):  # type: ignore[no-untyped-def]
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
     The sweep covers the blocks of one color with these numbers. An empty `lower` or `upper` means no bound. The entries
     of row i end before ends[i]. The first sweep starts from x = 0.
     """
+    (split, indices, data), (inverse, b, lower, upper) = entries, vectors
+    (sign, relaxation, is_first, backward), (colour, begins, block_ends) = how, blocks
     has_lower, has_upper = lower.size > 0, upper.size > 0
     for counted in range(last_block - first_block):
         block = 2 * (last_block - 1 - counted if backward else first_block + counted) + colour
@@ -458,10 +374,9 @@ def _products(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _free_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, inverse, q, lower, upper, z, is_free, is_changed, residual, first, end
-):
+def _free_rows(matrix, vectors, z, is_free, is_changed, residual, first, end):  # type: ignore[no-untyped-def]
     """Apply `free_rows` to the rows from first to end, in order; a NaN is the largest residual."""
+    (indptr, indices, data), (inverse, q, lower, upper) = matrix, vectors
     one, largest, changed = uintp(1), 0.0, 0
     for i in range(uintp(first), uintp(end)):
         w = _plus_products(q[i], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, z)
@@ -493,19 +408,11 @@ def dot(one: FloatVector, other: FloatVector) -> float:
     return float(sums.sum())
 
 
-def add_both(
-    factor: float,
-    vector: FloatVector,
-    to: FloatVector,
-    other_factor: float,
-    other: FloatVector,
-    to_other: FloatVector,
-) -> None:
-    """Add factor · vector to the first target, and other_factor · other to the second target."""
+def add_to(to: FloatVector, factor: float, vector: FloatVector) -> None:
+    """Add factor · vector to the first vector."""
 
     def add(part: slice) -> None:
         to[part] += factor * vector[part]
-        to_other[part] += other_factor * other[part]
 
     _by_parts(add, vector.size)
 
@@ -619,24 +526,14 @@ def find_held(*operands: Any) -> int:
 
 @kernel
 def _find_held(  # type: ignore[no-untyped-def]
-    indptr,
-    indices,
-    whole,
-    values,
-    is_free,
-    touched,
-    is_interpolated,
-    is_changed,
-    is_coarse,
-    first,
-    end,
+    matrix, values, is_free, touched, is_interpolated, is_changed, is_coarse, first, end
 ):
     """Set which touched rows are interpolated; return the number of rows that are held or change with neighbors.
 
     `is_changed` marks the fixed or freed rows on entry and the rows of P that change on return. `whole` contains the
     values of the matrix with all unknowns free.
     """
-    one, found = uintp(1), 0
+    (indptr, indices, whole), one, found = matrix, uintp(1), 0
     for i in range(uintp(first), uintp(end)):
         became, is_changed[i] = is_changed[i], False
         if not touched[i]:

@@ -14,7 +14,7 @@ from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
 from . import kernels
 from .grids import Grid, Transfer
-from .kernels import add_both, add_within, dot, largest_product, span
+from .kernels import add_to, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
 
@@ -90,7 +90,7 @@ class TruncatedGrid:
     def find_held(self, transfer: Transfer) -> None:
         """Find the held unknowns among the touched rows: they are free, but not interpolated."""
         if kernels.find_held(
-            *self.grid.matrix.arrays,
+            self.grid.matrix.arrays,
             self.values,
             self.is_free,
             self.touched,
@@ -103,21 +103,14 @@ class TruncatedGrid:
 
     def update_coarser(self, below: TruncatedGrid, transfer: Transfer) -> tuple[float, int]:
         """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows."""
-        return kernels.update_product(
-            *self.grid.matrix.arrays[:2],
-            self.values,
-            self.is_interpolated,
-            self.touched,
-            *transfer.prolongation.arrays,
-            *transfer.restriction.arrays,
-            *below.grid.matrix.arrays[:2],
-            below.new_values,
-            below.grid.split,
-            below.inverse,
-            below.is_free,
-            below.free_changed,
-            below.row_changed,
+        values, flags = (
+            (*self.grid.matrix.arrays[:2], self.values),
+            (self.is_interpolated, self.touched),
         )
+        coarse = *below.grid.matrix.arrays[:2], below.new_values, below.grid.split, below.inverse
+        state = below.is_free, below.free_changed, below.row_changed
+        operands = values, flags, transfer.prolongation.arrays, transfer.restriction.arrays
+        return kernels.update_product(*operands, (*coarse, *state))
 
     def fetch(self, x: FloatVector) -> None:
         """Fetch the values of ghosts; only grids on ranks have any."""
@@ -313,14 +306,16 @@ class KrylovCorrection:
         p, product = self.truncation.direction(self.residual)
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale
-            add_both(-share, old_p, p, -share, old_product, product)
+            add_to(p, -share, old_p)
+            add_to(product, -share, old_product)
         against = self._against(p, product)
         scale = self._dot(against, product)
         length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             self.truncation.spare += [p, product]
             return False
-        add_both(length, p, self._sum, -length, product, self.residual)
+        add_to(self._sum, length, p)
+        add_to(self.residual, -length, product)
         if self.is_symmetric:
             self._forget_directions()
         self.directions.append((p, product, scale))

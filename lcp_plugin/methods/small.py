@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from itertools import islice
 from typing import Any, ClassVar
@@ -173,40 +174,82 @@ def solve_stack(
     return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
-def points_in_loop(
-    M: FloatVector,
-    q: FloatVector,
-    lower: FloatVector,
-    upper: FloatVector,
-    starts: FloatVector | None,
-    tolerance: float,
-) -> tuple[FloatVector, FloatVector]:
-    """Return z of the compiled loop, NaN in column 0 of a lost path, and bounds of the relative residuals.
-
-    A bound < ∞ implies the stopping criterion; ∞ means that it is to be measured.
-    """
-    from ..core.kernels.small_lcps import solve_problems
-
-    starts = np.empty((1, 0)) if starts is None else starts
-    tilts = np.random.default_rng(1).uniform(1.0, 2.0, q.shape[1])
-    data = (read_only(np.ascontiguousarray(one)) for one in (M, q, lower, upper, starts, tilts))
-    z, residual = np.empty(q.shape), np.empty(len(q))
-    solve_problems(*data, float(tolerance), z, residual)
-    return z, residual
-
-
 def _solve_in_loop(
     M: FloatVector, q: FloatVector, lower: Any, upper: Any, starts: Any, tolerance: float
 ) -> tuple[FloatVector, FloatVector, BoolVector]:
-    """Return z, residual and is_solved; the criterion measures the points on which the loop does not decide."""
-    z, residual = points_in_loop(M, q, lower, upper, starts, tolerance)
+    """Return z, residual and is_solved of the compiled loop.
+
+    A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
+    criterion measures the points on which the sufficient test does not decide.
+    """
+    from ..core.kernels.small_lcps import bound_residuals
+
+    arrays = M, q, lower, upper, np.clip(0.0, lower, upper)
+    z, items = np.array(arrays[4] if starts is None else starts), np.arange(len(q))
+    residual = np.full(len(q), np.inf)
+    for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
+        own = _select(arrays, items)
+        if attempt < ROUNDS:
+            largest = np.abs(own[0]).max(-1, initial=0.0)
+            scale = residual_scales(own[0].diagonal(axis1=-2, axis2=-1), largest)
+            step = (times(own[0], z[items]) + own[1]) / scale
+            side = np.where(step >= z[items] - own[2], LOW, FREE + (step <= z[items] - own[3]))
+        else:
+            side = _ends_of_paths(*own[:4])
+        x, bound = active_set_points(*own[:4], side, True), np.empty(items.size)
+        is_lost = np.isnan(x[:, 0])
+        bound_residuals(*own, float(tolerance), np.empty((4, q.shape[1])), x, bound)
+        x[is_lost, 0], bound[is_lost] = np.nan, np.inf
+        z[items], residual[items] = x, bound
+        items = items[bound == np.inf]
     is_solved = residual < np.inf
-    rest = np.flatnonzero(~is_solved & np.isfinite(z[:, 0]))
+    rest = items[np.isfinite(z[items, 0])]
     if rest.size:
-        own = M if len(M) == 1 else M[rest]
-        found = measure(stack_of(own, q[rest], lower[rest], upper[rest]), z[rest], tolerance)
+        found = measure(stack_of(*_select((M, q, lower, upper), rest)), z[rest], tolerance)
         z[rest], residual[rest], is_solved[rest] = found[:3]
     return z, residual, is_solved
+
+
+def _select(arrays: Any, items: Any) -> list[Any]:
+    """Return these problems of arrays, C-contiguous and read-only; an array of length 1 applies to all."""
+    are_all = items.size == len(arrays[1])
+    own = (one if are_all or len(one) == 1 else one[items] for one in arrays)
+    return [read_only(np.ascontiguousarray(one)) for one in own]
+
+
+def _ends_of_paths(M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Any:
+    """Return the active sets at the ends of Lemke's paths; unknowns free on both sides are eliminated before."""
+    from ..core.kernels.small_lcps import LOST, follow_paths
+
+    n, sides = q.shape[1], np.full(q.shape, FREE)
+    free = (lower == -np.inf) & (upper == np.inf)
+    if not free.any():
+        table, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
+        follow_paths(M, q, lower, upper, _tilts(n), table, numbers, sides)
+        return sides
+    for pattern in np.unique(free, axis=0):
+        items = np.flatnonzero((free == pattern).all(1))
+        E, R = np.flatnonzero(pattern), np.flatnonzero(~pattern)
+        A, b, low, high = _select((M, q, lower, upper), items)
+        block, to = A[:, E[:, None], E], A[:, R[:, None], E]
+        try:
+            of_x, of_1 = (
+                np.linalg.solve(-block, one) for one in (A[:, E[:, None], R], b[:, E, None])
+            )
+        except LinAlgError:
+            sides[items, 0] = LOST
+            continue
+        if R.size:
+            reduced = A[:, R[:, None], R] + to @ of_x, b[:, R] + (to @ of_1)[..., 0]
+            data = _select((*reduced, low[:, R], high[:, R]), items)
+            sides[items[:, None], R] = _ends_of_paths(*data)
+    return sides
+
+
+@cache
+def _tilts(n: int) -> FloatVector:
+    """Return the perturbations of q on a path, in units of PERTURBED times the largest |q_i|."""
+    return read_only(np.random.default_rng(1).uniform(1.0, 2.0, n))
 
 
 def _solve_each(
@@ -236,13 +279,13 @@ def active_set_points(
     """Return z_i at the bound that `sides` names, w_i = 0 if FREE, shape (B, n); NaN if its system is singular."""
     if not is_compiled:
         return np.array(
-            [solve_active_set(M, *one) for one in zip(q, lower, upper, sides, strict=True)]
+            [solve_active_set(M[0], *one) for one in zip(q, lower, upper, sides, strict=True)]
         )
     from ..core.kernels.small_lcps import solve_active_sets
 
-    z = np.empty(q.shape)
-    data = (read_only(np.ascontiguousarray(one)) for one in (M[None], q, lower, upper, sides))
-    solve_active_sets(*data, z)
+    (count, n), z = q.shape, np.empty(q.shape)
+    data = _select((M, q, lower, upper, sides), np.arange(count))
+    solve_active_sets(*data, np.empty((n, n + 1)), np.empty(n, np.int64), z)
     return z
 
 

@@ -457,7 +457,7 @@ def solve_least_squares_stack(
     def newton_step(slope: FloatVector) -> FloatVector:
         gradient = slope / columns + linear
         to_bounds = lower - z, upper - z
-        return active_set_points(gram, gradient, *to_bounds, side, is_compiled) / columns
+        return active_set_points(gram[None], gradient, *to_bounds, side, is_compiled) / columns
 
     x = z / columns
     residual = times(problem.A, x) - problem.b

@@ -9,6 +9,7 @@
 | the same, sparse, a factorization of M takes 10⁸ operations or more | newton, interior_point, feasibility, lemke |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | any other: frictional contact | lemke, interior_point, feasibility, newton, search |
+| a zero-sum game | interior_point, and the methods of a bimatrix game |
 | a bimatrix game | lemke, and the methods of any other |
 | any other, sparse, n > 500, diagonal > 0 | newton, interior_point, feasibility, lemke |
 | any other, sparse, n > 2000 | interior_point, newton, feasibility, lemke |
@@ -43,7 +44,7 @@ from ..core.tuning import (
 from ..proofs.no_solution import contradictory_row
 from ..proofs.verdicts import is_negative
 from ..systems.factors import factor_fits, sizes_of_factor
-from .interior_point import InteriorPoint, with_signed_equations
+from .interior_point import InteriorPoint, ZeroSumGame, with_signed_equations
 from .lemke import Lemke, has_components_that_fit
 from .lemke.pivoting_path import is_game
 from .newton import Newton
@@ -87,8 +88,7 @@ def direct_methods(
     interior = Stage(InteriorPoint(), "steps strictly between the bounds; M is or may be monotone")
     game = is_game(problem)
     if game:
-        paths = partial(_exceeds_pivots, problem=problem, most=GAME_PIVOTS)
-        yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths)
+        yield from _game_methods(problem)
     unfit = _too_large(problem)
     if not prove_infeasibility:
         unfit.add("feasibility")
@@ -119,6 +119,14 @@ def direct_methods(
         yield Stage(ExhaustiveSearch(), SEARCHED)
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Stage(last_resort(problem), "the direct methods failed: sweeps to the end")
+
+
+def _game_methods(problem: LCP) -> Iterator[Stage]:
+    """Yield a linear program if the game is a zero-sum game, then paths."""
+    if ZeroSumGame.of(problem) is not None:
+        yield Stage(InteriorPoint(), "a zero-sum game: a linear program")
+    paths = partial(_exceeds_pivots, problem=problem, most=GAME_PIVOTS)
+    yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths)
 
 
 def _is_unfinished(stage: Stage) -> bool:

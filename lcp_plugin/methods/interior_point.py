@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,11 +20,15 @@ from ..engines import Engine, ProgramData, SolverLimits, installed_engine
 from ..engines.scaling import scale_program
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
+from .lemke.pivoting_path import bimatrix_players, is_game
 from .newton import classify, is_near, signature, solve_active_set
 
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 CASES = 5  # that follow from a point of an engine; from a start, one
 STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
+ZERO_SUM = (
+    1e-11  # of the largest cost: rounding errors of a zero-sum game in the units of its players
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +38,10 @@ class InteriorPoint(Algorithm):
     Notes
     -----
     If M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds. If diag(s) M with s = ±1 is the saddle point
-    problem of a program, that program is solved. Otherwise it is min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly
-    for other bounds. Linear solves on the active set of PIQP's point, and on the following active sets, reduce the
-    residual to rounding level. If no active set is right, a second run of PIQP has the tolerance 1e-13. If M is not
-    monotone, the program is not convex, and the run ends with PIQP.
+    problem of a program, that program is solved. A zero-sum game is a linear program. Otherwise the program is
+    min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and similarly for other bounds. Linear solves on the active set of PIQP's
+    point, and on the following active sets, reduce the residual to rounding level. If no active set is right, a second
+    run of PIQP has the tolerance 1e-13. If M is not monotone, the program is not convex, and the run ends with PIQP.
 
     The history contains PIQP's final point and the point after each linear solve, because PIQP does not report its
     iterations. PIQP cannot be stopped: it starts only if its factorizations are predicted to fit into the remaining
@@ -79,7 +83,9 @@ class InteriorPoint(Algorithm):
             )
         seconds = 20 * operations / speed  # of PIQP's factorizations
         require_seconds(seconds)
-        program = MonotoneProgram.of(with_signed_equations(problem))
+        program: Any = ZeroSumGame.of(problem)
+        if program is None:
+            program = MonotoneProgram.of(with_signed_equations(problem))
         engine = installed_engine(self.engine)
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
@@ -195,6 +201,71 @@ class MonotoneProgram:
             np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * of_rows[: self.statement.h.size]
         )
         return y
+
+
+class ZeroSumGame(NamedTuple):
+    """Game of costs K, L > 0, each unit of a best reply 1, in which K + λ L = r 1ᵀ + 1 cᵀ for some λ > 0.
+
+    Terms that the other player's action adds to all costs have no influence on the equilibria, so that these are the
+    saddle points of xᵀ(K − 1 cᵀ) y over probabilities x and y.
+
+    Attributes
+    ----------
+    is_row : array of bool, shape (n,)
+        Mask of the rows of the first player.
+    K, L, losses : array, shape (m, k)
+        Costs of both players, and K − 1 cᵀ divided by its largest entry.
+    """
+
+    is_row: Any
+    K: FloatVector
+    L: FloatVector
+    losses: FloatVector
+
+    @classmethod
+    def of(cls, problem: LCP) -> ZeroSumGame | None:
+        """Return the game, or None if the problem is none, or not a zero-sum game to rounding.
+
+        Examples
+        --------
+        >>> ZeroSumGame.of(LCP.from_game([[1, -1], [-1, 1]], [[-1, 1], [1, -1]])).losses
+        array([[-1.,  1.],
+               [ 1., -1.]])
+        >>> ZeroSumGame.of(LCP.from_game([[3, 0], [5, 1]], [[3, 5], [0, 1]])) is None
+        True
+        """
+        if not is_game(problem):
+            return None
+        M = problem.matrix.toarray()
+        is_row = bimatrix_players(M, problem.q)
+        costs = M / -problem.q[:, np.newaxis]
+        K, L = costs[is_row][:, ~is_row], costs[~is_row][:, is_row].T
+        of_K, of_L = (C - C.mean(0) - C.mean(1)[:, np.newaxis] + C.mean() for C in (K, L))
+        ratio = -np.vdot(of_K, of_L) / np.vdot(of_L, of_L)
+        both, sizes = K + ratio * L, (np.abs(K).max(), ratio * np.abs(L).max())
+        if not (ratio > 0.0 and np.abs(of_K + ratio * of_L).max() <= ZERO_SUM * max(sizes)):
+            return None
+        losses = K - (both.mean(0) - both.mean())
+        losses -= losses.mean()
+        return cls(is_row, K, L, losses / np.abs(losses).max())
+
+    def answer(self, engine: Engine) -> tuple[FloatVector, int]:
+        """Return z, NaN if the engine found none, and its steps."""
+        m, k = self.losses.shape
+        statement = ProgramData(
+            np.zeros((m + 1, m + 1)),
+            np.append(np.zeros(m), 1.0),  # x and the value of the game, which is the least
+            np.column_stack([self.losses.T, -np.ones(k)]),
+            np.zeros(k),
+            np.append(np.ones(m), 0.0)[np.newaxis],
+            np.ones(1),
+            np.append(np.zeros(m), -np.inf),
+            np.full(m + 1, np.inf),
+        )
+        point = engine.answer(statement, SolverLimits(seconds_left()))
+        x, y, z = np.maximum(point.x[:m], 0.0), np.maximum(point.y[:k], 0.0), np.empty(m + k)
+        z[self.is_row], z[~self.is_row] = x / (x @ self.L @ y), y / (x @ self.K @ y)
+        return z, point.iterations
 
 
 def _largest(*parts: Any) -> float:

@@ -248,3 +248,20 @@ def test_signs_of_dense_and_sparse_matrices_agree(draws: Callable[..., range]) -
         if expected is not None:
             np.testing.assert_array_equal(signs_of(dense), expected)
     assert found == {True, False}
+
+
+@pytest.mark.parametrize("unit", [1.0, 3.0])
+def test_a_zero_sum_game_has_the_value_of_its_linear_program(unit: float) -> None:
+    """A large game with B = u − t A is solved by a program, with HiGHS's value, whatever each column adds to B."""
+    rng = np.random.default_rng(100)
+    A = rng.integers(-5, 6, (160, 150)).astype(float)
+    problem = LCP.from_game(A, rng.integers(0, 9, 160)[:, np.newaxis] - unit * A)
+    result = solve(problem)
+    costs, ones = np.append(np.zeros(160), -1.0), np.append(np.ones(160), 0.0)
+    rows = np.column_stack([-A.T, np.ones(150)])
+    bounds = [(0.0, None)] * 160 + [(None, None)]
+    value = -linprog(costs, rows, np.zeros(150), ones[np.newaxis], [1.0], bounds).fun
+    found = problem.origin.recover(result)
+    assert (result.status, result.algorithm) == (Status.SOLVED, "auto: interior_point")
+    assert found.payoffs[0] == pytest.approx(value, abs=1e-9)
+    assert found.regret <= 1e-9

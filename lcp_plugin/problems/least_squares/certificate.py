@@ -412,7 +412,7 @@ def _push(
     if not wanted[columns].any():
         return np.zeros(root.size)
     if problem.is_small:
-        few = problem.weighted_matrix()[:, columns]
+        few = problem.weighted_matrix[:, columns]
         few = (few.toarray() if problem.is_sparse else few) / problem.column_scales[columns]
         push = shortest_solution(few.T, wanted[columns])
         return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))

@@ -230,6 +230,7 @@ class BoundedLeastSquares:
             squares = np.vecdot(self.apply_weights(residual), residual)
             return 0.5 * (squares + penalty) + np.vecdot(self.l1, np.abs(x))
 
+    @cached_property
     def weighted_matrix(self) -> Any:
         """Return √weights A, which must have entries: an ndarray or a CSR array."""
         if self.weights is None:
@@ -250,7 +251,7 @@ class BoundedLeastSquares:
     def _lengths(self) -> FloatVector:
         if not self.shape[0]:
             return np.zeros(self.shape[1])
-        sizes = abs(self.weighted_matrix())
+        sizes = abs(self.weighted_matrix)
         largest = sizes.max(axis=0)
         unit = power_of_two(largest.toarray() if self.is_sparse else largest, LARGEST_SCALE)
         squares = (sizes * (1.0 / unit)) ** 2  # which do not vanish
@@ -267,7 +268,7 @@ class BoundedLeastSquares:
     @cached_property
     def normal_equations(self) -> tuple[FloatVector, FloatVector]:
         """√W A by columns of about unit length, dense, shape (m, n), and AᵀWA + ridge in these units, shape (n, n)."""
-        A = self.weighted_matrix()
+        A = self.weighted_matrix
         A = (A.toarray() if self.is_sparse else A) / self.column_scales
         gram = A.T @ A
         gram.flat[:: len(gram) + 1] += self.ridge / self.column_scales / self.column_scales
@@ -298,6 +299,8 @@ class ScaledLeastSquares:
     lower, upper, ridge, l1, linear : ndarray, shape (n,)
     has_kink : ndarray of bool, shape (n,)
         Mask of the columns with a penalty that may take both signs.
+    has_no_corner : bool
+        True if no column has a bound or a penalty.
     whole : ScaledLeastSquares
         The problem of which this is an orthant, or itself.
     b : ndarray, shape (m,)
@@ -319,6 +322,7 @@ class ScaledLeastSquares:
         self.ridge = problem.ridge / self.columns / self.columns
         self.l1 = np.minimum(problem.l1 / self.columns / self.size, LARGEST_PENALTY)
         self.linear = np.where(self.upper <= 0.0, -self.l1, self.l1)
+        self.has_no_corner = not (problem.bounds_per_column.any() or self.l1.any())
         self.has_kink = (self.l1 > 0.0) & (self.lower < 0.0) & (self.upper > 0.0)
         self.whole = self
         self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
@@ -355,7 +359,7 @@ class ScaledLeastSquares:
 
     def matrix(self, *, is_dense: bool) -> Any:
         """Return A, which must have entries: an ndarray or a CSR array."""
-        A = self.problem.weighted_matrix()
+        A = self.problem.weighted_matrix
         if self.problem.is_dense:
             return A / self.columns
         A = sp.csr_array(A @ sp.diags_array(1.0 / self.columns))

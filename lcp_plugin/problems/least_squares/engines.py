@@ -258,6 +258,7 @@ NNLS_STEPS = 10  # times the number of columns
 MAX_FACES = 30
 NOISE = 2.0**-44  # of the largest entry of x that rounding may be
 SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
+RIDGE = "normal equations"
 FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
 SECONDS_PER_ENTRY = 1e-6  # of the factorization of a sparse A with little fill
@@ -285,6 +286,8 @@ def is_within_reach(problem: ScaledLeastSquares) -> bool:
 def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FloatVector]]:
     """Yield points x within the bounds by the solvers that suit the problem, with the name of the solver."""
     is_dense = problem.problem.is_dense or problem.problem.is_small
+    if is_dense and problem.ridge.all() and problem.has_no_corner:
+        yield RIDGE, ridge_solution(problem)
     A, b = problem.rows(is_dense=is_dense)
     if not is_dense:
         yield from (("piqp", x) for x in Split.of(problem, A).solve_residual_form(b))
@@ -300,7 +303,7 @@ def _dense_solutions(
 ) -> Iterator[tuple[str, FloatVector]]:
     """Yield solutions x, the cheapest first, with the name of the solver."""
     bounds = problem.problem.bounds_per_column
-    if not (bounds.any() or problem.l1.any()):
+    if problem.has_no_corner:
         yield "lstsq", shortest_solution(A, b)
     if is_for_nnls(problem.problem):
         yield "nnls", _solve_by_nnls(problem, A, b)
@@ -312,6 +315,31 @@ def _dense_solutions(
     yield "lstsq", shortest_solution(A, b)  # bounds may be far, and PIQP's point between them, too
 
 
+def ridge_solution(problem: ScaledLeastSquares) -> FloatVector:
+    """Return x without bounds and penalty, by the smaller of (AᵀA + D) and (A D⁻¹Aᵀ + I), D the ridge; NaN at failure.
+
+    A second solve with the remaining gradient refines it.
+    """
+    from scipy.linalg import cho_factor, cho_solve
+
+    A, ridge, x = problem.matrix(is_dense=True), problem.ridge, np.zeros(problem.n)
+    is_wide = A.shape[0] < A.shape[1]
+    gram = (A / ridge) @ A.T if is_wide else A.T @ A
+    gram.flat[:: len(gram) + 1] += 1.0 if is_wide else ridge
+    try:
+        factor = cho_factor(gram, overwrite_a=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return np.full(problem.n, np.nan)
+    for _ in range(2):
+        pull = A.T @ (problem.b - A @ x) - ridge * x
+        if is_wide:
+            pull -= A.T @ cho_solve(factor, A @ (pull / ridge), check_finite=False)
+            x = x + pull / ridge
+        else:
+            x = x + cho_solve(factor, pull, check_finite=False)
+    return x
+
+
 def is_for_nnls(problem: BoundedLeastSquares) -> bool:
     """Return whether each column of a small A has one bound, and no penalty."""
     is_small = problem.is_small and 0 < min(problem.shape) <= MAX_NNLS_COLUMNS
@@ -319,7 +347,10 @@ def is_for_nnls(problem: BoundedLeastSquares) -> bool:
 
 
 def nnls_point(problem: BoundedLeastSquares) -> FloatVector:
-    """Return the solution without weights by nnls, in the user's own scaling; NaN if nnls fails."""
+    """Return the solution by nnls, without weights in the user's own scaling; NaN if nnls fails."""
+    if problem.weights is not None:
+        scaled = problem.scaled
+        return scaled.to_caller(_solve_by_nnls(scaled, *scaled.rows(is_dense=True)))
     A, b, n = problem.A.toarray() if problem.is_sparse else problem.A, problem.b, problem.shape[1]
     if problem.ridge > 0.0:
         A = np.vstack([A, math.sqrt(problem.ridge) * np.eye(n)])

@@ -41,6 +41,9 @@ NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last 
 PATIENCE = (
     0.05  # projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
 )
+LASSO_COLUMNS = (
+    400  # or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
+)
 SPARSE_PATIENCE = 300  # the same on a large sparse A
 WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness falls by less than 1 % in a window
 
@@ -83,11 +86,12 @@ def solve_least_squares(
 
     Notes
     -----
-    At most 10⁶ entries: scipy's lstsq without bounds, nnls with one bound per column, else PIQP on the dual (wide A) or
-    on the normal equations. An orthogonal factorization of the free columns follows. More entries, and a
-    LinearOperator: projected gradient and conjugate gradient steps, with one product with A and one with Aᵀ each. When
-    the steps have cost about as much as PIQP, PIQP follows as above or, if A is sparse, on min ½‖r‖² with A x − r = b,
-    polished. The steps continue for a LinearOperator, and if a factorization is predicted to take too long.
+    At most 10⁶ entries: scipy's lstsq without bounds, or normal equations if there is a ridge; nnls with one bound per
+    column, else PIQP on the dual (wide A) or on the normal equations. An orthogonal factorization of the free columns
+    follows. A penalty on many columns begins with some projected steps. More entries, and a LinearOperator: projected
+    gradient and conjugate gradient steps, with one product with A and one with Aᵀ each. When the steps have cost about
+    as much as PIQP, PIQP follows as above or, if A is sparse, on min ½‖r‖² with A x − r = b, polished. The steps
+    continue for a LinearOperator, and if a factorization is predicted to take too long.
 
     Examples
     --------
@@ -226,7 +230,8 @@ class LeastSquaresRun(Run):
         if self.start is not None or is_at_rest:
             yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
         few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
-        if not problem.is_small:
+        is_lasso = problem.is_dense and problem.l1.any() and min(problem.shape) >= LASSO_COLUMNS
+        if is_lasso or not problem.is_small:
             yield self._projected(few if problem.has_entries else most)
         if not problem.has_entries:
             return
@@ -237,15 +242,15 @@ class LeastSquaresRun(Run):
 
     @property
     def _may_begin_with_nnls(self) -> bool:
-        """Whether nnls may solve the unscaled problem: with weights, units of rows and columns must not matter."""
-        return self.start is None and self.problem.weights is None and is_for_nnls(self.problem)
+        """Whether nnls may solve the problem; with weights, units of rows and columns must not matter."""
+        return self.start is None and is_for_nnls(self.problem)
 
     def _nnls_step(self) -> Iterator[Step]:
         found = self.judge(nnls_point(self.problem))
         yield Step(found.x, iterations=1, measured=found)
 
     def _engine_steps(self) -> Iterator[Step]:
-        """Yield points by lstsq, nnls and PIQP; a point is an iteration."""
+        """Yield points by normal equations, lstsq, nnls and PIQP; a point is an iteration."""
         for name, x in engine_points(self.problem.scaled):
             yield Step(x, label=name, iterations=1)
 
@@ -328,7 +333,8 @@ class LeastSquaresResult(BaseResult):
     nit : int
         Number of steps: of about a product with A and one with Aᵀ, or a point of lstsq, nnls or PIQP.
     algorithm : str
-        The methods that ran, in order: "projected gradients", "lstsq", "nnls", "piqp"; "start" if the start is optimal.
+        The methods that ran, in order: "projected gradients", "normal equations", "lstsq", "nnls", "piqp"; "start" if
+        the start is optimal.
     seconds : float
         Wall-clock seconds of the run.
     tolerance : float

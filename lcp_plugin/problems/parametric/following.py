@@ -88,7 +88,7 @@ class MonotoneGraphs:
     ) -> Self:
         """Return the graphs of the normal equations with penalty · |z|, whose matrix is not computed."""
         units = 1.0 / problem.column_scales
-        A = problem.weighted_matrix() * units[np.newaxis]
+        A = problem.weighted_matrix * units[np.newaxis]
         A, transpose = (sp.csr_array(A), sp.csr_array(A.T)) if sp.issparse(A) else (A, A.T.copy())
         ridge = problem.ridge * units * units
 

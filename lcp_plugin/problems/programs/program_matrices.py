@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 Indices = NDArray[np.intp]
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
 FIT_TO = 1e-3
+FULL_UP_TO = (
+    3000  # unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +90,10 @@ class ProgramMatrices:
 
     @cached_property
     def arrays(self) -> tuple[Any, Any, Any]:
-        """P, G and A: all ndarrays if they are small or given so, else all CSR arrays."""
-        given = self.P, self.G, self.A
-        are_dense = self.is_small or all(isinstance(one, np.ndarray) for one in given)
+        """P, G and A: all ndarrays if they are small, full or given so, else all CSR arrays."""
+        given, (m, p, n, _) = (self.P, self.G, self.A), self.sizes
+        are_given_so = all(isinstance(one, np.ndarray) for one in given)
+        are_dense = are_given_so or self.is_small or is_full(n, m + p, self.entries)
         P, G, A = map(as_array if are_dense else sp.csr_array, given)
         return P, G, A
 
@@ -346,8 +350,13 @@ def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
     """Return whether a program with these counts of unknowns, rows and entries is small or dense: for daqp."""
     if not (0 < n <= 400 and m <= 1500):
         return False
+    return n * n * (n + m) <= 1e7 or is_full(n, m, entries)
+
+
+def is_full(n: int, m: int, entries: Iterable[int]) -> bool:
+    """Return whether dense arithmetic is quicker on a program with these counts of unknowns, rows and entries."""
     # Sparse factors take more multiplications, of which fewer than .3 n² (n + m) are nonzero, more quickly
-    return n * n * (n + m) <= 1e7 or sum(entries) >= 0.3 * n * (n + m)
+    return 0 < n + m <= FULL_UP_TO and sum(entries) >= 0.3 * n * (n + m)
 
 
 def as_array(matrix: Any) -> FloatVector:

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from campaigns import scaled_programs
+from scipy.optimize import linprog
 
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
@@ -151,3 +153,26 @@ def test_costs_of_any_size_have_the_value_of_ordinary_ones(exponent: int) -> Non
             None, costs * np.array([2.0, -3, 2]), [[3, 3, -2]], [-10], **bounds
         )
         assert solve(space).objective / costs == pytest.approx(-10.0, rel=1e-5)
+
+
+def test_quantile_regression_with_heavy_tails_is_solved_by_the_first_solver() -> None:
+    """The polish balances a gradient of 10 000 multipliers, whose plain sum has a rounding error of 1e-9."""
+    rng, m = np.random.default_rng(5), 5000
+    Z = np.column_stack([np.ones(m), rng.normal(size=m)])
+    right, one = Z @ [1.0, 2.0] + rng.standard_t(3, m), sp.eye_array(m)
+    rows = sp.block_array([[-Z, -one, None], [Z, None, -one]])
+    costs = np.concatenate([np.zeros(2), np.full(m, 0.3), np.full(m, 0.7)])
+    lower = np.append(np.full(2, -np.inf), np.zeros(2 * m))
+    program = QuadraticProgram(None, costs, rows, np.append(-right, right), lower=lower)
+    result = solve(program)
+    assert (result.status, result.algorithm) == (Status.SOLVED, "auto: piqp")
+    dual = linprog(-right, A_eq=Z.T, b_eq=np.zeros(2), bounds=[(-0.7, 0.3)] * m)
+    assert result.objective == pytest.approx(-dual.fun, rel=1e-9)
+
+
+def test_full_matrices_are_dense_in_any_storage() -> None:
+    """Sparse storage of full rows does not lead to sparse arithmetic; rows with few entries stay sparse."""
+    rows, n = sp.csr_array(np.ones((500, 500))), 500
+    full = QuadraticProgram(sp.eye_array(n), np.zeros(n), rows, np.ones(n))
+    few = QuadraticProgram(sp.eye_array(n), np.zeros(n), sp.eye_array(n), np.ones(n))
+    assert [sp.issparse(one.matrices.arrays[0]) for one in (full, few)] == [False, True]

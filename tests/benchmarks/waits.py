@@ -1,4 +1,4 @@
-"""Models on which users have waited, next to what they would take instead: seconds of both and their quotient."""
+"""Models on which users have waited, next to the solvers that they would take instead: seconds of both and their quotient."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Pair = tuple[str, Callable[[], Any], Callable[[], Any]]
 
 
 def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield a line for each model: seconds of ours and of the rival, the quickest of two runs, and the quotient."""
+    """Yield a line for each model: the seconds of both solvers, the quickest of two runs, and the quotient."""
     scale = 10 if quick else 1
     rng = np.random.default_rng(SEED)
     for models in (dense_programs, quantile_regression, definitions, reactor, data, games):

@@ -1,4 +1,4 @@
-"""Models on which users have waited, next to the solvers that they would take instead: seconds of both and their quotient."""
+"""Models on which users have waited, next to the solvers that they would take instead."""
 
 from __future__ import annotations
 

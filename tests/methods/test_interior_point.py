@@ -252,7 +252,7 @@ def test_signs_of_dense_and_sparse_matrices_agree(draws: Callable[..., range]) -
 
 @pytest.mark.parametrize("unit", [1.0, 3.0])
 def test_a_zero_sum_game_has_the_value_of_its_linear_program(unit: float) -> None:
-    """A large game with B = u − t A is solved by a program, with HiGHS's value. A term per row of B has no influence."""
+    """A large game with B = u − t A has the value by HiGHS: a term per row of B has no influence."""
     rng = np.random.default_rng(100)
     A = rng.integers(-5, 6, (160, 150)).astype(float)
     problem = LCP.from_game(A, rng.integers(0, 9, 160)[:, np.newaxis] - unit * A)

@@ -65,9 +65,11 @@ def watching() -> Iterator[Watch]:
     """Keep a copy of the arrays of each LCP, the package's included."""
     watch, original = Watch(), LCP.__init__
 
-    def watched(self: LCP, M: Any, q: Any, *, lower: Any = 0.0, upper: Any = np.inf) -> None:
+    def watched(
+        self: LCP, M: Any, q: Any, *, lower: Any = 0.0, upper: Any = np.inf, **names: Any
+    ) -> None:
         watch.given.append(((M, q, lower, upper), bits(M, q, lower, upper)))
-        original(self, M, q, lower=lower, upper=upper)
+        original(self, M, q, lower=lower, upper=upper, **names)
 
     LCP.__init__ = watched  # type: ignore[method-assign]
     try:

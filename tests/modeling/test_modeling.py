@@ -338,7 +338,8 @@ def test_an_objective_states_no_single_lcp() -> None:
     """LCP.from_cvxpy rejects an objective with complementarity, and the message names solve."""
     x = cp.Variable(3, name="x")
     with pytest.raises(
-        UnsupportedModel, match=r"objective Sum\(x.* best of all solutions.*solve\(method=\"LCP\"\)"
+        UnsupportedModel,
+        match=r"objective sum\(x\).* best of all solutions.*solve\(method=\"LCP\"\)",
     ):
         LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
 

@@ -288,7 +288,7 @@ def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere
     assert (problem.status, problem.value) == (cp.OPTIMAL, pytest.approx(12.0, abs=1e-5))
     m = toll_in_pyomo()
     m.row = pe.Constraint(expr=abs(m.toll - 3) <= 1)
-    with pytest.raises(UnsupportedModel, match=r"row row holds the operator abs.*x \+ 2 s"):
+    with pytest.raises(UnsupportedModel, match=r"row holds the operator abs.*x \+ 2 s"):
         pe.SolverFactory("lcp_plugin").solve(m)
     m.row.deactivate()
     m.s = pe.Var(within=pe.NonNegativeReals)

@@ -81,8 +81,6 @@ class CertificateOnRanks:
         The largest ‖r_P(z)‖∞ / ref_P of the components P.
     term_residual : float
         The least tolerance at which every row passes the componentwise test.
-    is_solved : bool
-        Whether the point is SOLVED at the tolerances of the run.
     """
 
     z: FloatVector = field(repr=False)
@@ -90,8 +88,6 @@ class CertificateOnRanks:
     scaled_residual: float
     relative_residual: float
     term_residual: float
-    is_limited: bool
-    is_solved: bool
 
 
 class ProductOnRanks:
@@ -147,23 +143,6 @@ class RowDataOnRanks(RowData):
     def largest_products(self, x: FloatVector) -> FloatVector:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
         return largest_products(self.absolute.rows, self.problem.halo.whole(x))
-
-
-@np.errstate(all="ignore")
-def measured(
-    data: RowDataOnRanks, z: FloatVector, tolerance: float, absolute: float
-) -> CertificateOnRanks:
-    """Return the certificate of a point by the criterion of a single process."""
-    found = data.measure(z, tolerance, absolute=absolute)
-    return CertificateOnRanks(
-        found.z,
-        found.rows.w,
-        data.worst(found.by_row.high),
-        data.worst(divide_nonnegative(found.by_row.high, found.by_row.reference)),
-        data.worst(found.by_row.terms),
-        bool(found.is_limited),
-        bool(found.passes),
-    )
 
 
 @np.errstate(all="ignore")
@@ -407,7 +386,7 @@ class RunOnRanks(Run):
     def plan(self, methods: Any, z: FloatVector) -> Iterator[Stage]:
         """Yield the methods one after the other, each from the best point."""
         for name, iterates in methods:
-            points = iterates(self.problem, (z if self.best is None else self.best.z.z).copy())
+            points = iterates(self.problem, (z if self.best is None else self.best.z).copy())
             steps = (
                 Step(point, work=work, iterations=int(k > 0 or work > 0.0))
                 for k, (point, work) in enumerate(points)
@@ -415,20 +394,15 @@ class RunOnRanks(Run):
             yield Stage(Named(name), steps=steps)
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
-        """Return the certificate of a step as measured; None if no measurement is due."""
+        """Return the measure of a step; None if no measurement is due."""
         progress, settings = self.progress, self.settings
         is_due = progress.iteration >= self.next_check or progress.end is not None
         if not (is_due or progress.is_watched):
             return None
-        found = measured(self.data, step.z, settings.tolerance, settings.absolute_tolerance)
         is_sweep = stage.algorithm.name != "multigrid"
         self.next_check = math.ceil(progress.iteration * GROWTH) + is_sweep
-        return Measured(
-            found,
-            found.relative_residual,
-            found.is_solved,
-            found.is_limited,
-        )
+        absolute = settings.absolute_tolerance
+        return self.data.measure(step.z, settings.tolerance, absolute=absolute)
 
     def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:
         """Return STALLED at rounding level, and if a residual is not finite."""
@@ -442,14 +416,17 @@ class RunOnRanks(Run):
 
     def result(self, end: TerminationReason) -> ResultOnRanks:
         """Return the result, the same on all ranks except z and w."""
-        found, progress = self.best.z, self.progress
-        bound = error_bound(self.data, found.z) if self.settings.error_bound else None
+        found, progress, data = self.best, self.progress, self.data
+        rows, worst = found.by_row, data.worst
+        relative = worst(divide_nonnegative(rows.high, rows.reference))
+        sizes = worst(rows.high), relative, worst(rows.terms)
+        bound = error_bound(data, found.z) if self.settings.error_bound else None
         return ResultOnRanks(
             z=read_only(found.z),
-            w=read_only(found.w),
+            w=read_only(found.rows.w),
             n=self.problem.n,
             status=self.status(end),
-            certificate=found,
+            certificate=CertificateOnRanks(found.z, found.rows.w, *sizes),
             algorithm=" → ".join(stage.algorithm.name for stage in progress.stages),
             iterations=progress.iteration,
             work=progress.work,

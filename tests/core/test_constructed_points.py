@@ -110,11 +110,11 @@ def rank_points(case: Case) -> Points:
     """Yield the wrong point as a single rank measures it."""
     pytest.importorskip("mpi4py")
     from lcp_plugin.ranks.problem import RowsOnRanks
-    from lcp_plugin.ranks.solving import RowDataOnRanks, measured
+    from lcp_plugin.ranks.solving import RowDataOnRanks
 
     data = RowDataOnRanks(RowsOnRanks.from_problem(LCP(case.M, case.q, lower=case.lower)))
-    certificate = measured(data, case.wrong, 1e-8, 0.0)
-    yield certificate.z, certificate.is_solved
+    found = data.measure(case.wrong, 1e-8)
+    yield found.z, bool(found.passes)
 
 
 CLASSES: dict[str, Callable[[Case], Points]] = {

@@ -26,7 +26,7 @@ from lcp_plugin.core.errors import (
 )
 from lcp_plugin.ranks.methods import TruncationOnRanks, build_hierarchy
 from lcp_plugin.ranks.problem import RowsOnRanks
-from lcp_plugin.ranks.solving import ComponentsOnRanks, RowDataOnRanks, measured
+from lcp_plugin.ranks.solving import ComponentsOnRanks, RowDataOnRanks
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
 
 COMM = MPI.COMM_WORLD
@@ -130,8 +130,7 @@ def a_small_component_counts_by_itself() -> None:
     )
     rows = RowsOnRanks.from_problem(LCP(M, np.r_[-1e9 * np.ones(40), -1e-3, -1e-3]))
     z = np.r_[1e6 * np.ones(40), 0.0, 0.0][rows.halo.first : rows.halo.last]
-    certificate = measured(RowDataOnRanks(rows), z, 1e-8, 0.0)
-    assert not certificate.is_solved
+    assert not RowDataOnRanks(rows).measure(z, 1e-8).passes
     assert rows.solve(z0=z).is_solved
 
 
@@ -143,8 +142,8 @@ def an_absolute_tolerance_counts_by_components() -> None:
     )
     z = np.r_[1e6 - 1e-3, np.zeros(39)][rows.halo.first : rows.halo.last]
     data = RowDataOnRanks(rows)
-    assert measured(data, z, 1e-8, 1e-9).is_solved
-    assert not measured(data, z, 1e-8, 0.0).is_solved
+    assert data.measure(z, 1e-8, absolute=1e-9).passes
+    assert not data.measure(z, 1e-8).passes
 
 
 @claim
@@ -158,14 +157,14 @@ def a_small_row_next_to_a_large_one_counts() -> None:
         own = slice(rows.halo.first, rows.halo.last)
         for z2, is_right in ((2.0, True), (10.0, False)):
             z = np.array([large - z2, z2, 1.0])[own]
-            assert measured(data, z, 1e-8, 0.0).is_solved == is_right
+            assert data.measure(z, 1e-8).passes == is_right
 
 
 @claim
 def a_point_that_is_no_number_is_not_solved() -> None:
     rows = RowsOnRanks.from_problem(mixed())
     z = np.where(np.arange(rows.own) == 0, np.nan, rows.nearest_to_zero)
-    assert not measured(RowDataOnRanks(rows), z, 0.5, 0.0).is_solved
+    assert not RowDataOnRanks(rows).measure(z, 0.5).passes
 
 
 @claim

@@ -29,7 +29,7 @@ from ..settings import Settings, Status
 from .advice import WITHOUT_END, advice_of_run
 from .progress import Callback, Progress
 from .result import Result
-from .run import STATUS_OF, Run
+from .run import Run
 from .run_log import Header, RunLog
 from .stage import Stage
 from .termination import FAILED, TerminationReason
@@ -98,7 +98,6 @@ class LCPRun(Run):
         self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
         self.unmeasured: FloatVector | None = None  # the latest iterate
         self.is_polished = False
-        self._latest: tuple[FloatVector, Measured] | None = None
         self._failed_at, self._next_test = math.inf, 0  # residual and iteration
 
     @property
@@ -120,12 +119,13 @@ class LCPRun(Run):
         After a failure, only a fifth more steps are tested.
         """
         progress, self.unmeasured = self.progress, step.z
-        known, increment = step.residual if self.is_uniform else None, None
-        if known is not None:
-            residual = self._relative(known)
-        else:
-            change = step.residual if step.increment is None else step.increment
-            increment = None if change is None else self._relative(change)
+        is_known = self.is_uniform and step.residual is not None
+        change = step.residual if is_known or step.increment is None else step.increment
+        residual, increment = math.inf, None
+        if change is not None:
+            residual = float(divide_nonnegative(np.float64(change), self.reference))
+        if not is_known:
+            increment = None if change is None else residual
             if stage.residuals and not stage.is_due(increment, self.goal):
                 return None
             residual = self.data.estimate(step.z)
@@ -134,7 +134,7 @@ class LCPRun(Run):
         is_early = residual > 0.5 * self._failed_at and iteration < self._next_test
         if residual <= self.goal and not is_early:
             power = 1.0 if stage.algorithm.ends_on_active_set else POWER
-            found = self._judged(step.z, power)
+            found = self.measured(step.z, power)
             if not found.passes:  # the run continues from the iterate itself
                 self._failed_at, self._next_test = found.residual, iteration + 1 + iteration // 5
                 found = found._replace(z=step.z)
@@ -143,30 +143,16 @@ class LCPRun(Run):
             self.start_residual = found.residual
         return found
 
-    def _relative(self, residual: float) -> float:
-        return float(divide_nonnegative(np.float64(residual), self.reference))
-
-    def _judged(self, z: FloatVector, power: float = POWER) -> Measured:
+    def measured(self, z: FloatVector, power: float = POWER) -> Measured:
         """Return the measure of z, moved to near bounds."""
         settings = self.settings
         found = self.data.measure(z, settings.goal, power, settings.absolute_tolerance)
         return found._replace(residual=float(found.residual))
 
-    def measured(self, z: FloatVector) -> Measured:
-        """Return the measure of z, moved to near bounds; the latest one is cached."""
-        if self._latest is None or not np.array_equal(self._latest[0], z):
-            self._latest = z.copy(), self._judged(z)
-        return self._latest[1]
-
     def keep(self, found: Measured) -> None:
         """Keep a copy of a point that passes, or whose residual is the smallest."""
         self.unmeasured = None
-        if self.best is None or found.passes or found.residual < self.residual:
-            if self.best is None:
-                self.best = found._replace(z=found.z.copy())
-            else:
-                np.copyto(self.best.z, found.z)
-            self.residual = math.inf if math.isnan(found.residual) else found.residual
+        super().keep(found._replace(z=found.z.copy()))
 
     def residual_of(self, step: Step) -> float:
         """Return the residual of a step that was not measured."""
@@ -227,8 +213,10 @@ class LCPRun(Run):
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
         self._measure_last()
-        found = self._final(self.z, end)
-        status = self._status(found, end)
+        self.best = found = self._final(self.z, end)
+        # If one of several algorithms diverged, the best z need not have.
+        is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
+        status = self.status(TerminationReason.STALLED if is_chain else end)
         name = self.chosen if isinstance(self.chosen, str) else self.chosen.name
         chain = [stage.name for stage in self.progress.records()]
         is_solved = status is Status.SOLVED
@@ -296,17 +284,9 @@ class LCPRun(Run):
         self.is_polished = better is not found
         return better
 
-    def _status(self, found: Measured, end: TerminationReason) -> Status:
-        """Return the status from the measure or a proof, or else from the reason for the end of the run."""
-        if found.passes:
-            return Status.SOLVED
-        if end is TerminationReason.NO_SOLUTION and self.proof is not None:
-            return self.proof.status  # type: ignore[no-any-return]
-        if found.is_limited or self._is_within_rounding_of_data(found.z):
-            return Status.PRECISION_LIMIT
-        # If one of several algorithms diverged, the best z need not have.
-        is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
-        return Status.STALLED if is_chain else STATUS_OF.get(end, Status.STALLED)
+    def is_limited(self, best: Measured) -> bool:
+        """Return whether only rounding, or only the rounding of the data, keeps the best point from passing."""
+        return bool(best.is_limited) or self._is_within_rounding_of_data(best.z)
 
     def _is_within_rounding_of_data(self, z: FloatVector) -> bool:
         """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""

@@ -86,40 +86,31 @@ class Progress:
             self.end = TerminationReason.TIME_LIMIT
         return self.end
 
-    def report(
-        self,
-        stage: Stage,
-        residual: float | None,
-        shown: Callable[[], Any],
-        measure: Callable[[], float | None],
-        *,
-        is_last: bool,
-    ) -> bool:
+    def report(self, run: Any, stage: Stage, step: Step, found: Any, *, is_last: bool) -> bool:
         """Record, print and call back, with the clock paused; return whether the callback returned True.
 
         Parameters
         ----------
-        stage : Stage
-        residual : float or None
-            Residual of the step; None if it was not measured.
-        shown : callable
-            Returns the point that the callback receives.
-        measure : callable
-            Returns the residual of a step that was not measured; None if it is unknown.
+        run : Run
+            Has the methods `shown` and `residual_of`.
+        stage, step : Stage, Step
+        found : Measured or None
+            None if the step was not measured.
         is_last : bool
             The run ends with this step.
         """
         log, callback = self.log, self.callback
+        residual = None if found is None else found.residual
         with self.clock.pause():
             seconds, name = self.seconds, stage.algorithm.name
             sample = Sample(self.iteration, self.work, seconds, residual, name)
-            wants_to_stop = callback is not None and bool(callback(sample, shown()))
+            wants_to_stop = callback is not None and bool(callback(sample, run.shown(step)))
             is_recorded = self.settings.record and (
                 self.iteration >= self._next_sample or is_last or wants_to_stop
             )
             is_printed = log is not None and log.is_due(stage)
             if residual is None and (is_recorded or is_printed):
-                sample = Sample(self.iteration, self.work, seconds, measure(), name)
+                sample = Sample(self.iteration, self.work, seconds, run.residual_of(step), name)
             if log is not None and is_printed:
                 log.step(stage, sample)
             if is_recorded:  # at geometric intervals

@@ -183,17 +183,11 @@ class Run:
             end = TerminationReason.CONVERGED
         else:
             end = self.end_of(stage, step, found) or progress.limit()
-        if progress.is_watched:
-            wants_to_stop = progress.report(
-                stage,
-                None if found is None else found.residual,
-                lambda: self.shown(step),
-                lambda: self.residual_of(step),
-                is_last=end is not None,
-            )
-            if wants_to_stop:
-                progress.end = progress.end or TerminationReason.INTERRUPTED
-                end = end or TerminationReason.INTERRUPTED
+        if progress.is_watched and progress.report(
+            self, stage, step, found, is_last=end is not None
+        ):
+            progress.end = progress.end or TerminationReason.INTERRUPTED
+            end = end or TerminationReason.INTERRUPTED
         if end is None and step.proof is not None:
             end = self.end_of_proof(step.proof)
         return end
@@ -218,12 +212,16 @@ class Run:
             self.proof = proof
         return TerminationReason.NO_SOLUTION if excludes else None
 
+    def is_limited(self, best: Any) -> bool:
+        """Return whether only rounding keeps the best point from passing."""
+        return bool(best.is_limited)
+
     def status(self, end: TerminationReason) -> Status:
         """Return the status of the best point or of a proof, or else of the reason for the end of the run."""
         if self.best is not None and self.best.passes:
             return Status.SOLVED
         if end is TerminationReason.NO_SOLUTION and self.proof is not None:
             return self.proof.status  # type: ignore[no-any-return]
-        if self.best is not None and self.best.is_limited:
+        if self.best is not None and self.is_limited(self.best):
             return Status.PRECISION_LIMIT
         return STATUS_OF.get(end, Status.STALLED)

@@ -528,10 +528,6 @@ class NonlinearRun(Run):
         """Return DIVERGED if a residual is not a number."""
         return TerminationReason.DIVERGED if math.isnan(found.residual) else None
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
-        """Return the reason."""
-        return end
-
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
         point: Linearization = self.first if self.best is None else self.best.z

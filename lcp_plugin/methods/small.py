@@ -37,7 +37,7 @@ SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
 WELL_CONDITIONED = 1e8
-LOOP_FROM, LOOP_UP_TO = 32, 70  # problems, unknowns; fewer problems do not wait for a compilation
+LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,15 +188,17 @@ def _solve_in_loop(
     z, items = np.array(arrays[4] if starts is None else starts), np.arange(len(q))
     residual = np.full(len(q), np.inf)
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
+        if not items.size:
+            break
         own = _select(arrays, items)
+        A, b, low, high, _ = own
         if attempt < ROUNDS:
-            largest = np.abs(own[0]).max(-1, initial=0.0)
-            scale = residual_scales(own[0].diagonal(axis1=-2, axis2=-1), largest)
-            step = (times(own[0], z[items]) + own[1]) / scale
-            side = np.where(step >= z[items] - own[2], LOW, FREE + (step <= z[items] - own[3]))
+            scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
+            step = (times(A, z[items]) + b) / scale
+            side = np.where(step >= z[items] - low, LOW, FREE + (step <= z[items] - high))
         else:
-            side = _ends_of_paths(*own[:4])
-        x, bound = active_set_points(*own[:4], side, True), np.empty(items.size)
+            side = _ends_of_paths(A, b, low, high)
+        x, bound = active_set_points(A, b, low, high, side, True), np.empty(items.size)
         is_lost = np.isnan(x[:, 0])
         bound_residuals(*own, float(tolerance), np.empty((4, q.shape[1])), x, bound)
         x[is_lost, 0], bound[is_lost] = np.nan, np.inf

@@ -104,7 +104,7 @@ def solve_batch(
         :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
         mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
         A sequence may contain problems of different sizes and of all classes; do not pass q, lower or upper with it.
-        At least 32 LCPs of one size with at most 70 unknowns are solved in a compiled loop; small problems over the
+        At least 32 LCPs of one size with at most 128 unknowns are solved in a compiled loop; small problems over the
         same cones and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
         (B, n, n) are not copied: do not change their entries while you use the result.
     q : array, shape (B, n) or (n,)

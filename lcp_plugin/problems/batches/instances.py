@@ -28,6 +28,7 @@ from ..least_squares.solving import length_of_stack, solve_least_squares_stack, 
 from ..many import length_of_all, rows_of_a_batch
 
 WORK = 2**18  # problems times n² per stack of LCPs
+SHORTEST = 512  # problems: the Python code of a stack takes .2 ms
 TOGETHER = 2048  # instances per stack: fewer cost more calls, more leave a second thread idle
 CONES_UP_TO = 400  # rows of a problem over cones in a stack
 #: Items, and a function that returns z, residual, iterations and is_solved of these.
@@ -64,10 +65,11 @@ class Group(NamedTuple):
         return [np.broadcast_to(getattr(self, name), shape) for name in names]
 
     def stacks(self, tolerance: float) -> Stacks:
-        """Yield stacks of 5 to 10 ms, so that small batches also give each thread a part."""
-        n = self.M.shape[1]
-        size, is_compiled = max(1, WORK // n**2), suits_loop(self.items.size, n)
-        for first in range(0, self.items.size, size):
+        """Yield stacks of at most 5 to 10 ms, eight or more in a large batch: each thread has a part."""
+        n, count = self.M.shape[1], self.items.size
+        size = max(min(WORK // n**2, max(SHORTEST, count // 8)), 1)
+        is_compiled = suits_loop(count, n)
+        for first in range(0, count, size):
             part = self.select(slice(first, first + size))
             names = ("q", "lower", "upper", *(["starts"] if part.starts.shape[1] else []))
             data = partial(solve_stack, part.M, *part.vectors(*names))
@@ -260,7 +262,7 @@ class Rows(Instances):
     @property
     def valid(self) -> Any:
         """Numbers of the problems without errors."""
-        return np.setdiff1d(np.arange(self.count), [*self.errors])
+        return np.delete(np.arange(self.count), [*self.errors])
 
     def _row(self, name: str, k: int) -> Any:
         rows = self.rows[name]

@@ -18,6 +18,8 @@ class ProblemClass(NamedTuple):
         Functions that take the class, or its results, in addition to `solve` and `solve_batch`.
     options : type or None
         Options that the solver passes on to Settings.
+    criterion : str
+        Module and function that return the data of the stopping criterion at a point, if `certify` measures it.
     batch : str
         Arguments with which one problem makes a batch.
     """
@@ -25,14 +27,28 @@ class ProblemClass(NamedTuple):
     solver: str
     functions: str = ""
     options: Any = None
+    criterion: str = ""
     batch: str = "[problem]"
 
 
-CONES = ProblemClass("problems.cones.solving:solve_cones", "march derivative", ConeOptions)
+CONES = ProblemClass(
+    "problems.cones.solving:solve_cones",
+    "march derivative certify",
+    ConeOptions,
+    "problems.cones.certificate:criterion_at",
+)
 CLASSES = {
-    "LCP": ProblemClass("auto:solve_lcp", "prepare march trace derivative", batch="problem, Q"),
+    "LCP": ProblemClass(
+        "auto:solve_lcp",
+        "prepare march trace derivative certify",
+        criterion="core.certificates.criterion:criterion_at",
+        batch="problem, Q",
+    ),
     "NonlinearProblem": ProblemClass(
-        "problems.nonlinear.solving:solve_nonlinear", "derivative", NonlinearOptions
+        "problems.nonlinear.solving:solve_nonlinear",
+        "derivative certify",
+        NonlinearOptions,
+        "problems.nonlinear.data:criterion_at",
     ),
     "QuadraticProgram": ProblemClass(
         "problems.programs.solving:solve_program", "prepare trace certify", batch="program, C"
@@ -44,7 +60,7 @@ CLASSES = {
         "problems.least_squares.solving:solve_least_squares",
         "trace",
         LeastSquaresOptions,
-        "problem, B",
+        batch="problem, B",
     ),
     "ConeProblem": CONES,
     "FrictionalContact": CONES,

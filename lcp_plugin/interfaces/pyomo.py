@@ -25,7 +25,7 @@ from pyomo.repn.util import categorize_valid_components
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.representation import format_count
 from ..core.settings import Status
-from .nl.model import NLAnswer, ProgramModel, model_of, values_and_slopes
+from .nl.model import ComplementarityModel, NLAnswer, ProgramModel, model_of, values_and_slopes
 from .nl.reading import NLContent, read_content
 
 KINDS = "Block Constraint Expression ExternalFunction Objective Param RangeSet Set Suffix Var"
@@ -484,6 +484,15 @@ class PyomoAnswer:
 def content_of(model: Any) -> NLContent:
     """Return the content of a Pyomo model, as it is passed to the solver."""
     return stated(model).in_a_file
+
+
+def problem_and_point(model: Any) -> tuple[Any, Any]:
+    """Return the problem of a Pyomo model, and its unknowns by the values of the variables."""
+    content = stated(model).content
+    found = model_of(content)
+    if isinstance(found, ComplementarityModel):
+        return found.problem, found.start
+    return found.problem, content.start[found.unknowns]
 
 
 def answered(model: Any, options: dict[str, Any]) -> PyomoAnswer:

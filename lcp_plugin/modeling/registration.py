@@ -12,14 +12,15 @@ from cvxpy import settings
 from cvxpy.constraints.zero import Equality, Zero
 from cvxpy.error import SolverError
 
-from ..core.errors import NotSquare, UnsupportedModel
+from ..core.errors import InvalidProblem, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.statement import solve_from
+from ..problems.programs.certification import Certification, certify
 from ._compat import CVXPY_STATUS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .constraint import Complements, Condition, box, complements
 from .model import Model
-from .qp_solver import QPSolver, name_rows
+from .qp_solver import QPSolver, certify_problem, name_rows
 
 CVXPY_FLAGS = (
     "gp",
@@ -168,6 +169,16 @@ def solve_model(
             if algorithm != "auto":
                 raise
             return _any(problem, error, warm_start, options)
+
+
+def certify_model(problem: Any, tolerance: float) -> Certification:
+    """Return the proved facts about the values of a cvxpy problem, with or without complementarities."""
+    if not is_complementarity_problem(problem):
+        return certify_problem(problem, tolerance)
+    model = build_from(problem)
+    if (z := model.present()) is None:
+        raise InvalidProblem("a variable has no value; solve the problem, or set the values first")
+    return certify(model.problem, z[model.square.elimination.kept], tolerance=tolerance)
 
 
 def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:

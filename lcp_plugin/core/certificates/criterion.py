@@ -48,6 +48,7 @@ from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
 from ..matrix import BLOCK, IntVector, Matrix, connected_components, fact, largest_products
+from ..names import Names
 from ..rounding import compensated_product
 from .measured import Measured, RowResiduals
 
@@ -597,6 +598,11 @@ def row_data(problem: LCP) -> RowData:
 def absolute(matrix: Matrix) -> Any:
     """Return |M|, stored as M is."""
     return abs(matrix.array)
+
+
+def criterion_at(problem: LCP, z: FloatVector) -> tuple[RowData, FloatVector, None, Names]:
+    """Return the data of the criterion, with z, no slack, and the names."""
+    return row_data(problem), z, None, problem.names
 
 
 def scaled_residual(

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..certificates.criterion import RowsAtPoint
 from ..certificates.residuals import Certificate
+from ..certificates.worst import SHOWN, WorstRows, worst_pairs
 from ..checks import FloatVector, restore_state
 from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
@@ -183,7 +184,16 @@ class BaseResult(Outcome):
         """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         gains = [agent.describe_gap() for agent in self.agents]
         course = [self._effort(), *filter(None, [self.begun]), *gains, *stage_lines(self.stages)]
-        return "\n".join([*self._verdict(), *course, *self._remarks()])
+        is_decided = self.is_solved or self.has_no_solution
+        worst = () if is_decided else self._worst(SHOWN)
+        rows = (
+            ["the worst rows:", *(f"  {line}" for line in str(worst).splitlines())] if worst else []
+        )
+        return "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
+
+    def _worst(self, count: int) -> WorstRows:
+        """Return the rows that fail the criterion by most; none by default."""
+        return WorstRows()
 
     def _remarks(self) -> list[str]:
         """Return the last lines of the explanation."""
@@ -445,6 +455,11 @@ class Result(BaseResult):
         bound, *proven = str(self.error_bound or "").splitlines() or [""]
         lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
         return "\n".join(["; ".join(lines), *proven])
+
+    def _worst(self, count: int) -> WorstRows:
+        data = self.certificate.criterion
+        found = data.measure_at(self.z, self.w, self.tolerance)
+        return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
 
     @property
     def _or_absolute(self) -> str:

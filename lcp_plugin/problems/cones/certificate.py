@@ -42,9 +42,11 @@ import scipy.sparse as sp
 
 from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, divide_nonnegative
 from ...core.certificates.measured import Measured
+from ...core.certificates.worst import WorstRows, worst_pairs
 from ...core.checks import FloatVector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
 from ...core.matrix import is_nearly_symmetric
+from ...core.names import Names
 from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...proofs.farkas import FarkasCertificate, LinearConstraints
@@ -231,6 +233,12 @@ def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array
     return size, np.where(is_open, 0.0, total)
 
 
+def criterion_at(problem: Blocks, x: FloatVector) -> tuple[ConeRows, FloatVector, None, Names]:
+    """Return the data of the criterion, with x in their shape, no slack, and the names."""
+    rows = ConeRows(ConeStack.of(problem))
+    return rows, x if rows.stack.pattern.is_sparse else x[None], None, problem.rows.names
+
+
 class ConeCertificate:
     """Residuals of a point for a problem over cones.
 
@@ -276,6 +284,11 @@ class ConeCertificate:
         if not self.z.size:
             return 0.0
         return float(self.rows.of_blocks(self.found.by_row.high)[0, self.worst_index])
+
+    def worst(self, tolerance: float, count: int) -> WorstRows:
+        """Return the rows that fail by most."""
+        found = self.found._replace(z=self.z)
+        return worst_pairs(self.rows, found, self.problem.rows.names, tolerance, count)
 
     @derived_property
     def natural_residual(self) -> float:

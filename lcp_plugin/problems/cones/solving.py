@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
 from ...core.certificates.measured import Measured
+from ...core.certificates.worst import WorstRows
 from ...core.checks import FloatVector, checked_start, derived_property, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
@@ -432,6 +433,9 @@ class ConeResult(Result):
         if bodies is not None:
             after = bodies.velocities_after(self.z)
         return motion_of(r, u, problem.q, after)
+
+    def _worst(self, count: int) -> WorstRows:
+        return self.certificate.worst(self.tolerance, count)  # type: ignore[attr-defined, no-any-return]
 
     def _effort(self) -> str:
         return (

@@ -8,26 +8,29 @@ multipliers of a built-in solve. A point that is proved feasible gives an upper 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.certificates.worst import WorstRows, worst_pairs
 from ...core.checks import FloatVector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.matrix import largest_products
-from ...core.problem_classes import class_of, refusal
+from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance
 from ...core.solving.result import BaseResult
 from ...proofs.bounds import constrained_curvature, norm_above
 from ...proofs.exact import enclosures, quotient_above, sum_above
-from .criterion import QPSolution, excused_rows, least_size
+from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import refuse_nonconvex
@@ -50,14 +53,18 @@ def certify(
     tolerance: float = 1e-6,
     max_seconds: float | None = None,
 ) -> Certification:
-    """Return the proved facts about a solution of a convex quadratic or linear program, from any solver.
+    """Return the proved facts about a point of a problem, from any solver, and its worst rows.
+
+    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x. The other paragraphs
+    are about convex quadratic and linear programs. ``certify(…).worst(5)`` lists the rows that fail by most.
 
     Parameters
     ----------
-    problem : cvxpy.Problem or QuadraticProgram
-        A cvxpy problem that some solver has solved; it is not modified.
+    problem : problem, cvxpy.Problem or Pyomo model
+        A QuadraticProgram, LCP, NonlinearProblem, ConeProblem or FrictionalContact; or a model, at the present values
+        of its variables. It is not modified.
     x : array, shape (n,), QPSolution or QuadraticProgramResult, optional
-        The solution of a `QuadraticProgram`; ``certify(result)`` is ``certify(result.program, result)``.
+        The point of a problem of arrays; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
         Multipliers of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
         :class:`~lcp_plugin.problems.programs.criterion.QPSolution`, which also has the multipliers of the bounds. They
@@ -88,7 +95,7 @@ def certify(
         If it has not been solved, or x or the multipliers do not fit it. For other problem classes the message names
         the right call.
     InvalidOption
-        For another claim, a tolerance that is not a number in (0, 1), an impossible limit.
+        For another claim, a tolerance that is not a number in (0, 1), an impossible limit; without an x that is needed.
 
     Notes
     -----
@@ -131,15 +138,21 @@ def certify(
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
-            if class_of(problem) is not None or isinstance(problem, (BaseResult, QPSolution)):
+            if (kind := class_of(problem)) is not None and CLASSES[kind].criterion:
+                return _certify_pairs(problem, x, float(tolerance))
+            if kind is not None or isinstance(problem, (BaseResult, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption(
                     "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
                 )
-            from ...modeling.qp_solver import certify_problem
+            if hasattr(problem, "component_data_objects"):  # a Pyomo model
+                from ...interfaces.pyomo import problem_and_point
 
-            return certify_problem(problem, float(tolerance))
+                return certify(*problem_and_point(problem), tolerance=tolerance)
+            from ...modeling.registration import certify_model
+
+            return certify_model(problem, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         contradicts = (
@@ -154,7 +167,10 @@ def certify(
         if claim in ("infeasible", "unbounded"):
             found = proofs.prove_claim(str(claim), float(tolerance))
         else:
-            found = proofs.prove_answer(*_answer(problem, x, multipliers), float(tolerance))
+            point, y = _answer(problem, x, multipliers)
+            found = proofs.prove_answer(point, y, float(tolerance))
+            y = np.zeros(problem.constraints.rows) if y is None else y[: problem.constraints.rows]
+            found = replace(found, rows=partial(worst_constraints, problem, point, y))
         if problem.constant == 0.0:
             return found
         lower, upper = (
@@ -162,6 +178,30 @@ def certify(
             for bound, end in ((found.lower, -math.inf), (found.upper, math.inf))
         )
         return replace(found, lower=lower, upper=upper)
+
+
+def _certify_pairs(problem: Any, x: Any, tolerance: float) -> Certification:
+    """Return whether the stopping criterion holds at x, a point of complementarity conditions."""
+    if x is None:
+        raise InvalidOption(
+            f"certify needs a point of the {type(problem).__name__}; give certify(problem, x)"
+        )
+    z = checked_vector(x, "x", problem.n)
+    criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
+    data, z, w, names = criterion(problem, z)
+    found = data.measure_at(z, w, tolerance)
+    is_near = found.by_row.relative <= tolerance
+    if w is None and not found.passes.all() and is_near.any():  # a run moves these to their bounds
+        found = data.measure_at(np.where(is_near, data.snap(z)[0], z), None, tolerance)
+    passes = bool(np.all(found.passes))
+    residual = float(np.max(found.by_row.relative, initial=0.0))
+    return Certification(
+        "proved" if passes else "disproved",
+        "solved",
+        float(np.max(found.rows.violation, initial=0.0)),
+        reason=f"relative residual {residual:.3g}, tolerance {tolerance:g}",
+        rows=partial(worst_pairs, data, found, names, tolerance),
+    )
 
 
 def _answer(
@@ -221,6 +261,8 @@ class Certification:
         Reason of the verdict.
     distance : float or None
         Upper bound of ‖x − x*‖₂, √(2 gap/μ) with the curvature μ; None if the optimal x* is not proved to be unique.
+    rows : callable or None
+        Function that computes :meth:`worst`.
     """
 
     verdict: str
@@ -231,8 +273,13 @@ class Certification:
     gap: float | None = None
     reason: str = ""
     distance: float | None = None
+    rows: Callable[[int], WorstRows] | None = field(default=None, repr=False)
 
     __setstate__ = restore_state
+
+    def worst(self, count: int = 5) -> WorstRows:
+        """Return the rows of x that fail the criterion by most, the worst first; `print` shows a line for each."""
+        return WorstRows() if self.rows is None else self.rows(count)
 
     def __str__(self) -> str:
         numbers = (

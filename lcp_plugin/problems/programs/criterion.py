@@ -48,6 +48,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.certificates.worst import WorstRow, WorstRows
 from ...core.checks import FloatVector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.matrix import largest_products
@@ -113,6 +114,31 @@ class KKTErrors(NamedTuple):
         worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
         tolerated = point.tolerated() if point.is_exact else 0.0
         return cls(float(worst[0]), float(worst[1]), tolerated)
+
+
+def worst_constraints(
+    program: QuadraticProgram, x: FloatVector, y: FloatVector, count: int
+) -> WorstRows:
+    """Return the constraints that x violates by most, relative to their terms; y are multipliers of G and A."""
+    point, rows = PrimalDualPoint(program, x, y, is_exact=True), program.constraints
+    errors, m = point.row_errors(), rows.rows
+    with np.errstate(all="ignore"):
+        excess, terms = rows.matrix @ x - rows.limit, largest_products(abs(rows.matrix), np.abs(x))
+    # row_errors has one entry per unknown for both of its bounds
+    sides = np.append(excess[m : m + x.size] > 0.0, excess[m + x.size :] > 0.0)
+    errors = np.concatenate([errors[:m], np.where(sides, np.tile(errors[m:], 2), 0.0)])
+    found = []
+    for k in np.argsort(-errors, kind="stable")[:count].tolist():
+        if errors[k] > ROWS:
+            value, limit = float(excess[k] + rows.limit[k]), float(rows.limit[k])
+            sign = -1.0 if m <= k < m + x.size else 1.0
+            beyond = "≠" if rows.is_equality[k] else ">" if sign > 0.0 else "<"
+            text = f"{program.name(k)} is violated: {sign * value:.6g} {beyond} {sign * limit:.6g}"
+            size = max(float(terms[k]), abs(limit))
+            found.append(
+                WorstRow(program.name(k), float(errors[k]), abs(float(excess[k])), size, text)
+            )
+    return WorstRows(found)
 
 
 def errors_of_each(

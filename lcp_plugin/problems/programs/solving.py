@@ -18,6 +18,7 @@ import numpy as np
 
 from ...auto import parse_call, solve_lcp
 from ...core.algorithm import Step
+from ...core.certificates.worst import WorstRows
 from ...core.checks import FloatVector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
@@ -56,7 +57,7 @@ from ...engines.scaling import (
 )
 from ...methods.interior_point import InteriorPoint
 from .conversion import optimality_conditions
-from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution
+from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_constraints
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import VECTORS, QuadraticProgram
 from .program_matrices import refuse_nonconvex
@@ -382,6 +383,10 @@ class QuadraticProgramResult(BaseResult):
         names = () if self.has_no_solution else ("primal_residual", "duality_gap")
         residuals = {name: float(getattr(self.solution, name)) for name in names}
         return {**super()._numbers(), **residuals}
+
+    def _worst(self, count: int) -> WorstRows:
+        y = np.concatenate([self.solution.inequality, self.solution.equality])
+        return worst_constraints(self.program, self.x, y, count)
 
     def describe_accuracy(self) -> str:
         """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""

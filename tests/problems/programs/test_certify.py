@@ -457,7 +457,7 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (
         lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])),
         UnsupportedModel,
-        "is_dcp",
+        "with complementarity requires the best",
     ),
     (lambda: certify(cp.Problem(cp.Minimize(3))), UnsupportedModel, "no variables"),
     (lambda: certify(SIMPLE), InvalidProblem, "needs the x"),

@@ -1,0 +1,107 @@
+"""The worst rows of a point: residuals by hand in fractions, for every way to state a problem."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import (
+    LCP,
+    ConeProblem,
+    InvalidOption,
+    InvalidProblem,
+    NonlinearProblem,
+    QuadraticProgram,
+    certify,
+    complements,
+    solve,
+)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_rows_are_sorted_by_their_residual_in_fractions(seed: int) -> None:
+    """The table has the rows with a residual in exact sums, with their exact violation, the worst first."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 7))
+    M, q = rng.integers(-4, 5, (n, n)), rng.integers(-9, 10, n)
+    M[np.arange(n), np.arange(n)] = 9
+    z = rng.integers(0, 4, n)
+    found = certify(LCP(M, q), z)
+    w = [
+        sum((Fraction(int(a)) * int(b) for a, b in zip(row, z, strict=True)), Fraction(int(c)))
+        for row, c in zip(M, q, strict=True)
+    ]
+    residual = {f"row {i}": abs(min(Fraction(int(z[i])), w[i] / 9)) for i in range(n)}
+    wrong = {f"row {i}": max(w[i] if z[i] else Fraction(0), -w[i]) for i in range(n)}
+    rows = found.worst(n)
+    assert {row.name for row in rows} == {name for name, size in residual.items() if size}
+    assert all(row.violation == pytest.approx(float(wrong[row.name])) for row in rows)
+    assert [row.residual for row in rows] == sorted((row.residual for row in rows), reverse=True)
+    assert found.verdict == ("proved" if not rows else "disproved")
+
+
+def test_every_class_names_its_worst_row() -> None:
+    """Nonlinear, cone and convex problems, and models at the values of their variables."""
+    power = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[0, 0], names=["a", "b"])
+    assert str(certify(power, [2, 1]).worst()).startswith("b = 2 while b = 1 > 0")
+    with pytest.raises(InvalidProblem, match="b is nan"):
+        certify(NonlinearProblem(lambda x: np.sqrt(x - 1), names=["a", "b"], lower=[0, 0]), [2, 0])
+    cone = ConeProblem(np.eye(3), [0, -2, 0], [("second_order", 3)])
+    assert certify(cone, [1, 1, 0]).verdict == "proved"
+    assert "in a cone" in str(certify(cone, [1, 0.5, 0]).worst(1))
+    program = QuadraticProgram(np.eye(2), [-2, -4], [[1, 1]], [2], names=[["cap"], ["x", "y"]])
+    assert str(certify(program, [0.5, 1.6]).worst()) == "cap is violated: 2.1 > 2 (terms 2)"
+    price = cp.Variable(2, name="price", nonneg=True, value=[1.0, 1.0])
+    excess = np.array([[2.0, 1.0], [1.0, 2.0]]) @ price - np.array([3.0, 5.0])
+    model = cp.Problem(cp.Minimize(0), [complements(price, excess)])
+    assert "= -2 < 0 while price[1] = 1" in str(certify(model).worst(1))
+    with pytest.raises(InvalidOption, match=r"certify\(problem, x\)"):
+        certify(LCP([[1.0]], [1.0]))
+
+
+def test_a_pyomo_model_is_measured_at_its_values() -> None:
+    """The pair and its variable have Pyomo's names."""
+    pyo = pytest.importorskip("pyomo.environ")
+    mpec = pytest.importorskip("pyomo.mpec")
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(["coal", "steel"], within=pyo.NonNegativeReals, initialize=1.0)
+    goal = {"coal": np.e, "steel": 2.0}
+    m.market = mpec.Complementarity(
+        ["coal", "steel"],
+        rule=lambda m, i: mpec.complements(m.x[i] >= 0, pyo.exp(m.x[i]) >= goal[i]),
+    )
+    assert [row.name for row in certify(m).worst(5)] == ["market[steel]"]
+    assert "market[steel] = 0.718282 while x[steel] = 1 > 0" in str(certify(m).worst(5))
+
+
+def test_the_wrong_market_of_a_benchmark_stands_first() -> None:
+    """Ten sectors that clear at prices and activities of 1, with one wrong entry in the table of flows."""
+    rng = np.random.default_rng(0)
+    flows = rng.uniform(1.0, 5.0, (10, 10))
+    demand = rng.uniform(5.0, 9.0, 10)
+    supply = flows.sum(axis=1) + demand
+    wrong = flows.copy()
+    wrong[6, 2] *= 1.5
+    n = np.zeros((10, 10))
+    M = np.block([[n, np.diag(supply) - wrong], [-(np.diag(supply) - flows).T, n]])
+    q = np.concatenate([-demand, (np.diag(supply) - flows).T @ np.ones(10)])
+    names = [*(f"market[{i}]" for i in range(10)), *(f"profit[{i}]" for i in range(10))]
+    assert [row.name for row in certify(LCP(M, q, names=names), np.ones(20)).worst(5)] == [
+        "market[6]"
+    ]
+
+
+def test_a_run_that_fails_ends_with_its_worst_rows() -> None:
+    """A method that stalls, and a system without a root, name the rows."""
+    names = ["a", "b", "c"]
+    M = [[1, 4, 0], [0, 1, 4], [4, 0, 1]]
+    said = solve(LCP(M, [-1, -1, -1], names=names), "psor").explain()
+    assert "the worst rows:" in said
+    assert said.splitlines()[-1].startswith("  c = -1 < 0")
+    said = solve(
+        NonlinearProblem(lambda x: x**2 + 1, lower=-np.inf, names=["F"]), x0=[1.0]
+    ).explain()
+    assert said.splitlines()[-1].startswith("  F = 1, and must be 0")

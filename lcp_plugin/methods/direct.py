@@ -9,6 +9,7 @@
 | the same, sparse, a factorization of M takes 10⁸ operations or more | newton, interior_point, feasibility, lemke |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | any other: frictional contact | lemke, interior_point, feasibility, newton, search |
+| no row has a bound | newton, interior_point, feasibility, lemke, search |
 | a zero-sum game | interior_point, and the methods of a bimatrix game |
 | a bimatrix game | lemke, and the methods of any other |
 | any other, sparse, n > 500, diagonal > 0 | newton, interior_point, feasibility, lemke |
@@ -156,6 +157,8 @@ def _order(
     problem: LCP, goal: float, newton: Stage, lemke: Stage, interior: Stage, check: Stage
 ) -> list[Stage]:
     """Return the methods by priority, with their budgets."""
+    if _is_system(problem):
+        return [newton, interior, check, lemke]
     is_positive = bool(has_positive_diagonal(problem.matrix).all())
     is_symmetric = is_nearly_symmetric(problem.matrix)
     # The factorization of such an M is dense in any storage.
@@ -202,9 +205,14 @@ def _too_large(problem: LCP) -> set[str]:
     is_program = getattr(problem.origin, "form", "") == "kkt"
     if is_large and not (is_program or problem.is_dense or factor_fits(problem.csr)):
         found |= {"newton", "interior_point"}
-    if is_large and is_negative(problem.matrix):
+    if is_large and is_negative(problem.matrix) and not _is_system(problem):
         found.add("newton")
     return found
+
+
+def _is_system(problem: LCP) -> bool:
+    """Return whether no row has a bound, so that one factorization solves the problem."""
+    return bool((problem.lower == -np.inf).all() and (problem.upper == np.inf).all())
 
 
 def last_resort(problem: LCP) -> Algorithm:

@@ -123,12 +123,10 @@ def reactor(rng: np.random.Generator, scale: int) -> Iterator[Pair]:
         c, T = z[inside], z[N + inside]
         by_c = D * np.exp(g - g / T)
         by_T = by_c * c * g / T**2
-        rows, columns = (
-            np.tile([inside, inside + N], 2).ravel(),
-            np.repeat([inside, inside + N], 2, 0),
-        )
+        both = np.concatenate([inside, inside + N])
+        rows, columns = np.tile(both, 2), np.repeat([inside, inside + N], 2, axis=0).ravel()
         entries = np.concatenate([-by_c, heat * by_c, -by_T, heat * by_T - beta])
-        return sp.csr_array(linear + sp.csr_array((entries, (rows, columns.ravel())), linear.shape))
+        return sp.csr_array(linear + sp.csr_array((entries, (rows, columns)), linear.shape))
 
     def newton() -> None:
         z = np.ones(2 * N)

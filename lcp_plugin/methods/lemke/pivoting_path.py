@@ -104,7 +104,8 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     """Return the problem in canonical form; M is made dense.
 
     Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows are eliminated
-    if their block is well conditioned; otherwise each free variable becomes the difference of two nonnegative ones.
+    if their block is well conditioned, apart from rows with a pivot of 0. Other free variables become differences of
+    two nonnegative ones.
     """
     M = problem.matrix.toarray()
     row_scale = 1 - np.frexp(problem.matrix.row_largest)[1]
@@ -153,26 +154,37 @@ def _without_free_rows(
     keep: IndexVector,
     is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
-    free, stays = np.flatnonzero(is_free), np.flatnonzero(~is_free)
-    eliminated = _solved(M, q, free, stays)
-    offset, gone, elimination = base.copy(), free[:0], np.empty((0, keep.size))
-    rows, step = keep, unit[keep]
-    if eliminated is None:  # z_i = z_i⁺ − z_i⁻ on the free rows
-        M = np.block([[M, -M[:, free]], [-M[free], M[np.ix_(free, free)]]])
-        q, upper = np.concatenate([q, -q[free]]), np.concatenate([upper, upper[free]])
-        rows, step = np.concatenate([rows, rows[free]]), np.concatenate([step, -step[free]])
-        elimination = np.empty((0, q.size))
-    elif free.size:
-        gone, elimination = free, eliminated[:, :-1]
-        offset[keep[free]] += eliminated[:, -1] * unit[keep[free]]
-        to = M[np.ix_(stays, free)]
-        M, q = M[np.ix_(stays, stays)] + to @ elimination, q[stays] + to @ eliminated[:, -1]
-        upper, rows, step = upper[stays], rows[stays], step[stays]
+    gone, every = _independent(M, np.flatnonzero(is_free)), np.arange(keep.size)
+    stays = np.setdiff1d(every, gone)
+    eliminated = _solved(M, q, gone, stays)
+    if eliminated is None:
+        gone, stays, eliminated = gone[:0], every, np.empty((0, keep.size + 1))
+    offset, elimination = base.copy(), eliminated[:, :-1]
+    offset[keep[gone]] += eliminated[:, -1] * unit[keep[gone]]
+    to = M[np.ix_(stays, gone)]
+    M, q = M[np.ix_(stays, stays)] + to @ elimination, q[stays] + to @ eliminated[:, -1]
+    upper, rows = upper[stays], keep[stays]
+    step, split = unit[rows], np.flatnonzero(is_free[stays])
+    if split.size:  # z_i = z_i⁺ − z_i⁻ on these rows
+        M = np.block([[M, -M[:, split]], [-M[split], M[np.ix_(split, split)]]])
+        q, upper = np.append(q, -q[split]), np.append(upper, upper[split])
+        rows, step = np.append(rows, rows[split]), np.append(step, -step[split])
+        elimination = np.hstack([elimination, -elimination[:, split]])
     size = power_of_two(np.abs(q).max(initial=0.0))
     elimination = elimination * (unit[keep[gone]] * size)[:, None]
     return CanonicalBox(
         M, q / size, upper / size, offset, rows, step * size, keep[gone], elimination
     )
+
+
+def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
+    """Return the free rows whose pivots in a factorization of their block are not at rounding level."""
+    if not free.size:
+        return free
+    from scipy.linalg import lapack
+
+    pivots = np.abs(lapack.dgetrf(M[np.ix_(free, free)])[0].diagonal())
+    return free[pivots > 1e-8 * pivots.max()]
 
 
 def _solved(
@@ -181,15 +193,13 @@ def _solved(
     """Return the free variables as −M_FF⁻¹ (M_FR, q_F), shape (f, r + 1); None if that block is ill-conditioned."""
     if not free.size:
         return np.empty((0, stays.size + 1))
-    try:
-        inverse = np.linalg.inv(M[np.ix_(free, free)])
-    except np.linalg.LinAlgError:
+    from scipy.linalg import lapack
+
+    block, right = M[np.ix_(free, free)], np.column_stack([M[np.ix_(free, stays)], q[free]])
+    factor, pivots, info = lapack.dgetrf(block)
+    if info or not lapack.dgecon(factor, np.linalg.norm(block, 1))[0] > 1e-8:
         return None
-    condition = np.linalg.norm(inverse, 1) * np.linalg.norm(M[np.ix_(free, free)], 1)
-    if not condition < 1e8:
-        return None
-    right = np.column_stack([M[np.ix_(free, stays)], q[free]])
-    return np.asarray(np.linalg.solve(M[np.ix_(free, free)], -right), dtype=np.float64)
+    return np.asarray(lapack.dgetrs(factor, pivots, -right)[0], dtype=np.float64)
 
 
 @fact

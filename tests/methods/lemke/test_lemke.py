@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.planted import planted_lcp
+from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Certificate, Status, solve
 from lcp_plugin.core.algorithm import Step
 from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
-from lcp_plugin.methods.lemke.pivoting_path import LemkePath, starts
+from lcp_plugin.methods.lemke.pivoting_path import LemkePath, canonical_box, starts
 from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps
@@ -332,3 +334,32 @@ def test_a_time_limit_ends_starts_that_have_no_path() -> None:
     result = solve(problem, "lemke", restarts=100_000, max_seconds=0.1)
     assert result.status is Status.MAX_SECONDS
     assert result.seconds < 1.1
+
+
+def test_independent_free_rows_are_eliminated_next_to_a_singular_one() -> None:
+    """Definitions d = R w are eliminated although the sum of w, with a multiplier, has a pivot of 0 among free rows."""
+    rng, d, w = np.random.default_rng(7), np.arange(30), 30 + np.arange(4)
+    R, M = rng.random((30, 4)), np.zeros((35, 35))
+    M[d, d], M[np.ix_(d, w)], M[np.ix_(w, d)] = 1.0, -R, R.T
+    M[w, 34], M[34, w] = -1.0, 1.0
+    lower = np.where(np.isin(np.arange(35), w), 0.0, -INF)
+    problem = LCP(M, np.append(np.zeros(34), -1.0), lower=lower)
+    box = canonical_box(problem)
+    assert (box.eliminated.size, box.q.size) == (30, 6)
+    assert Certificate.of(problem, solve(problem, "lemke").z).relative_residual < 1e-12
+
+
+def test_a_square_system_is_one_factorization() -> None:
+    """Without bounds, auto solves a sparse nonsymmetric system with a negative diagonal by newton, in one step."""
+    line, one = (
+        sp.diags_array([1.5, -2.0, 0.25], offsets=[-1, 0, 1], shape=(75, 75)),
+        sp.eye_array(75),
+    )
+    M = sp.csr_array(sp.kron(line, one) + sp.kron(one, line))
+    result = solve(LCP(M, np.ones(5625), lower=-INF))
+    assert (result.status, result.algorithm, result.iterations) == (
+        Status.SOLVED,
+        "auto: newton",
+        1,
+    )
+    np.testing.assert_allclose(result.z, spsolve(M.tocsc(), -np.ones(5625)), rtol=1e-9)

@@ -89,38 +89,9 @@ def scarf() -> tuple[
     Six prices, eight activities, five incomes, of which the first is the unit. Returns the problem, its start, and a
     function x → (prices, excess supply).
     """
-    # capeop, nondurbl, durable, capbop, skillab, unsklab
-    endowment = np.array(
-        [
-            [0, 0, 0, 0, 0],
-            [0, 0, 0, 0, 0],
-            [1, 2, 1.5, 1, 2],
-            [3, 0.1, 2, 1, 6],
-            [5, 0.1, 6, 0.1, 0.1],
-            [0.1, 7, 0.1, 8, 0.5],
-        ]
-    )
-    demand = np.array(
-        [
-            [4, 0.4, 2, 5, 3],
-            [2, 4, 2, 5, 4],
-            [3.2, 1, 1.5, 4.5, 2],
-            [0, 0, 0, 0, 0],
-            [0.2, 0, 0.5, 0, 0],
-            [0, 0.6, 0, 0.2, 0.2],
-        ]
-    )
-    elasticity = np.array([1.2, 1.6, 0.8, 0.5, 0.6])
-    activity = np.array(
-        [
-            [4.0, 4.0, 1.6, 1.6, 1.6, 0.9, 7.0, 8.0],
-            [0, 0, 6.0, 8.0, 7.0, 0, 0, 0],
-            [4.0, 3.5, 0, 0, 0, 0, 0, 0],
-            [-5.3, -5.0, -2.0, -2.0, -2.0, -1.0, -4.0, -5.0],
-            [-2.0, -1.0, -2.0, -4.0, -1.0, 0, -3.0, -2.0],
-            [-1.0, -6.0, -3.0, -1.0, -8.0, 0, -1.0, -8.0],
-        ]
-    )
+    from general_equilibrium import ELASTICITY, OWNED, TECHNIQUE, WANTED
+
+    elasticity, endowment, activity, demand = ELASTICITY, OWNED, TECHNIQUE, WANTED
     share = demand / demand.sum(axis=0)
 
     def excess_supply(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -34,9 +34,8 @@ __version__ = "0.1.0"
 def _homes() -> dict[str, str]:
     """Return the module of each public name from ``__init__.pyi``, which editors and mypy also read."""
     lines = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8").splitlines()
-    said = [
-        line.split() for line in lines if line.startswith("from ")
-    ]  # from .home import name as name
+    # from .home import name as name
+    said = [line.split() for line in lines if line.startswith("from ")]
     return {name: home[1:] or name for _, home, _, name, *_ in said}
 
 

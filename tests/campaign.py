@@ -31,16 +31,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(1, str(Path(__file__).parents[1]))
-from campaigns.kinds import (
-    CRASH,
-    MODIFIED,
-    ROUND,
-    SCHEDULE,
-    TOLD,
-    VIOLATIONS,
-    Finding,
-    Found,
-)
+from campaigns.kinds import CRASH, MODIFIED, ROUND, SCHEDULE, TOLD, VIOLATIONS, Finding, Found
 from oracles.relations import bits, surroundings
 
 from lcp_plugin import LCP

@@ -31,9 +31,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-os.environ.setdefault(
-    "OMP_NUM_THREADS", "1"
-)  # read when numpy is loaded; processes that tests begin inherit it
+# read when numpy is loaded; processes that tests begin inherit it
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}

@@ -89,9 +89,8 @@ def checked_matrix(M: Any) -> tuple[Any, int]:
     require_finite(matrix, "M")
     n, nonzeros = matrix.shape[0], int(np.count_nonzero(matrix))
     if n <= DENSE_UP_TO_SIZE and nonzeros > DENSE_ABOVE_DENSITY * n * n:
-        return read_only(
-            np.array(matrix, order="C")
-        ), nonzeros  # the caller may change the original
+        # the caller may change the original
+        return read_only(np.array(matrix, order="C")), nonzeros
     return freeze_csr(sp.csr_array(matrix)), nonzeros
 
 

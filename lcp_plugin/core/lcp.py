@@ -11,13 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from .checks import (
-    FloatVector,
-    checked_bounds,
-    checked_vector,
-    read_only,
-    restore_state,
-)
+from .checks import FloatVector, checked_bounds, checked_vector, read_only, restore_state
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names
@@ -152,9 +146,8 @@ class LCP:
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
-        return read_only(
-            np.minimum(np.maximum(0.0, self.lower), self.upper)
-        )  # twice as quick as clip
+        # twice as quick as clip
+        return read_only(np.minimum(np.maximum(0.0, self.lower), self.upper))
 
     def slack(self, z: ArrayLike) -> FloatVector:
         """Return w = M z + q, shape (n,).

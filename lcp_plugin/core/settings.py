@@ -58,11 +58,8 @@ class Status(Enum):
     )
 
 
-PROVEN = (
-    Status.INFEASIBLE,
-    Status.NO_SOLUTION,
-    Status.UNBOUNDED,
-)  # by a proof whose margin exceeds the tolerance
+# by a proof whose margin exceeds the tolerance
+PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)
 
 
 @dataclass(frozen=True)
@@ -134,10 +131,8 @@ class Settings:
 DEFAULTS = {setting.name: setting.default for setting in fields(Settings)}
 BESIDE = ("z0", "callback")  # further options of a run
 MOST = 2**53  # limit of steps, nodes and threads
-OF_SOLVE = (
-    *BESIDE,
-    *(setting.name for setting in fields(Settings)),
-)  # options of `solve`, not of an algorithm
+# options of `solve`, not of an algorithm
+OF_SOLVE = (*BESIDE, *(setting.name for setting in fields(Settings)))
 
 
 def _number(value: Any, name: str) -> float:

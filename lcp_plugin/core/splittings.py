@@ -162,10 +162,7 @@ def step_unit(largest: float) -> float:
 
 
 def extrapolations(
-    z: FloatVector,
-    lower: FloatVector,
-    upper: FloatVector,
-    total: Callable[[float], float] = float,
+    z: FloatVector, lower: FloatVector, upper: FloatVector, total: Callable[[float], float] = float
 ) -> Extrapolations:
     """Yield the points y from which the iterations T begin: Nesterov's momentum in cycles.
 

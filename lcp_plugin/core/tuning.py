@@ -16,10 +16,8 @@ FULL_CHOLESKY_UP_TO = (
 LINEAR_PROGRAM_UP_TO = (
     5000  # rows of a linear program, whose fill-in is not known before: some seconds
 )
-DENSE_OPERATIONS, SPARSE_OPERATIONS = (
-    2e10,
-    1e9,
-)  # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
+# a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
+DENSE_OPERATIONS, SPARSE_OPERATIONS = (2e10, 1e9)
 FACTOR_OPERATIONS_UP_TO = (
     2e10  # Σ count² over the columns of a Cholesky factor L: 5 to 10 seconds, a 3-D grid of 37³
 )

@@ -513,12 +513,7 @@ class MultigridRun:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine = self.truncation.grids[k], self.problems[k]
         largest, changed = kernels.free_rows(
-            fine.grid.rows,
-            fine.vectors,
-            z,
-            top.is_free,
-            top.free_changed,
-            fine.residual,
+            fine.grid.rows, fine.vectors, z, top.is_free, top.free_changed, fine.residual
         )
         self.work += fine.entries
         if changed:
@@ -579,10 +574,7 @@ class MultigridRun:
         """
         fine, origin = self.problems[0], self.truncation.vector()
         # Conjugate gradients (M symmetric) keep no directions.
-        most, gain = (
-            (LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2,
-            1e-2,
-        )
+        most, gain = ((LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2, 1e-2)
         if self.rounds > 1:
             most, gain = LONG_CONJUGATE, self.gain
         fewest, idle = np.inf, 0

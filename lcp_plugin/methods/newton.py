@@ -16,10 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.algorithm import (
-    Algorithm,
-    Step,
-)
+from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import measured_residual, scaled_residual
 from ..core.checks import BoolVector, FloatVector
 from ..core.lcp import LCP

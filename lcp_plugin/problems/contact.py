@@ -146,9 +146,8 @@ class Contacts:
         blocks = (each @ self.W.reshape(k, d, k * d)).reshape(-1, k, d) @ each.T
         moving = self.velocities.copy()
         moving[:, 0] += self.closing
-        order = np.arange(k * (1 + m)).reshape(
-            k, 1 + m
-        )  # contact by contact; normals come first in M
+        # contact by contact; normals come first in M
+        order = np.arange(k * (1 + m)).reshape(k, 1 + m)
         order = np.concatenate([order[:, 0], order[:, 1:].ravel()])
         n = k * (m + 2)
         M, q = np.zeros((n, n)), np.zeros(n)

@@ -162,9 +162,8 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     The unit is a power of two, small enough to keep the digits of every difference next to one huge payoff: integer
     payoffs are exact.
     """
-    payoffs = np.ldexp(
-        payoffs, -int(np.frexp(np.abs(payoffs).max())[1])
-    )  # differences do not overflow
+    # differences do not overflow
+    payoffs = np.ldexp(payoffs, -int(np.frexp(np.abs(payoffs).max())[1]))
     missed = payoffs.max(axis=own, keepdims=True) - payoffs
     if not missed.any():
         return np.ones_like(payoffs)

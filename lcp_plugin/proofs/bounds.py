@@ -386,9 +386,8 @@ def _judged(
     """Return the classification of the rows by z and w, if `left` bounds the distance of z from the solution."""
     scale, data = problem.residual_scale, row_data(problem)
     floor = data.rounding_floor(data.rows(z).terms)
-    beside_largest = np.minimum(
-        scale / problem.matrix.row_largest, 1.0
-    )  # by a tiny diagonal entry no row moves z_i
+    # by a tiny diagonal entry no row moves z_i
+    beside_largest = np.minimum(scale / problem.matrix.row_largest, 1.0)
     near, slight = floor * beside_largest, floor
     if left is not None:
         size = abs(problem.matrix.array)

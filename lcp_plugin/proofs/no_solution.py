@@ -25,11 +25,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.certificates.criterion import (
-    reference_residual,
-    rounding_of_data,
-    row_data,
-)
+from ..core.certificates.criterion import reference_residual, rounding_of_data, row_data
 from ..core.checks import FloatVector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON
 from ..core.lcp import LCP

@@ -281,10 +281,8 @@ Iterates = Iterator[tuple[FloatVector, float]]  # z, shape (own,), and passes ov
 OUT_OF_HAND = 100.0  # times the least residual
 SHRUNK = 0.9  # of the least residual: a cycle that gains less is idle
 PATIENCE = 12  # idle cycles
-SLOW, SETTLED = (
-    0.1,
-    1e-3,
-)  # contraction of a cycle, and share of changed rows, at which Krylov steps pay
+# contraction of a cycle, and share of changed rows, at which Krylov steps pay
+SLOW, SETTLED = (0.1, 1e-3)
 KRYLOV_STEPS, KRYLOV_GAIN = 24, 1e-2
 COARSE_CYCLES, MOST_COARSE_CYCLES, COARSE_CHANGES = 2, 10, 5e-4  # of nested iteration
 COARSEST_SWEEPS = 50
@@ -483,9 +481,7 @@ METHODS: dict[str, Callable[..., Iterates]] = {
         problem, z, NPSOR(relaxation=relaxation, momentum=momentum)
     ),
     "npaor": lambda problem, z, relaxation=1.7, acceleration=1.0, momentum="auto": projected_type(
-        problem,
-        z,
-        NPAOR(relaxation=relaxation, acceleration=acceleration, momentum=momentum),
+        problem, z, NPAOR(relaxation=relaxation, acceleration=acceleration, momentum=momentum)
     ),
     "npgs": lambda problem, z, momentum="auto": projected_type(problem, z, NPGS(momentum=momentum)),
     "npj": lambda problem, z, momentum="auto": projected_type(problem, z, NPJ(momentum=momentum)),

@@ -78,12 +78,7 @@ class RowsOnRanks:
 
     @classmethod
     def from_rows(
-        cls,
-        comm: Any,
-        rows: Any,
-        q: ArrayLike,
-        lower: ArrayLike = 0.0,
-        upper: ArrayLike = np.inf,
+        cls, comm: Any, rows: Any, q: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
     ) -> RowsOnRanks:
         """Return the problem of the rows that each rank passes, in the order of the ranks.
 

@@ -116,9 +116,8 @@ def heston(m: int, k: int, dt: float) -> Application:
         - rho * sigma * sp.kron(S @ Ds, V @ Dv)
     )
     A = A - rate * sp.kron(S @ Ds, J) - sp.kron(I, sp.diags_array(pull) @ Dv) + rate * sp.kron(I, J)
-    inner = (
-        np.arange((m + 1) * (k + 1)).reshape(m + 1, k + 1)[1:].ravel()
-    )  # at s = 0 the price is the strike
+    # at s = 0 the price is the strike
+    inner = np.arange((m + 1) * (k + 1)).reshape(m + 1, k + 1)[1:].ravel()
     payoff = np.repeat(np.maximum(strike - s, 0.0), k + 1)
     return step(sp.csr_array(A)[inner], payoff, inner, dt)
 

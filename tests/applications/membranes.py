@@ -41,9 +41,8 @@ def conduction(x: Any, y: Any, k: Any) -> Any:
     nx, ny = x.size, y.size
     index = np.arange(nx * ny).reshape(nx, ny)
     inner = index[1:-1, 1:-1].ravel()
-    east = (
-        0.5 * (k[:, :-1] * hy[:-1] + k[:, 1:] * hy[1:]) / hx[:, None]
-    )  # faces between (i, j) and (i + 1, j), j inner
+    # faces between (i, j) and (i + 1, j), j inner
+    east = 0.5 * (k[:, :-1] * hy[:-1] + k[:, 1:] * hy[1:]) / hx[:, None]
     north = 0.5 * (k[:-1] * hx[:-1, None] + k[1:] * hx[1:, None]) / hy
     a = np.concatenate([index[:-1, 1:-1].ravel(), index[1:-1, :-1].ravel()])
     b = np.concatenate([index[1:, 1:-1].ravel(), index[1:-1, 1:].ravel()])

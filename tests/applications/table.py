@@ -20,12 +20,8 @@ from . import Application, entries
 from .references import NoReference, active_sets
 
 HERE = Path(__file__).parent
-UNITS = (
-    "own",
-    "one",
-    "rows",
-    "both",
-)  # one unknown, or all rows, or rows and columns, times powers of two
+# one unknown, or all rows, or rows and columns, times powers of two
+UNITS = ("own", "one", "rows", "both")
 LARGEST_UNIT, ONE_UNIT = 20, 12  # exponents
 NAMED = ("npsor", "psor", "newton", "multigrid", "interior_point", "lemke", "banded", "program")
 

@@ -35,9 +35,8 @@ def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
     for arguments in entry.full if full else entry.small:
         case = Case(name, arguments)
         of_table = [(key.method, key.units) for key in table if key.problem == case.name]
-        new.update(
-            case.measure(all_runs(full=False) if everything else of_table)
-        )  # large ones take long to no end
+        # large ones take long to no end
+        new.update(case.measure(all_runs(full=False) if everything else of_table))
     old = {key: row for key, row in table.items() if key.problem.partition(" ")[0] == name}
     assert {key.problem for key in new} == {key.problem for key in old}, rewriting(full, name)
     lines = regressions(old, new)

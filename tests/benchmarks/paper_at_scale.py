@@ -93,9 +93,8 @@ def factorised(lower: sp.csr_array, **panels: int) -> Callable[[Any], Any]:
     return solve_with
 
 
-factorised_without_panels = partial(
-    factorised, relax=1, panel_size=1
-)  # which halves the time of the factorization
+# which halves the time of the factorization
+factorised_without_panels = partial(factorised, relax=1, panel_size=1)
 
 
 def substituted(lower: sp.csr_array) -> Callable[[Any], Any]:

@@ -129,9 +129,8 @@ def _mujoco(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
     data, force = mujoco.MjData(model), np.zeros(6)
     for _ in range(steps):
         before = data.qvel.reshape(-1, 6).copy()
-        before[:, 3:] = np.einsum(
-            "bij,bj->bi", data.xmat[1:].reshape(-1, 3, 3), before[:, 3:]
-        )  # to the world's axes
+        # to the world's axes
+        before[:, 3:] = np.einsum("bij,bj->bi", data.xmat[1:].reshape(-1, 3, 3), before[:, 3:])
         began = time.process_time()
         mujoco.mj_step(model, data)
         seconds = time.process_time() - began
@@ -139,9 +138,8 @@ def _mujoco(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
         for k in range(data.ncon):
             mujoco.mj_contactForce(model, data, k, force)
             one, two = (int(model.geom_bodyid[geom]) - 1 for geom in data.contact[k].geom)
-            frame = np.array(data.contact[k].frame).reshape(
-                3, 3
-            )  # its normal from the first to the second
+            # its normal from the first to the second
+            frame = np.array(data.contact[k].frame).reshape(3, 3)
             contacts.append(
                 (two, one, np.array(data.contact[k].pos), frame[0], frame.T @ force[:3] * pile.step)
             )

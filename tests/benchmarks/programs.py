@@ -159,16 +159,7 @@ def controller(horizon: int, growth: float, rng: np.random.Generator) -> Case:
     bound = np.repeat([10.0 if growth <= 1.0 else 1e3, 0.5], [horizon * states, horizon * inputs])
     return Case(
         f"control {horizon}",
-        (
-            sp.csr_array(P),
-            np.zeros(bound.size),
-            None,
-            None,
-            sp.csr_array(A),
-            b,
-            -bound,
-            bound,
-        ),
+        (sp.csr_array(P), np.zeros(bound.size), None, None, sp.csr_array(A), b, -bound, bound),
     )
 
 

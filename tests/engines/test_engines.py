@@ -170,9 +170,8 @@ def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
     none, points = engine_class("piqp")(max_iter=0), set()
     for seed in range(20):
         draws = np.random.default_rng(seed)
-        solve(
-            QuadraticProgram(np.eye(4), draws.standard_normal(4)), "piqp"
-        )  # leaves numbers in freed memory
+        # leaves numbers in freed memory
+        solve(QuadraticProgram(np.eye(4), draws.standard_normal(4)), "piqp")
         program = QuadraticProgram(np.eye(4), -np.ones(4), G=np.ones((1, 4)), h=[1.0], lower=0.1)
         points.add(run_engine(program, none, 1e-6, GIVEN).solution.x.tobytes())
     assert len(points) == 1

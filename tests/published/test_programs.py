@@ -12,13 +12,7 @@ import qpsolvers
 import scipy.sparse as sp
 from inputs.published_problems import FOLDER, PROGRAMS, PublishedProgram
 
-from lcp_plugin import (
-    QPSolver,
-    QuadraticProgram,
-    certify,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import QPSolver, QuadraticProgram, certify, solve, solve_batch
 from lcp_plugin.interfaces.program_files import load_program
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 

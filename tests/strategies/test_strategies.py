@@ -462,10 +462,7 @@ def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (
-            lambda: h_plus_matrices(-1),
-            "size must be an integer ≥ 0 or a strategy of such, got -1",
-        ),
+        (lambda: h_plus_matrices(-1), "size must be an integer ≥ 0 or a strategy of such, got -1"),
         (lambda: h_plus_matrices(density=1.5), r"density must lie in \[0, 1\], got 1.5"),
         (lambda: not_h_matrices(0), "size must be an integer ≥ 1 or a strategy of such, got 0"),
     ],

@@ -32,17 +32,9 @@ except ImportError:
 else:
     HAS_NUMBA = True
 
-__all__ = [
-    "helper",
-    "inline",
-    "kernel",
-    "uintp",
-]
-OPTIONS: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cfunc_wrapper": True,
-}  # C calls none of them
+__all__ = ["helper", "inline", "kernel", "uintp"]
+# C calls none of them
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 OF_HELPERS: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # nor Python these
 
 

@@ -9,9 +9,8 @@ NORMAL = 2.0**-1022  # the smallest normal double: below it the next one is TINY
 LARGEST = 1.7976931348623157e308  # the largest double
 DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
 NEGLIGIBLE = 2.0**-42  # relative to the active terms at a solution: smaller terms are ignored
-NEGLIGIBLE_DIAGONAL = (
-    2.0**-20
-)  # of the largest entry of its row: a smaller one is not the row's scale
+# of the largest entry of its row: a smaller one is not the row's scale
+NEGLIGIBLE_DIAGONAL = 2.0**-20
 SMALLEST_PIVOT = 1e-11  # of Lemke's path on a small problem, of rows divided by their largest entry
 PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
 SMALLEST = (

@@ -57,9 +57,8 @@ def _executor() -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_executor.cache_clear)
-    os.register_at_fork(
-        after_in_child=usable_threads.cache_clear
-    )  # workers may have some cores only
+    # workers may have some cores only
+    os.register_at_fork(after_in_child=usable_threads.cache_clear)
 
 
 def share(work: Callable[[int, int], T], count: int, smallest: int) -> list[T]:

@@ -42,11 +42,7 @@ class Progress:
     """
 
     def __init__(
-        self,
-        settings: Settings,
-        callback: Callback | None,
-        clock: Clock,
-        log: RunLog | None = None,
+        self, settings: Settings, callback: Callback | None, clock: Clock, log: RunLog | None = None
     ) -> None:
         self.settings, self.callback, self.clock, self.log = settings, callback, clock, log
         self.is_watched = settings.record or log is not None or callback is not None

@@ -12,9 +12,8 @@ from ..matrix import Matrix
 from .result import Result, Sample
 from .stage import Stage
 
-Header = Callable[
-    [Matrix], tuple[str, str]
-]  # the classes of M, and a remark on it, '' where there is none
+# the classes of M, and a remark on it, '' where there is none
+Header = Callable[[Matrix], tuple[str, str]]
 
 
 class RunLog:

@@ -165,10 +165,7 @@ class Lemke(Algorithm):
 
         usual = path.fresh_for
         # About so many entries are touched between two steps.
-        for block in (
-            min(usual, int(np.clip(5e7 / max(path.n, 1) ** 2, 32, 200))),
-            CAREFUL_BLOCK,
-        ):
+        for block in (min(usual, int(np.clip(5e7 / max(path.n, 1) ** 2, 32, 200))), CAREFUL_BLOCK):
             path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
             outcome = GOING_ON if start(path) else RAY
             while outcome == GOING_ON and path.pivots < limit:

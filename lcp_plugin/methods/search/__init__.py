@@ -133,11 +133,7 @@ class SearchLimitReached:
 
 
 def search(
-    problem: LCP,
-    *,
-    first_only: bool = True,
-    max_nodes: int = DEFAULT_NODES,
-    most: float = math.inf,
+    problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES, most: float = math.inf
 ) -> Solutions | NoSolution | SearchLimitReached:
     """Return a solution (or all), the proof that there is none, or that the limit was too low.
 

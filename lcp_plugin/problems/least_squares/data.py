@@ -422,9 +422,8 @@ def _vector(values: Any) -> FloatVector:
 Ball = tuple[FloatVector, FloatVector]
 """Values and radii: the exact values lie within."""
 
-OUTWARD = (
-    1.0 + 2.0**-30
-)  # more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
+# more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
+OUTWARD = 1.0 + 2.0**-30
 NOTHING = np.empty(0)
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorized
 

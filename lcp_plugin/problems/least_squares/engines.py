@@ -68,10 +68,7 @@ class FacePoint:
     """
 
     def __init__(
-        self,
-        problem: ScaledLeastSquares,
-        x: FloatVector,
-        residual: FloatVector | None = None,
+        self, problem: ScaledLeastSquares, x: FloatVector, residual: FloatVector | None = None
     ) -> None:
         self.problem, self.x = problem, x
         self.residual = problem.product(x) - problem.b if residual is None else residual

@@ -147,9 +147,8 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         )
     has_upper, is_free = np.isfinite(upper), (lower == -np.inf) & (upper == np.inf)
     anchor = np.where(np.isfinite(lower), lower, np.where(has_upper, upper, 0.0))
-    sign = np.where(has_upper, 1.0, -1.0)[
-        ~is_free
-    ]  # G z ≤ h means w ≥ 0, or w ≤ 0 if only an upper bound exists
+    # G z ≤ h means w ≥ 0, or w ≤ 0 if only an upper bound exists
+    sign = np.where(has_upper, 1.0, -1.0)[~is_free]
     rows, free = np.flatnonzero(~is_free), np.flatnonzero(is_free)
     return QuadraticProgram(
         twice,

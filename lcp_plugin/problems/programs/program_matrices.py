@@ -19,11 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import (
-    DENSE_ABOVE_DENSITY,
-    DENSE_UP_TO_SIZE,
-    FloatVector,
-)
+from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
 from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products, row_numbers
 from ...core.rounding import compensated_product, upper_end
@@ -685,8 +681,7 @@ def _tightest(
     """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
     tightest, owner = own.copy(), np.full(own.size, OWN)
     np.minimum.at(tightest, columns, limits)
-    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[
-        ::-1
-    ]  # of equal ones the first
+    # of equal ones the first
+    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[::-1]
     owner[columns[gives]] = rows[gives]
     return tightest, owner

@@ -51,10 +51,8 @@ from .no_minimum import feasible_point
 from .program import QuadraticProgram
 from .program_matrices import FoldedRows
 
-SLACKS = (
-    2.0**-46,
-    2.0**-36,
-)  # of the terms of a component: small and large, above the rounding of least squares
+# of the terms of a component: small and large, above the rounding of least squares
+SLACKS = (2.0**-46, 2.0**-36)
 ROUNDS = (
     4  # of least squares: a repair of some components may break components that were correct before
 )
@@ -129,10 +127,7 @@ class DualBounds:
         high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
         parts = [
             compensated_pair(matrix, x, offset)
-            for matrix, offset in (
-                (program.matrices.sparse_P, None),
-                (self._rows, -self._limit),
-            )
+            for matrix, offset in ((program.matrices.sparse_P, None), (self._rows, -self._limit))
         ]
         # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
         factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])

@@ -89,18 +89,7 @@ BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
         ),
         {},
     ),
-    "all classes": (
-        (
-            [
-                SLIDING,
-                FIT,
-                PROGRAM,
-                LCP(M[0], Q[0]),
-                LCP([[1.0]], [-2.0]),
-            ],
-        ),
-        {},
-    ),
+    "all classes": (([SLIDING, FIT, PROGRAM, LCP(M[0], Q[0]), LCP([[1.0]], [-2.0])],), {}),
 }
 
 

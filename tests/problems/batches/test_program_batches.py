@@ -72,9 +72,7 @@ def bits(answers: BatchAnswers) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_planted_programs_are_solved_in_the_compiled_loop(
-    kind: str,
-) -> None:
+def test_planted_programs_are_solved_in_the_compiled_loop(kind: str) -> None:
     """Every kind of row and bound, P definite, semidefinite or 0: the least value that was known before."""
     for seed in range(6):
         programs, least = planted(kind, 25, seed)

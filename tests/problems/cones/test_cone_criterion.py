@@ -37,11 +37,7 @@ CONSTRUCTED: dict[str, tuple[Any, Any, Any]] = {  # problem, a wrong point, the 
         [0.01 - 1e9 * 2.0**-40, -0.005 + 0.5e9 * 2.0**-40, 1e9, 0],
     ),
     "closing in space": (slides(LINK, SPACE, 3), AHEAD, [*RIGHT_2D[:2], 0, 1e9, 0, 0]),
-    "friction across a fast slide": (
-        slides(LINK, SPACE, 3),
-        TURNED,
-        [*RIGHT_2D[:2], 0, 1e9, 0, 0],
-    ),
+    "friction across a fast slide": (slides(LINK, SPACE, 3), TURNED, [*RIGHT_2D[:2], 0, 1e9, 0, 0]),
     "an edge across a large slack": (
         ConeProblem(np.eye(3), [1e9 - 1, -0.6e9 - 0.6, -0.8e9 - 0.8], [("second_order", 3)]),
         [1, 0.8, 0.6],

@@ -50,9 +50,8 @@ def test_free_rows_carry_a_body_s_velocity_from_step_to_step() -> None:
     carried = np.diag([-mass] * 3 + [0.0] * 3)
     done = march(problem, forcing, carried)
     np.testing.assert_allclose([z[0] for z in done.z], [0.5, 0.0], atol=1e-7)
-    np.testing.assert_allclose(
-        done.z[1][3], 1.0, atol=1e-6
-    )  # what is left of 2 N s when 1 N s has stopped it
+    # what is left of 2 N s when 1 N s has stopped it
+    np.testing.assert_allclose(done.z[1][3], 1.0, atol=1e-6)
 
 
 def test_what_no_march_over_cones_does_is_named() -> None:

@@ -106,9 +106,8 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     """Each method finds the known solution over cones without friction for definite M."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
-    tolerance = (
-        1e-3 if name == "fixed_point" else 1e-8
-    )  # of an interior point, where cases are on the edge
+    # of an interior point, where cases are on the edge
+    tolerance = 1e-3 if name == "fixed_point" else 1e-8
     result = solve(problem, name, tolerance=tolerance)
     assert result.is_solved, result
     assert exact_relative_residual(problem, result.z) <= tolerance

@@ -284,9 +284,8 @@ def liswet1_050() -> cp.Problem:
     x, z, l = cp.Variable(N + K), cp.Variable(N, nonneg=True), cp.Variable(N)
     differences = sum(np.eye(N, N + K, K - i) * C[i] for i in range(K + 1))
     wanted = np.sqrt(np.arange(N + K) / (N + K - 1)) + 0.1 * np.sin(np.arange(1, N + K + 1))
-    solution = 0.2615076808640952 + 0.0158336842688068 * np.arange(
-        N + K
-    )  # the printed one lies on a line up to here
+    # the printed one lies on a line up to here
+    solution = 0.2615076808640952 + 0.0158336842688068 * np.arange(N + K)
     solution[-2:] = 1.057170460561012, 1.098662759204049
     return least(
         cp.sum_squares(x - solution),

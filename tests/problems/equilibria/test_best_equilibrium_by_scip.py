@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 from macmpec import COLLECTION
 
-from lcp_plugin import (
-    EquilibriumProgram,
-    QuadraticProgram,
-    Status,
-    complements,
-    optimal,
-)
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, optimal
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 

@@ -70,9 +70,8 @@ def test_what_is_not_convex_is_found() -> None:
     assert (solver.result.bound_by, solver.result.proof) == ("SCIP", None)
     assert "bound by SCIP, in floating point" in solver.result.explain()
     m = bard()
-    m.bent = Complementarity(
-        expr=complements(pe.exp(m.y) - 2 >= 0, m.x - 1.5 >= 0)
-    )  # x = 1.5 or y = log 2
+    # x = 1.5 or y = log 2
+    m.bent = Complementarity(expr=complements(pe.exp(m.y) - 2 >= 0, m.x - 1.5 >= 0))
     pe.assert_optimal_termination(solver.solve(m))
     assert min(abs(m.x.value - 1.5), abs(pe.exp(m.y.value) - 2)) <= 1e-7
     assert solver.result.problem.excess(solver.result.x) <= 1e-7

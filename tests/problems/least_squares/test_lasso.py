@@ -51,14 +51,11 @@ def planted(
         np.isin(place, ["free", "upper", "lower"]), rng.integers(1, 5, n).astype(float), 0.0
     )
     slope = A.T @ (weights * y)
-    A, slope = (
-        np.where(slope > 0.0, -A, A),
-        -np.abs(slope),
-    )  # every column wants to rise; turned below where x < 0
+    # every column wants to rise; turned below where x < 0
+    A, slope = (np.where(slope > 0.0, -A, A), -np.abs(slope))
     l1 = np.abs(slope + ridge * x)
-    small = np.isin(place, ["free", "upper", "lower"]) & (
-        slope + ridge * x > 0.0
-    )  # too large for its slope
+    # too large for its slope
+    small = np.isin(place, ["free", "upper", "lower"]) & (slope + ridge * x > 0.0)
     x[small], place[small] = 0.0, "held"
     l1 = np.where(place == "held", np.abs(slope) + rng.integers(1, 3, n), np.abs(slope + ridge * x))
     at_bound = np.isin(place, ["upper", "lower"])

@@ -182,9 +182,8 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
     """The product ⟨g, dz⟩ equals the product of gradients and changes, for all steps."""
     done = CASES[case]()
     found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
-    change["dM"] = sp.csr_array(
-        done.problem.csr * rng.normal(size=done.problem.csr.shape)
-    )  # on the patterns
+    # on the patterns
+    change["dM"] = sp.csr_array(done.problem.csr * rng.normal(size=done.problem.csr.shape))
     change["dpropagator"] = sp.csr_array(done.propagator * rng.normal(size=done.propagator.shape))
     dz = found.jvp(**change)
     for g in (rng.normal(size=dz.shape), rng.normal(size=done.problem.n)):
@@ -343,10 +342,7 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
 
 # --- The next step starts with the algorithm that finished the previous step ---
 
-SMALL = {
-    "heston": lambda: marches.heston(60, 24, 6)[0],
-    "basket": lambda: marches.basket(40, 6),
-}
+SMALL = {"heston": lambda: marches.heston(60, 24, 6)[0], "basket": lambda: marches.basket(40, 6)}
 
 
 def marched_beginnings(steps: marches.Steps, **options: object) -> object:
@@ -469,9 +465,8 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
     assert len(cut) == 1
     assert not cut.all_solved
     assert cut[0].status is Status.MAX_ITERATIONS
-    idle = march(
-        problem, np.vstack([forcing[:2], np.ones((1, 30)), forcing[2:]]), 0.0
-    )  # z° solves the third
+    # z° solves the third
+    idle = march(problem, np.vstack([forcing[:2], np.ones((1, 30)), forcing[2:]]), 0.0)
     assert idle.all_solved
     assert len(idle) == 6
     assert not idle.z[2].any()

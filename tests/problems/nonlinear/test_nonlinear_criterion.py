@@ -19,11 +19,7 @@ def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
     """Next to F₀ = x₀ − 1e4 + 1e5 x₁, a double root is right to 2e-4: F₂ is within 1e-8 of its terms."""
     problem = NonlinearProblem(
         lambda x: np.array(
-            [
-                x[0] - 1e4 + 1e5 * x[1],
-                x[1] + x[2] - 2,
-                x[1] + x[2] - 2 + (x[2] - 1) ** 2,
-            ]
+            [x[0] - 1e4 + 1e5 * x[1], x[1] + x[2] - 2, x[1] + x[2] - 2 + (x[2] - 1) ** 2]
         ),
         lower=np.zeros(3),
     )

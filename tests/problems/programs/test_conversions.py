@@ -24,11 +24,7 @@ from lcp_plugin import (
     Status,
     solve,
 )
-from lcp_plugin.core.errors import (
-    UnsuitableMatrix,
-    UnsuitableProblem,
-    UnsupportedModel,
-)
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game

@@ -17,14 +17,7 @@ from campaigns.outliers import ExactProgram, exact
 from numpy.random import Generator
 from scipy.optimize import linprog
 
-from lcp_plugin import (
-    QPSolver,
-    QuadraticProgram,
-    Status,
-    certify,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import QPSolver, QuadraticProgram, Status, certify, solve, solve_batch
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.problems.programs.criterion import KKTErrors, PrimalDualPoint
 
@@ -149,9 +142,8 @@ IDLE = QuadraticProgram(np.diag([4.0, 0.0]), [3.0, 0.0], [[-1.0, 0.0]], [0.0])
 NEARLY_IDLE = QuadraticProgram(
     np.diag([1.0, 0.0]), [-4.0, 0.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [2.0, 1.0, 4.0]
 )
-LEVEL = QuadraticProgram(
-    [[0.01, 0.03], [0.03, 0.09]], [-1.0, 0.0]
-)  # P d = 0 except for rounding, d = (3, −1)
+# P d = 0 except for rounding, d = (3, −1)
+LEVEL = QuadraticProgram([[0.01, 0.03], [0.03, 0.09]], [-1.0, 0.0])
 FELL = {
     "a slack of cost 1e9": (ONE_ROW, [500, 0, 0], [1, 0, 0, 1e9 - 1, 0, 0, 0]),
     "its bounds hold all": (ONE_ROW, [500, 0, 0], [0, 1, 1, 1e9, 0, 0, 0]),

@@ -183,9 +183,8 @@ def test_one_sided_derivatives_differ_by_side() -> None:
 
 def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
     """If M_FF is singular and M_(F∪β) is not, vjp treats the degenerate rows as free."""
-    problem = LCP(
-        [[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0]
-    )  # solved by all z₀ ≤ 3, z₁ = 1
+    # solved by all z₀ ≤ 3, z₁ = 1
+    problem = LCP([[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0])
     found = Derivative(problem, np.array([3.0, 1.0]), np.zeros(2))
     assert found.degenerate.tolist() == [1]
     assert found.is_unique is False

@@ -301,7 +301,8 @@ def solve_lcp(
     """
     clock = Clock()
     method, settings = parse_call(algorithm, options)
-    callback, start = checked_callback(callback), checked_start(problem, z0)
+    callback = None if callback is None else checked_callback(callback)
+    start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
     is_watched = settings.record or settings.error_bound or settings.verbose
     is_limited = settings.max_seconds < math.inf or not settings.max_iterations
     is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
@@ -311,7 +312,7 @@ def solve_lcp(
         if found is not None:
             point, label, work = found
             stage = StageRecord(label, GUESSED, 1, work)
-            rows = point.rows if problem.is_dense else None  # of the stored M
+            rows = point.rows if problem.matrix.is_dense else None  # of the stored M
             z = read_only(point.z)
             return Result.at(problem, z, stage, settings, clock.read(), rows)
     return run_on(problem, method, settings, start, clock, callback)

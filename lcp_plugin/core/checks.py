@@ -363,7 +363,8 @@ def checked_bounds(
     """
     are_numbers = type(lower) is type(upper) is float
     if are_numbers and -INFINITE_LIMIT < lower < INFINITE_LIMIT and lower <= upper:
-        return _constant(lower, n), _constant(upper if upper < INFINITE_LIMIT else np.inf, n)
+        ends = lower, upper if upper < INFINITE_LIMIT else np.inf
+        return read_only(np.full(n, ends[0])), read_only(np.full(n, ends[1]))
     below, above = replace_huge_bounds_by_inf(
         checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
     )
@@ -380,14 +381,6 @@ def checked_bounds(
             )
         )
     return below, above
-
-
-def _constant(value: float, n: int) -> FloatVector:
-    """Return a read-only vector of equal entries."""
-    vector = np.empty(n)
-    vector.fill(value)
-    vector.flags.writeable = False
-    return vector
 
 
 def vector_option(values: Any, name: str, length: int | None, **how: Any) -> FloatVector:

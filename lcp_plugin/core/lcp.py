@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
@@ -138,10 +137,6 @@ class LCP:
     def residual_scale(self) -> FloatVector:
         """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
-
-    @property
-    def _lock(self) -> threading.RLock:
-        return self.matrix._lock
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:

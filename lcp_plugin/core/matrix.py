@@ -61,7 +61,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         try:
             value: T = matrix._facts[key]
         except KeyError:
-            with matrix._lock:
+            with getattr(matrix, "matrix", matrix)._lock:  # of the matrix of a problem
                 if key not in matrix._facts:
                     with np.errstate(all="ignore"):  # an overflow shows in the value
                         matrix._facts[key] = self._compute(matrix, *args, **kwargs)

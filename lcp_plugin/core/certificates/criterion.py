@@ -255,7 +255,11 @@ class RowData:
         absolute: float = 0.0,
     ) -> RowResiduals:
         """Return the residuals of all rows; by sums in twice the precision if rounding decides at the tolerance."""
-        reference = np.minimum(self.references[0], self.active_reference(at))
+        # The largest T_k/d_k of the rows that count in the component, rounding included
+        may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
+        rounding = 1.0 - (self._counts + 8) * EPSILON
+        of_active = np.where(may_be_active, at.terms / self.scale * rounding, 0.0)
+        reference = np.minimum(self.references[0], self.largest(of_active))
         low, high = self.residual_ends(z, at.w, at.rounding)
         relative = divide_nonnegative(high, reference)
         worst = self.worst(relative)
@@ -345,12 +349,6 @@ class RowData:
             low, high = np.where(is_number, low, 0.0), np.where(is_number, high, np.inf)
         return low, high
 
-    def active_reference(self, at: RowsAtPoint) -> Any:
-        """Return, for each row, the largest T_k/d_k of the rows of its component that count, rounding included."""
-        may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
-        rounding = 1.0 - (self._counts + 8) * EPSILON
-        return self.largest(np.where(may_be_active, at.terms / self.scale * rounding, 0.0))
-
     @cached_property
     def demand(self) -> FloatVector:
         """Demand of each row: a_i in the docstring of this module."""
@@ -403,7 +401,7 @@ class RowData:
         """
         if not np.count_nonzero(passes):
             return np.False_
-        if self.is_rejected(z, tolerance):
+        if self.origin is not None and self.is_rejected(z, tolerance):
             return np.True_
         is_doubtful = at.violation > NEGLIGIBLE * np.abs(self.q)  # |q_i| is part of a_i, if z° = 0
         if not self.anywhere(is_doubtful | (self.start != 0.0)):

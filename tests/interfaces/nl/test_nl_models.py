@@ -398,7 +398,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
         yield (
             name,
             content_of(1, [(number, x, x)], row_names=["balance"]),
-            f"row balance holds the operator {name}",
+            f"balance holds the operator {name}",
         )
     yield "unknown operator", content_of(1, [(99, x)]), "operator number 99"
     yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"

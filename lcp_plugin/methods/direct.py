@@ -37,11 +37,7 @@ from ..core.lcp import LCP
 from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
 from ..core.solving.stage import Stage
 from ..core.splittings import PSOR
-from ..core.tuning import (
-    LINEAR_PROGRAM_UP_TO,
-    PIVOTED_UP_TO,
-    PIVOTS_FIRST_UP_TO,
-)
+from ..core.tuning import LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO
 from ..proofs.no_solution import contradictory_row
 from ..proofs.verdicts import is_negative
 from ..systems.factors import factor_fits, sizes_of_factor
@@ -71,12 +67,7 @@ def direct_methods(
         If False, no method looks for proofs.
     """
     from ..proofs.verdicts import analyze
-    from .search import (
-        ExhaustiveSearch,
-        FeasibilityCheck,
-        has_few_active_sets,
-        is_searchable,
-    )
+    from .search import ExhaustiveSearch, FeasibilityCheck, has_few_active_sets, is_searchable
 
     is_searched = has_few_active_sets(problem) and not _seems_monotone(problem)
     if is_searched:

@@ -205,12 +205,7 @@ class RowData:
         return found._replace(residual=self.worst(relative))
 
     def measure_at(
-        self,
-        z: FloatVector,
-        w: Any,
-        tolerance: float,
-        power: float = POWER,
-        absolute: float = 0.0,
+        self, z: FloatVector, w: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
     ) -> Measured:
         """Measure z by the stopping criterion.
 

@@ -71,9 +71,8 @@ def worst_pairs(
         for one in (found.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
     )
     low = np.broadcast_to(np.ravel(by_row.low), (n,))
-    least = np.maximum(
-        np.where(low == 0.0, 0.0, relative), own
-    )  # 0: rounding explains the residual
+    # 0: rounding explains the residual
+    least = np.maximum(np.where(low == 0.0, 0.0, relative), own)
     least = np.where(np.isnan(least), math.inf, least)
     order = np.lexsort((-low, -least))[:count].tolist()
     return WorstRows(

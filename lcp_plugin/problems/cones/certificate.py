@@ -142,9 +142,8 @@ class ConeRows(RowData):
         tangents, radius = x[..., 1:], stack.mu * x[..., 0]
         tangent = length(tangents)
         is_on, is_apex = tangent >= (1.0 - AT_ROUNDING) * radius, radius == 0.0
-        away = (
-            tangents / np.maximum(tangent, NORMAL)[..., None]
-        )  # its ray is the disk's normal cone
+        # its ray is the disk's normal cone
+        away = tangents / np.maximum(tangent, NORMAL)[..., None]
         push = (g[..., 1:] * away).sum(-1)
         if stack.has_friction:
             push = np.where(is_on, np.minimum(push, 0.0), 0.0)

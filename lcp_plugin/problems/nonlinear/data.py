@@ -42,12 +42,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.certificates.criterion import (
-    POWER,
-    RowData,
-    RowsAtPoint,
-    row_data,
-)
+from ...core.certificates.criterion import POWER, RowData, RowsAtPoint, row_data
 from ...core.certificates.measured import Measured
 from ...core.certificates.residuals import Certificate
 from ...core.checks import (

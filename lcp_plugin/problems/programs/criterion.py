@@ -406,13 +406,7 @@ class PrimalDualPoint:
         np.maximum.at(part, of_free, np.abs(pull))
         part[part == 0.0] = 1.0
         scaled = sp.diags_array(units[free]) @ T @ sp.diags_array(row_units[on])
-        found = lsmr(
-            scaled,
-            pull / part[of_free],
-            atol=1e-3,
-            btol=1e-3,
-            maxiter=60,
-        )[0]
+        found = lsmr(scaled, pull / part[of_free], atol=1e-3, btol=1e-3, maxiter=60)[0]
         least = np.zeros(self.y.size)
         least[on] = np.abs(row_units[on] * found * part[of_row])
         return least

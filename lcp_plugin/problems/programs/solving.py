@@ -574,9 +574,8 @@ class ProgramRun(Run):
                 return
             steps = {}
             if "max_iterations" in self.wishes:
-                steps[asked.steps] = min(
-                    self.wishes["max_iterations"], 2**31 - 1
-                )  # it counts in 32 bits
+                # it counts in 32 bits
+                steps[asked.steps] = min(self.wishes["max_iterations"], 2**31 - 1)
             one = type(asked)(**{**asked.options, **steps})
             yield Stage(one, one.solves, steps=self._engine_steps(one, units))
             # All engines may take 20 times the first one's seconds; a small program is given to each of them
@@ -586,11 +585,7 @@ class ProgramRun(Run):
         """Yield the start and the point of an external solver."""
         yield Step(nearest(self.program)[0], iterations=0)
         found = run_engine(
-            self.program,
-            engine,
-            self.settings.tolerance,
-            units,
-            is_verbose=self.settings.verbose,
+            self.program, engine, self.settings.tolerance, units, is_verbose=self.settings.verbose
         )
         yield Step(found.solution.x, iterations=found.iterations, measured=found)
 

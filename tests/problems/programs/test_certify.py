@@ -108,9 +108,8 @@ def test_a_disproved_verdict_has_its_reason(x: list[float], reason: str) -> None
 def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
-    assert (
-        certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"
-    )  # relative to |c x| + xᵀP x
+    # relative to |c x| + xᵀP x
+    assert certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"
     leaning = QuadraticProgram(None, [-1.0, 0.0], G=[[1.0, 1.0]], h=[1e6], A=[[0.0, 1.0]], b=[1e6])
     result = certify(leaning, [0.5, 1e6], tolerance=1e-6)  # a violation of 5e-7 of the row's terms
     assert result.verdict == "disproved"
@@ -520,10 +519,8 @@ def test_verdicts_do_not_depend_on_units(
     P, c = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([-6.0, -4.0])
     G, h = np.array([[1.0, 1.0], [1.0, -2.0]]), np.array([2.0, 8.0])
     x, y = np.array([2.0, 0.0]), np.array([2.0, 0.0])
-    lower, below = (
-        np.array([-np.inf, 0.0]),
-        np.array([0.0, 0.0]),
-    )  # and the bound is met without a multiplier
+    # and the bound is met without a multiplier
+    lower, below = (np.array([-np.inf, 0.0]), np.array([0.0, 0.0]))
     assert (P @ x + c + y @ G == below).all()
     x = x - np.array([0.05 * (answer == "off"), 0.0])
     y = {"a sign": -y, "beside slack": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)

@@ -232,15 +232,14 @@ def _ends_of_paths(M: FloatVector, q: FloatVector, lower: FloatVector, upper: Fl
     for pattern in np.unique(free, axis=0):
         items = np.flatnonzero((free == pattern).all(1))
         E, R = np.flatnonzero(pattern), np.flatnonzero(~pattern)
+        block = M[:, E[:, None], E] if len(M) == 1 else M[items[:, None, None], E[:, None], E]
+        is_regular = np.broadcast_to(np.linalg.det(block) != 0.0, items.shape)
+        sides[items[~is_regular], 0], items = LOST, items[is_regular]
+        if not items.size:
+            continue
         A, b, low, high = _select((M, q, lower, upper), items)
         block, to = A[:, E[:, None], E], A[:, R[:, None], E]
-        try:
-            of_x, of_1 = (
-                np.linalg.solve(-block, one) for one in (A[:, E[:, None], R], b[:, E, None])
-            )
-        except LinAlgError:
-            sides[items, 0] = LOST
-            continue
+        of_x, of_1 = (np.linalg.solve(-block, one) for one in (A[:, E[:, None], R], b[:, E, None]))
         if R.size:
             reduced = A[:, R[:, None], R] + to @ of_x, b[:, R] + (to @ of_1)[..., 0]
             data = _select((*reduced, low[:, R], high[:, R]), items)

@@ -28,7 +28,7 @@ from ..least_squares.solving import length_of_stack, solve_least_squares_stack, 
 from ..many import length_of_all, rows_of_a_batch
 
 WORK = 2**18  # problems times n² per stack of LCPs
-SHORTEST = 512  # problems: the Python code of a stack takes .2 ms
+SHORTEST = 1024  # problems: the Python code of a stack takes .2 ms
 TOGETHER = 2048  # instances per stack: fewer cost more calls, more leave a second thread idle
 CONES_UP_TO = 400  # rows of a problem over cones in a stack
 #: Items, and a function that returns z, residual, iterations and is_solved of these.

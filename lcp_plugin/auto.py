@@ -24,7 +24,7 @@ factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²
 below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because in
 the plane a localized residual falls as 1/k².
 
-No clock is read: the same call gives the same bits.
+Decisions never depend on measured time, so that a repeated call gives the identical result.
 """
 
 from __future__ import annotations

@@ -502,7 +502,7 @@ def solved_lcps(
 
     Notes
     -----
-    The answer comes first: z and w are drawn complementary, with inactive rows (z between its bounds, w = 0),
+    The solution is drawn first: z and w are complementary, with inactive rows (z between its bounds, w = 0),
     active ones (z at a bound, w ≠ 0 of the right sign) and degenerate ones (z at a bound, w = 0).
 
     Examples

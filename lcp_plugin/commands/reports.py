@@ -113,7 +113,7 @@ def print_names() -> None:
         terminal.print(_table(title, heads, rows))
     engines = {name: engine_class(name) for name in ENGINES}
     rows = [(name, one.solves, one.cost, one.obeys) for name, one in engines.items()]
-    heads = ("name", "solves", "costs", "obeys while it runs")
+    heads = ("name", "solves", "costs", "options that act during a run")
     terminal.print(_table("External solvers, for convex programs", heads, rows))
     sources: dict[str, list[str]] = {}
     for algorithms in (*lists.values(), engines):

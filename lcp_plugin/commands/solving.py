@@ -192,7 +192,10 @@ def _march_lines(given: Target, answers: list[Any]) -> list[str]:
         )
         done = f"march: {len(answers)} of {scene.steps} steps"
         return [*lines, f"{done}, {iterations} iterations, {seconds:.3g} s; the last step is shown"]
-    for name, known in (("true error", scene.exact), ("from the continuum", scene.continuum)):
+    for name, known in (
+        ("true error", scene.exact),
+        ("difference from the exact solution without grid", scene.continuum),
+    ):
         if known is not None:
             lines.append(f"{name:<18} {np.abs(last.z - known).max(initial=0.0):.3e}")
     return lines

@@ -37,7 +37,9 @@ class DAQP(Engine):
     solves: ClassVar[str] = "dense convex programs of up to some hundred rows"
     cost: ClassVar[str] = "n² a step, n³ to begin with"
     reference: ClassVar[str] = "Arnström, Bemporad, Axehill 2022"
-    obeys: ClassVar[str] = "max_seconds; verbose prints nothing; Ctrl-C waits for its end"
+    obeys: ClassVar[str] = (
+        "max_seconds; verbose prints nothing; Ctrl-C takes effect only when the solver returns"
+    )
     steps: ClassVar[str] = "iter_limit"
     ends_on_active_set: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
@@ -148,7 +150,8 @@ class PIQP(Engine):
     cost: ClassVar[str] = "a factor of the KKT matrix a step, 10 to 30 steps"
     reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023"
     obeys: ClassVar[str] = (
-        "max_seconds, by the time of its first step; verbose prints its own log; Ctrl-C waits for its end"
+        "max_seconds, by the time of its first step; verbose prints its own log; "
+        "Ctrl-C takes effect only when the solver returns"
     )
     defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
 
@@ -220,7 +223,9 @@ class Clarabel(Engine):
     solves: ClassVar[str] = "convex programs"
     cost: ClassVar[str] = "a factor of the KKT matrix a step, 10 to 50 steps"
     reference: ClassVar[str] = "Goulart, Chen 2024"
-    obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
+    obeys: ClassVar[str] = (
+        "max_seconds; verbose prints its own log; Ctrl-C takes effect only when the solver returns"
+    )
     defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
 
     def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
@@ -280,7 +285,9 @@ class HiGHS(Engine):
     solves: ClassVar[str] = "linear programs"
     cost: ClassVar[str] = "a sparse factor now and then, two triangular solves a step"
     reference: ClassVar[str] = "Huangfu, Hall 2018"
-    obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
+    obeys: ClassVar[str] = (
+        "max_seconds; verbose prints its own log; Ctrl-C takes effect only when the solver returns"
+    )
     steps: ClassVar[str] = "maxiter"
     ends_on_active_set: ClassVar[bool] = True
     is_for_linear_alone: ClassVar[bool] = True

@@ -576,7 +576,7 @@ def half_active(
 
     Notes
     -----
-    The answer comes first: on free blocks z* = 1, 2, 1, 2, … and w* = 0, on active ones the other way round;
+    The solution is chosen first: z* = 1, 2, 1, 2, … and w* = 0 on free blocks, on active ones the other way round;
     then q = w* − M z*. The paper's own examples have no active constraint and so do not test
     complementarity: an iteration for the linear system alone would solve them.
     """

@@ -45,8 +45,8 @@ class InteriorPoint(Algorithm):
 
     The history contains PIQP's final point and the point after each linear solve, because PIQP does not report its
     iterations. PIQP cannot be stopped: it starts only if its factorizations are predicted to fit into the remaining
-    seconds, and Ctrl-C waits for its end. The active set of a start z0 near the solution is tried first; any other
-    start has no effect.
+    seconds, and Ctrl-C takes effect when it returns. The active set of a start z0 near the solution is tried first;
+    any other start has no effect.
 
     References
     ----------

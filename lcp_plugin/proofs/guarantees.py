@@ -729,7 +729,7 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_UP_TO:
         return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_UP_TO}"
     if _is_h_plus(problem):
-        return "M is an H₊-matrix, but with these options no theorem here applies beyond rounding"
+        return "M is an H₊-matrix, but no theorem covers these options (or only by less than rounding error)"
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     return "M is not proven to be an H₊-matrix"

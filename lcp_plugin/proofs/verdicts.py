@@ -653,7 +653,7 @@ class MatrixReport:
         rows = f"{self.zero_diagonal.size} zero, {self.negative_diagonal.size} negative"
         lines.append(f"{'diagonal':<29} {rows}")
         spread = ", ".join(f"{name} {decades:.1f}" for name, decades in self.scale_spread.items())
-        lines.append(f"{'decades of magnitude':<29} {spread}")
+        lines.append(f"{'orders of magnitude':<29} {spread}")
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -31,7 +31,7 @@ def main() -> int:
     parser.add_argument(
         "files",
         nargs="*",
-        help="of programs (.npz, .qps, .mps), not random ones",
+        help="programs (.npz, .qps, .mps) in place of random ones; for public, the JSON file that is written",
     )
     parser.add_argument(
         "--quick", action="store_true", help="small sizes: to see that it runs, not for figures"

@@ -137,7 +137,7 @@ def test_bounds_hold_exactly(seed: int) -> None:
 
 @pytest.mark.parametrize("last", [0.0, 2.0**-52, -(2.0**-52)])
 def test_verdicts_are_proved(last: float) -> None:
-    """“A verdict is proved or None”: one ulp from singular, where a floating-point test guesses, none is wrong."""
+    """“True and False are proved”: one ulp from singular, where a floating-point test guesses, none is wrong."""
     M = np.array([[1.0, -1.0], [-1.0, 1.0 + last]])
     determinant = Fraction(M[0, 0]) * Fraction(M[1, 1]) - Fraction(M[0, 1]) * Fraction(M[1, 0])
     truth = determinant > 0

@@ -226,9 +226,9 @@ def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPErr
     places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
     first, *others = places
     also = (
-        f" (nor do {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''})"
+        f", nor for {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''}"
         if others
         else ""
     )
     where = f"problem {places[first]} of the batch" if axes else "the problem"
-    return kind(f"{where} gives the layer no solution to go on with{also}: {errors[first]}")
+    return kind(f"the layer found no solution for {where}{also}: {errors[first]}")

@@ -435,7 +435,7 @@ class ConeNewton(ConeAlgorithm):
     """Semismooth Newton on the natural map R(z) = z − P(z − ŵ/d), with a nonmonotone line search on ‖R‖₂."""
 
     name = "newton"
-    needs = "a factor that fits"
+    needs = "enough memory for a factorization"
     solves = "locally, where the generalized derivatives are regular"
     cost = "one factor of the blocks that are not open"
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
@@ -450,7 +450,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     """Primal–dual interior point on De Saxcé's cones, Nesterov–Todd scaling, then Newton."""
 
     name = "interior_point"
-    needs = "contacts with friction, and a factor that fits"
+    needs = "contacts with friction, and enough memory for a factorization"
     solves = "observed: also where many contacts make the same motion"
     cost = "one factor of all blocks a step, some 15 to 40 of them"
     reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"

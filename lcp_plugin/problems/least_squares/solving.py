@@ -289,7 +289,7 @@ class LeastSquaresRun(Run):
 
 
 ADVICE = {
-    Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, rounding of the data excused",
+    Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, up to rounding errors in the data",
     Status.PRECISION_LIMIT: (
         "the gradient is at rounding level, but no lower bound of the cost was found near it, as for a large sparse A "
         "that fits b exactly; next: accept x if result.gap is small compared with result.cost, or raise l1 or ridge"

@@ -237,7 +237,7 @@ class ZeroSumGame(NamedTuple):
         if not is_game(problem):
             return None
         M = problem.matrix.toarray()
-        is_row = bimatrix_players(M, problem.q)
+        is_row: Any = bimatrix_players(M, problem.q)
         costs = M / -problem.q[:, np.newaxis]
         K, L = costs[is_row][:, ~is_row], costs[~is_row][:, is_row].T
         of_K, of_L = (C - C.mean(0) - C.mean(1)[:, np.newaxis] + C.mean() for C in (K, L))

@@ -184,7 +184,7 @@ def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
     from scipy.linalg import lapack
 
     pivots = np.abs(lapack.dgetrf(M[np.ix_(free, free)])[0].diagonal())
-    return free[pivots > 1e-8 * pivots.max()]
+    return np.asarray(free[pivots > 1e-8 * pivots.max()])
 
 
 def _solved(

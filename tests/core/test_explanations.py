@@ -56,7 +56,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         lambda: solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, -1.0])),
         Status.INFEASIBLE,
         "no z within its bounds gives w the signs it needs: row",
-        "next: check the data",
+        "next: print(result.conflict), which conditions conflict",
     ),
     "no solution": (
         lambda: solve(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, -1.0])),

@@ -50,7 +50,7 @@ def test_python_blocks_run(k: int, capsys: pytest.CaptureFixture[str]) -> None:
 def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command of the README does what it says and exits with 0."""
     monkeypatch.chdir(tmp_path)
-    outcome = CliRunner().invoke(app, shlex.split(command)[1:])
+    outcome = CliRunner().invoke(app, shlex.split(command, comments=True)[1:])
     assert outcome.exit_code == 0, outcome.output
     if "--plot" in command:
         name = command.rsplit(maxsplit=1)[-1]

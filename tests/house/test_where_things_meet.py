@@ -85,6 +85,7 @@ OVER_CONES = (
     "solve_batch",
     "march",
     "derivative",
+    "certify",
     "save",
     "pickle",
     "cvxpy",
@@ -92,9 +93,9 @@ OVER_CONES = (
 )
 # The problem classes, in the order of README's table, and the interfaces that accept each.
 KINDS = {
-    "LCP": tuple(way for way in WAYS if way not in ("certify", "qpsolvers")),
+    "LCP": tuple(way for way in WAYS if way != "qpsolvers"),
     "NonlinearProblem": (
-        *("solve", "solve_batch", "derivative", "pickle"),
+        *("solve", "solve_batch", "derivative", "certify", "pickle"),
         *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "QuadraticProgram": (
@@ -216,7 +217,10 @@ def by_derivative(sample: Sample, folder: Path) -> None:
 
 def by_certify(sample: Sample, folder: Path) -> None:
     answer = solved(sample)
-    if answer.is_solved:
+    if sample.kind != "QuadraticProgram":
+        verdict = "proved" if answer.is_solved else "disproved"
+        assert certify(sample.problem, answer.z).verdict == verdict
+    elif answer.is_solved:
         for given in (answer.x, answer.solution, answer):
             assert certify(sample.problem, given).verdict == "proved"
     else:

@@ -139,7 +139,7 @@ def certify(
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
             if (kind := class_of(problem)) is not None and CLASSES[kind].criterion:
-                return _certify_pairs(problem, x, float(tolerance))
+                return _certify_pairs(problem, x, (multipliers, claim), float(tolerance))
             if kind is not None or isinstance(problem, (BaseResult, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
@@ -180,8 +180,15 @@ def certify(
         return replace(found, lower=lower, upper=upper)
 
 
-def _certify_pairs(problem: Any, x: Any, tolerance: float) -> Certification:
+def _certify_pairs(
+    problem: Any, x: Any, others: tuple[Any, ...], tolerance: float
+) -> Certification:
     """Return whether the stopping criterion holds at x, a point of complementarity conditions."""
+    if any(one is not None for one in others):
+        raise InvalidOption(
+            f"multipliers and claim go with a QuadraticProgram, got a {type(problem).__name__}; "
+            "give certify(problem, x)"
+        )
     if x is None:
         raise InvalidOption(
             f"certify needs a point of the {type(problem).__name__}; give certify(problem, x)"
@@ -198,7 +205,7 @@ def _certify_pairs(problem: Any, x: Any, tolerance: float) -> Certification:
     return Certification(
         "proved" if passes else "disproved",
         "solved",
-        float(np.max(found.rows.violation, initial=0.0)),
+        max(0.0, float(np.max(found.rows.violation, initial=0.0))),
         reason=f"relative residual {residual:.3g}, tolerance {tolerance:g}",
         rows=partial(worst_pairs, data, found, names, tolerance),
     )

@@ -121,7 +121,7 @@ def test_what_is_not_solved_is_named() -> None:
     for layer in (lcp_layer, jax.jit(lcp_layer)):
         with pytest.raises(
             Exception,
-            match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution",
+            match=r"NotConverged: the layer found no solution for problem \(1,\) of the batch",
         ):
             jax.block_until_ready(layer(M, -jnp.ones(2)))
         with pytest.raises(Exception, match=r"q\[0\] = nan"):

@@ -110,14 +110,14 @@ def test_what_is_not_solved_is_named() -> None:
     M[0, 1] = M[1, 2] = -M[0, 1]
     with pytest.raises(
         NotConverged,
-        match=r"problem \(0, 1\) of the batch .* \(nor do \(1, 2\)\).*INFEASIBLE|NO_SOL",
+        match=r"problem \(0, 1\) of the batch, nor for \(1, 2\): .*(INFEASIBLE|NO_SOL)",
     ):
         lcp_layer(M, q - 1.0)
     q[1, 0, 0] = np.nan
     with pytest.raises(InvalidProblem, match=r"problem \(1, 0\) of the batch.*q\[0\] = nan"):
         lcp_layer(torch.eye(2, dtype=torch.float64), q)
     with pytest.raises(
-        NotConverged, match=r"^the problem gives the layer no solution.*MAX_ITERATIONS"
+        NotConverged, match=r"^the layer found no solution for the problem: .*MAX_ITERATIONS"
     ):
         lcp_layer(
             2.0 * torch.eye(2, dtype=torch.float64),

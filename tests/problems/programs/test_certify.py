@@ -479,7 +479,8 @@ REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
     (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
     (lambda: certify([[1.0]]), InvalidProblem, "got list"),
-    (lambda: certify(CURVED, [1.0]), InvalidProblem, "QuadraticProgram, got NonlinearProblem"),
+    (lambda: certify(CURVED), InvalidOption, "needs a point of the NonlinearProblem"),
+    (lambda: certify(CURVED, [1.0], claim="optimal"), InvalidOption, "go with a QuadraticProgram"),
 ]
 
 

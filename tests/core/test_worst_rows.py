@@ -46,7 +46,10 @@ def test_rows_are_sorted_by_their_residual_in_fractions(seed: int) -> None:
 def test_every_class_names_its_worst_row() -> None:
     """Nonlinear, cone and convex problems, and models at the values of their variables."""
     power = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[0, 0], names=["a", "b"])
-    assert str(certify(power, [2, 1]).worst()).startswith("b = 2 while b = 1 > 0")
+    assert str(certify(power, [2, 1]).worst()).startswith("w[b] = 2 while z[b] = 1 > 0")
+    assert certify(power, solve(power)).verdict == "proved"
+    with pytest.raises(InvalidOption, match="count must be"):
+        certify(power, [2, 1]).worst(0)
     with pytest.raises(InvalidProblem, match="b is nan"):
         certify(NonlinearProblem(lambda x: np.sqrt(x - 1), names=["a", "b"], lower=[0, 0]), [2, 0])
     cone = ConeProblem(np.eye(3), [0, -2, 0], [("second_order", 3)])
@@ -100,7 +103,7 @@ def test_a_run_that_fails_ends_with_its_worst_rows() -> None:
     M = [[1, 4, 0], [0, 1, 4], [4, 0, 1]]
     said = solve(LCP(M, [-1, -1, -1], names=names), "psor").explain()
     assert "the worst rows:" in said
-    assert said.splitlines()[-1].startswith("  c = -1 < 0")
+    assert said.splitlines()[-1].startswith("  w[c] = -1 < 0")
     said = solve(
         NonlinearProblem(lambda x: x**2 + 1, lower=-np.inf, names=["F"]), x0=[1.0]
     ).explain()

@@ -26,7 +26,7 @@ from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.rounding import compensated_product
-from ...core.settings import checked_tolerance
+from ...core.settings import checked_tolerance, whole_number
 from ...core.solving.result import BaseResult
 from ...proofs.bounds import constrained_curvature, norm_above
 from ...proofs.exact import enclosures, quotient_above, sum_above
@@ -63,7 +63,7 @@ def certify(
     problem : problem, cvxpy.Problem or Pyomo model
         A QuadraticProgram, LCP, NonlinearProblem, ConeProblem or FrictionalContact; or a model, at the present values
         of its variables. It is not modified.
-    x : array, shape (n,), QPSolution or QuadraticProgramResult, optional
+    x : array, shape (n,), result or QPSolution, optional
         The point of a problem of arrays; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
         Multipliers of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
@@ -193,7 +193,7 @@ def _certify_pairs(
         raise InvalidOption(
             f"certify needs a point of the {type(problem).__name__}; give certify(problem, x)"
         )
-    z = checked_vector(x, "x", problem.n)
+    z = checked_vector(getattr(x, "x", x) if isinstance(x, BaseResult) else x, "x", problem.n)
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
     data, z, w, names = criterion(problem, z)
     found = data.measure_at(z, w, tolerance)
@@ -286,6 +286,7 @@ class Certification:
 
     def worst(self, count: int = 5) -> WorstRows:
         """Return the rows of x that fail the criterion by most, the worst first; `print` shows a line for each."""
+        count = whole_number(count, "count", 1)
         return WorstRows() if self.rows is None else self.rows(count)
 
     def __str__(self) -> str:

@@ -98,9 +98,11 @@ def _sides(names: Names, i: int, z: float, w: float, lower: float, upper: float)
     if math.isnan(lower):
         return f"{row} = {w:.6g} while {unknown} = {z:.6g}, in a cone"
     if not lower <= z <= upper:
-        return f"{unknown} = {z:.6g} is beyond its bound {lower if z < lower else upper:.6g}"
+        return (
+            f"{names.unknown(i)} = {z:.6g} is beyond its bound {lower if z < lower else upper:.6g}"
+        )
     if lower == -math.inf and upper == math.inf:
-        return f"{row} = {w:.6g}, and must be 0"
+        return f"{names.row(i)} = {w:.6g}, and must be 0"
     bound, sign = (lower, ">") if w > 0.0 else (upper, "<")
     if math.isinf(bound):
         return f"{row} = {w:.6g} {sign} 0 while {unknown} = {z:.6g}"
